@@ -23,7 +23,6 @@
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
-`forecasts` what `--dry-run` says of large teams, beside what they use; see benchmarks/forecasts.py (takes minutes)
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
             may go wrong in one; see benchmarks/flight.py and benchmarks/flight_cases.py (only when named)
@@ -50,7 +49,6 @@ from benchmarks import (
     containment,
     flight,
     flight_cases,
-    forecasts,
     lies,
     links,
     local,
@@ -200,7 +198,6 @@ if __name__ == "__main__":
         "arrivals": arrivals.main,
         "containment": containment.main,
         "lies": lies.main,
-        "forecasts": forecasts.main,
         "lies-curve": lies.curve,
         "lies-swarm": lies.swarm,
         "local-letters": local.letters,

@@ -38,7 +38,7 @@ from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import leg_to
 from llm_flock.protocol.motion.right_of_way import RightOfWay
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.motion.surroundings import static_half_spaces
 from llm_flock.protocol.verification.steps import shortened
 
@@ -135,7 +135,7 @@ def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **chan
 def motion_alone(scene: Scene) -> Flight:
     """Safe steps in lockstep; each robot heads straight for its own goal, and hears those within radio range."""
     mission, goals = scene.mission, _rows(scene.goals)
-    team = [Safety(robot, mission, 0.0) for robot in range(mission.n_robots)]
+    team = [ShieldedSafety(robot, mission, 0.0) for robot in range(mission.n_robots)]
 
     def advance(positions: Points) -> list[Points]:
         here = _rows(positions)

@@ -31,7 +31,6 @@ import numpy as np
 from llm_flock.distill.choices import draw_choices
 from llm_flock.distill.wishes import WORDINGS
 from llm_flock.llm.answer_forms import answer_grammar
-from llm_flock.llm.frame import LETTERS_MODEL
 from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.local.engine import Engine, slot_count, thread_count
 from llm_flock.llm.local.weights import find_weights
@@ -44,6 +43,7 @@ from llm_flock.runtime.api import run_async
 from llm_flock.runtime.result import Summary
 
 TRAINED, STOCK, IDEAL = "local:smollm2", "local:smollm2+none", "simulated:ideal"
+LETTERS_MODEL = "local:smollm2+letters"
 BARS = (("triangle", 3), ("circle", 5))
 TRIALS = 20
 TEN = 10

@@ -41,9 +41,10 @@ from llm_flock.protocol.events import (
     Received,
     RoundBegan,
 )
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.robots.simulated import SimulatedTeam, draw_start
+from llm_flock.robots.simulated import Readings, draw_start
 
 Index: TypeAlias = Literal["id", "first", "random", "nearest"]
 Start: TypeAlias = Literal["uniform", "separated", "middle"]
@@ -73,9 +74,9 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
         start = rng.uniform(*MIDDLE, (reading.n, 2))
     else:
         start = draw_start(mission, reading.start, rng)
-    bodies = SimulatedTeam(mission, start, 0.0, rng)
+    bodies = Readings(mission, start, 0.0, rng)
     agents = [
-        Agent(i, mission, InfluenceConsensus(tie=reading.tie), NearestAssignment(), shield_on=False)
+        Agent(i, mission, parts=Parts(consensus=InfluenceConsensus(tie=reading.tie), assignment=NearestAssignment()))
         for i in range(reading.n)
     ]
     for number in range(1, rounds + 1):

@@ -29,8 +29,7 @@ from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import REPORT_S
 from llm_flock.runtime.network.swarm import free_port
 from llm_flock.runtime.network.wire import Body, RobotReport, WorldState, pack, unpack
-from llm_flock.transport.seal import PlainSeal
-from llm_flock.transport.zenoh import ROOT, open_session, settings
+from llm_flock.transport.zenoh import ROOT, PlainSeal, open_session, settings
 
 ROBOTS, SECONDS = (int(os.environ.get(name, default)) for name, default in (("ROBOTS", "50"), ("SECONDS", "30")))
 LATENCY_MS, CORE = 3.0, 0.30

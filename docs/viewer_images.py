@@ -97,11 +97,10 @@ def pictures_of_a_record(browser: Browser, url: str, out: Path) -> None:
     replay(page, url, 2)
     select(page, 5, 7)
     save(page, out, "compare")
-    for dark in (False, True):
-        page = page_of(browser, dark=dark)
-        replay(page, url, 5)
-        page.get_by_role("tab", name="Plots").click()
-        save(page, out, "plots-dark" if dark else "plots")
+    page = page_of(browser)
+    replay(page, url, 5)
+    page.get_by_role("tab", name="Plots").click()
+    save(page, out, "plots")
     page = page_of(browser)
     replay(page, url, 4)
     page.get_by_role("tab", name="Events").click()
@@ -113,12 +112,8 @@ def pictures_of_a_record(browser: Browser, url: str, out: Path) -> None:
 
 
 def pictures_of_the_cockpit(browser: Browser, url: str, out: Path) -> None:
-    for name, size, dark in (
-        ("cockpit", DESKTOP, False),
-        ("cockpit-dark", DESKTOP, True),
-        ("cockpit-phone", PHONE, False),
-    ):
-        page = page_of(browser, size, dark=dark)
+    for name, size in (("cockpit", DESKTOP), ("cockpit-phone", PHONE)):
+        page = page_of(browser, size)
         page.goto(f"{url}cockpit")
         page.get_by_role("button", name="Start", exact=True).wait_for()
         save(page, out, name, whole=size is PHONE)
@@ -136,13 +131,12 @@ def pictures_of_the_cockpit(browser: Browser, url: str, out: Path) -> None:
 
 
 def pictures_of_runs(browser: Browser, url: str, out: Path) -> None:
-    for dark, name in ((False, "runs"), (True, "runs-dark")):
-        page = page_of(browser, dark=dark)
-        page.goto(f"{url}runs")
-        page.locator("tbody tr").first.wait_for()
-        for box in page.locator("tbody input").all():
-            box.check()
-        save(page, out, name)
+    page = page_of(browser)
+    page.goto(f"{url}runs")
+    page.locator("tbody tr").first.wait_for()
+    for box in page.locator("tbody input").all():
+        box.check()
+    save(page, out, "runs")
     page = page_of(browser)
     replay(page, f"{url}run/2", 9)
     save(page, out, "not-formed")

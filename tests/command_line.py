@@ -8,15 +8,32 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+import typer
 
 from llm_flock.__main__ import main
+from llm_flock.cli.options import add_config_flags, with_config_flags
 
 PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 ENV = {**os.environ, **PLAIN}
 
 Done = subprocess.CompletedProcess[str]
+
+
+def typed(*flags: str) -> dict[str, Any]:
+    """The values that a command gets for flags of the configuration."""
+    given: dict[str, Any] = {}
+
+    @with_config_flags(shown=())
+    def command(**values: Any) -> None:
+        given.update(values)
+
+    app = typer.Typer()
+    app.command()(add_config_flags(command))
+    typer.main.get_command(app).main(flags, standalone_mode=False)
+    return given
 
 
 def flock(*arguments: str, cwd: Path, check: bool = True) -> Done:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rounds import round_began
+from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -37,7 +38,7 @@ SILENT = NoAnswer(cause="answer", reason="none")
 def make(
     robot: int = 0, mission: Mission = LINE, *, gaps: Gaps = "report", on_event: bool = False, verify: bool = False
 ) -> Agent:
-    return Agent(
+    return whole_agent(
         robot,
         mission,
         ProvenanceConsensus(),

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from whole_agent import whole_agent
 
 from llm_flock import graph
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.events import (
     AgreementEnded,
@@ -54,7 +54,7 @@ class DrivenTeam:
         self.proposals = list(plans)
         self.links: Links = ()
         self.agents = [
-            Agent(
+            whole_agent(
                 robot,
                 mission,
                 consensus_rule(rules["consensus"]),

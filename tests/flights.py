@@ -9,12 +9,14 @@ from typing import Any
 
 from llm_flock.record.schema import Entry
 from llm_flock.robots.base import Equipment
+from llm_flock.robots.cascade import pid
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
 from llm_flock.runtime.flight.flight import Flight, FlightResult
 from llm_flock.runtime.flight.preflight import PreflightReport
+from llm_flock.runtime.flight.sections import DroneConfig
 from llm_flock.runtime.result import FlightFigures, RunResult
 
 ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}
@@ -42,10 +44,10 @@ STOCK: dict[str, Any] = {"round_s": 3.0, "max_speed_m_s": 1.0, "take_off_s": 2.5
 def stock(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
     """Drones that lag behind their set-points as Crazyflies do that nobody has tuned."""
     homes = [start_of(config, drone) for drone in drones]
-    bodies = [PointMass(home=home, ground_m=home[2], follows="pid") for home in homes]
-    pid = Equipment(controller="PID", lag_s=0.5, max_speed_m_s=1.0)
+    bodies = [PointMass(home=home, ground_m=home[2], controlled=pid()) for home in homes]
+    untuned = Equipment(controller="PID", lag_s=0.5, max_speed_m_s=1.0)
     return [
-        SimulatedRobot(drone.name, body.home, limits=config.driver_limits, body=body, equipment=pid)
+        SimulatedRobot(drone.name, body.home, limits=config.driver_limits, body=body, equipment=untuned)
         for drone, body in zip(drones, bodies, strict=True)
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rounds import round_began
+from whole_agent import whole_agent
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
@@ -25,7 +26,7 @@ BETTER = Plan.of([[50.0, 45.0], [60.0, 45.0], [55.0, 53.66]])
 
 
 def make(robot: int = 0, *, shield_on: bool = True) -> Agent:
-    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on)
+    return whole_agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on)
 
 
 def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:

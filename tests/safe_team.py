@@ -10,7 +10,7 @@ from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, segment_clearance
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import ShieldedSafety
 
 SAFE = 3.0
 
@@ -24,7 +24,7 @@ class SafeTeam:
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
         self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
-        self.robots = [Safety(i, self.mission, 0.0) for i in range(n)]
+        self.robots = [ShieldedSafety(i, self.mission, 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.origins: Counter[str] = Counter()
         self.courses: dict[int, Course] = {}

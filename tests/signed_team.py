@@ -10,6 +10,7 @@ import numpy as np
 from driven_team import turned
 from rounds import round_began
 from toy_keys import ToyKeys
+from whole_agent import whole_agent
 
 from llm_flock import graph
 from llm_flock.arrays import Point
@@ -97,7 +98,7 @@ class SignedTeam:
         self.positions = list(positions)
         self.liar = mission.n_robots - 1
         self.agents = [
-            Agent(
+            whole_agent(
                 robot,
                 mission,
                 consensus_rule(rules["consensus"]),

@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping
 
 import numpy as np
 from rounds import round_began
+from whole_agent import whole_agent
 
 from llm_flock import graph
 from llm_flock.arrays import Point
@@ -109,7 +110,7 @@ class StillTeam:
         self.set_faults(faults)
 
     def _new_agent(self, robot: int) -> Agent:
-        return Agent(
+        return whole_agent(
             robot,
             self.mission,
             ProvenanceConsensus(),

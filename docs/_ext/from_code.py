@@ -7,6 +7,7 @@
 `sweep-fields`       every field of a sweep's own tables
 `result-columns TABLE` every column of `trials` or `rounds`, the tables of a sweep
 `message-fields`     every field of a protocol message
+`record-fields TOPIC` every field of a channel of a record
 `rooms [PACKAGE]`    the packages by import layer, or those of a package, one line each
 `modules`            the modules of each package, one line each
 `protocol-constants` every documented constant of the protocol with its value
@@ -21,7 +22,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from docutils import nodes
 from sphinx.application import Sphinx
@@ -113,7 +114,7 @@ class CliOptions(SphinxDirective):
             for paragraph in (command.help or "").split("\n\n"):
                 if paragraph.strip():
                     section += nodes.paragraph(text=" ".join(paragraph.split()))
-            rows = [option_row(param) for param in command.params if not getattr(param, "hidden", False)]
+            rows = [option_row(param) for param in command.params]
             if rows:
                 section += table(("Argument or option", "Default", "Meaning"), rows, 2)
             sections.append(section)
@@ -208,6 +209,37 @@ class MessageFields(SphinxDirective):
         from llm_flock.protocol.messages.message import Message
 
         return [table(("Field", "Meaning"), attributes(Message), 1)]
+
+
+class RecordFields(SphinxDirective):
+    """The fields of one channel of a record, with those of objects inside it."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        from llm_flock.record.schema import CHANNELS, channel_schema
+
+        rows = record_rows(channel_schema(CHANNELS[self.arguments[0]]), CHANNELS[self.arguments[0]])
+        return [table(("Field", "Type", "Meaning"), rows, 1)]
+
+
+def record_rows(schema: dict[str, Any], model: Any, prefix: str = "") -> list[tuple[str, str, str]]:
+    """Name, type and meaning of each field; `optional` may be left out, `volatile` may differ between two runs."""
+    rows: list[tuple[str, str, str]] = []
+    for name, field in schema["properties"].items():
+        info = model.model_fields[name]
+        extra = info.json_schema_extra or {}
+        marks = [
+            "list" if field["type"] == "array" else field["type"],
+            "optional" if info.default is None and not info.is_required() else "",
+            "volatile" if extra.get("volatile") else "",
+        ]
+        rows.append((prefix + name, ", ".join(filter(None, marks)), info.description))
+        for kind in (info.annotation, *get_args(info.annotation)):
+            if hasattr(kind, "model_fields"):
+                inside = field["items"] if field["type"] == "array" else field
+                rows += record_rows(inside, kind, f"{prefix}{name}{'[].' if inside is not field else '.'}")
+    return rows
 
 
 def packages() -> Iterator[tuple[str, Path]]:
@@ -323,6 +355,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
     app.add_directive("sweep-fields", SweepFields)
     app.add_directive("result-columns", ResultColumns)
     app.add_directive("message-fields", MessageFields)
+    app.add_directive("record-fields", RecordFields)
     app.add_directive("rooms", Rooms)
     app.add_directive("modules", Modules)
     app.add_directive("protocol-constants", ProtocolConstants)

@@ -5,10 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    import typer
 
 EXIT_FAILED, EXIT_INPUT, EXIT_INTERRUPTED = 1, 2, 130
 
@@ -28,13 +24,13 @@ def main() -> None:
 def _run() -> None:
     from llm_flock.errors import FlockError, InputError
     from llm_flock.printable import log_to_stderr, printable
-    from llm_flock.renamed import current_flag
 
     log_to_stderr()
     os.environ.pop("MPLBACKEND", None)  # figures go to files; one that matplotlib does not know would end the command
-    sys.argv[1:] = map(current_flag, sys.argv[1:])
     try:
-        _app()()
+        from llm_flock.cli import app
+
+        app()
     except FlockError as error:
         print(printable(f"error: {error}"), file=sys.stderr, flush=True)
         sys.exit(EXIT_INPUT if isinstance(error, InputError) else EXIT_FAILED)
@@ -44,15 +40,6 @@ def _run() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # at the exit, the rest of the output would fail again
         print(printable(f"error: nothing more can be written ({error.strerror})"), file=sys.stderr, flush=True)
         sys.exit(EXIT_FAILED)
-
-
-def _app() -> typer.Typer:
-    """All commands, or the viewer's alone: a page waits for it, and the others take as long to load again."""
-    if sys.argv[1:2] == ["view"]:
-        from llm_flock.viewer.command import app
-    else:
-        from llm_flock.cli import app
-    return app
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.writer import NullWriter
-from llm_flock.robots.simulated import Sensing, start_positions
+from llm_flock.robots.simulated import Readings, Sensing, start_positions
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
@@ -132,7 +132,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         self._first = False
         trial = self.config.trial.model_copy(update={"seed": seed})
         self._config = self.config.model_copy(update={"trial": trial})
-        self._trial, self._bodies = begin_trial(self._config, trace=self.render_mode is not None)
+        self._trial, self._readings = begin_trial(self._config, trace=self.render_mode is not None)
         self._angles = [
             float(stream(seed, Stream.MODEL, robot).uniform(0.0, 2 * math.pi)) for robot in range(self.mission.n_robots)
         ]
@@ -228,7 +228,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         goals = {robot: trial.roster.agents[robot].goal for robot in trial.roster.awake}
         moves = trial.take_steps(answers)
         before = trial.bodies.positions.copy()
-        self._bodies.move(trial.displacements(moves))
+        self._readings.move(trial.displacements(moves))
         trial.end_round(trial.round + 1, moves)
         after = trial.bodies.positions
         near = _too_near(before, after, self.mission.safe_distance)
@@ -245,7 +245,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         self._plans, self._steps = {}, {}
         if ended:
             for robot in trial.roster.awake:
-                self._bodies.sense(robot)
+                self._readings.sense(robot)
         else:
             self._advance()
         return ended
@@ -283,7 +283,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
     def _observation(self, trial: Trial, robot: int) -> Observation:
         mission, mind = self.mission, trial.roster.agents[robot]
         asked = self._steps.get(robot) or self._plans.get(robot)
-        reading = self._bodies.readings[robot]
+        reading = self._readings.last[robot]
         seen = list(reading.sensed.values() if asked is None else asked.neighbors)
         neighbors = np.zeros((max(1, mission.n_robots - 1), mission.dim))
         neighbors[: len(seen)] = np.array(seen).reshape(-1, mission.dim)
@@ -343,17 +343,17 @@ def parallel_env(mission: Mission | None = None, **options: Any) -> FlockEnv:
     return FlockEnv(mission, **options)
 
 
-class RememberedReadings(InstantBodies):
-    """Simulated bodies that keep each robot's last sensor readings, since every new one has other errors."""
+class RememberedReadings(Readings):
+    """Readings that keep each robot's last ones, since every new one has other errors."""
 
     def __init__(self, mission: Mission, start: Points, noise: float, rng: np.random.Generator) -> None:
         super().__init__(mission, start, noise, rng)
-        self.readings = [Sensing(position=tuple(place), sensed={}) for place in start.tolist()]
+        self.last = [Sensing(position=tuple(place), sensed={}) for place in start.tolist()]
 
     def sense(self, robot: int) -> Sensing:
         """One robot's readings, with new errors at every call."""
-        self.readings[robot] = super().sense(robot)
-        return self.readings[robot]
+        self.last[robot] = super().sense(robot)
+        return self.last[robot]
 
 
 def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedReadings]:
@@ -361,12 +361,12 @@ def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedRea
     given, rules = config.trial, config.protocol.rules()
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
-    bodies = RememberedReadings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
+    readings = RememberedReadings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
     planners = TeamPlanners(config)
     journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan", trace=trace)
-    trial = Trial(config, rules, planners, bodies, journal, start)
+    trial = Trial(config, rules, planners, InstantBodies(readings), journal, start)
     trial.begin()
-    return trial, bodies
+    return trial, readings
 
 
 def _name(robot: int) -> str:

@@ -18,11 +18,13 @@ class Extra:
         name: of the extra, as pip takes it.
         purpose: what it is for, in a few words.
         modules: what it has to make importable.
+        commands: those that come with it.
     """
 
     name: str
     purpose: str
     modules: tuple[str, ...]
+    commands: tuple[str, ...] = ()
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -38,23 +40,28 @@ class Extra:
 _TABLE = (
     Extra("openai", "models of OpenAI, and of servers that speak its protocol", ("openai",)),
     Extra("anthropic", "models of Anthropic", ("anthropic",)),
-    Extra("figures", "figure, animate", ("matplotlib", "PIL")),
-    Extra("sweep", "sweep, report, export", ("polars", "matplotlib", "PIL")),
-    Extra("view", "view", ("starlette", "uvicorn")),
+    Extra("figures", "figure, animate", ("matplotlib", "PIL"), ("figure", "animate")),
+    Extra("sweep", "sweep, report, export", ("polars", "matplotlib", "PIL"), ("compare", "sweep", "report")),
+    Extra("view", "view", ("starlette", "uvicorn"), ("view",)),
     Extra("notebook", "notebooks: frames of pandas, pictures and animations", ("ipykernel", "pandas", "polars", "PIL")),
     Extra("env", "llm_flock.env, an environment of PettingZoo", ("gymnasium", "pettingzoo")),
-    Extra("network", "swarm, robot, world, watch, mission, keys", ("zenoh", "cryptography")),
+    Extra(
+        "network",
+        "swarm, robot, world, watch, mission, keys",
+        ("zenoh", "cryptography"),
+        ("swarm", "robot", "world", "watch", "mission", "keys"),
+    ),
     Extra("foxglove", "--foxglove of run, swarm, watch, fly and view; export --foxglove", ("foxglove",)),
-    Extra("ros2", "--ros2 of swarm, watch and fly; ros2; export --ros2bag", ("zenoh", "rosbags")),
+    Extra("ros2", "--ros2 of swarm, watch and fly; ros2; export --ros2bag", ("zenoh", "rosbags"), ("ros2",)),
     Extra("rerun", "export --rerun", ("rerun",)),
-    Extra("crazyflie", "fly", ("cflib", "yaml")),
+    Extra("crazyflie", "fly", ("cflib", "yaml"), ("fly", "stand-ins")),
     Extra("mocap", "positions by a motion capture (pose_source = 'mocap')", ("motioncapture",)),
     Extra("mavlink", "fly copters with PX4 or ArduPilot", ("pymavlink", "serial")),
     Extra("local", "models on board (--model local:smollm2)", ("xllamacpp",)),
     Extra("cluster", "sweep --cluster", ("ray",)),
     Extra("physics", "rehearse flights in simulated physics", ("crazyflow",)),
-    Extra("exam", "exam", ("inspect_ai",)),
-    Extra("distill", "distill", ("torch", "transformers", "gguf")),
+    Extra("exam", "exam", ("inspect_ai",), ("exam",)),
+    Extra("distill", "distill", ("torch", "transformers", "gguf"), ("distill",)),
 )
 EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in _TABLE}
 """The extras of this package by name, as pyproject.toml lists them."""

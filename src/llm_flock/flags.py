@@ -1,28 +1,31 @@
-"""Input errors in the words of the command line: the flag as it was typed, in place of the field that it sets."""
+"""Commands with a short help in plain text, and with input errors that name the flag as it was typed."""
 
 from __future__ import annotations
 
 import shlex
-import shutil
 import sys
 from collections.abc import Sequence
 from copy import copy
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import typer
-from typer.core import TyperArgument, TyperCommand, TyperGroup
+from typer.core import TyperArgument, TyperCommand
 
 from llm_flock.errors import MOST_SHOWN, FieldError, InputError
 from llm_flock.printable import one_line
 
+ALL = "--help-all"
 _FROM_FILE = "--config"
 
 
-class FlagErrors(TyperGroup):
-    """A group of commands whose input errors name flags."""
+class PlainHelp(TyperCommand):
+    """A command with help in plain text, where `[m]` is a unit and no markup.
+
+    `--help` leaves out hidden flags. `--help-all` lists them too, and the shell completes them.
+    """
 
     def invoke(self, ctx: typer.Context) -> Any:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Run a command.
+        """Run the command.
 
         Raises:
             InputError: as the command raises it, with flags in its text.
@@ -30,35 +33,24 @@ class FlagErrors(TyperGroup):
         try:
             return super().invoke(ctx)
         except InputError as error:
-            command = self.commands.get(ctx.invoked_subcommand or "")
-            if isinstance(error, FieldError) or not isinstance(command, TyperCommand):
+            if isinstance(error, FieldError):
                 raise
-            raise FieldError(error.field, error.value, says=in_flags(error, command, sys.argv[1:])) from None
+            raise FieldError(error.field, error.value, says=in_flags(error, self, sys.argv[1:])) from None
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments, unless all flags are to be listed."""
+        if ALL in args and not ctx.resilient_parsing:
+            typer.echo(self._whole().get_help(ctx))
+            ctx.exit()
+        return super().parse_args(ctx, args)
 
-ROOMY = 110
-"""Columns that the tables of every command's help need, so that no flag in them is cut."""
-
-
-class PlainHelp(TyperCommand):
-    """A command whose help is plain text: `[m]` in it is a unit, no markup."""
+    def get_help_option_names(self, ctx: Any) -> list[str]:
+        """Flags that ask for help."""
+        names = sorted(super().get_help_option_names(ctx), key=len)
+        return [*names, ALL] if self._hidden() else names
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the help: in tables, or in a narrow terminal in plain lines."""
-        if shutil.get_terminal_size().columns < ROOMY:
-            self._format_narrow(ctx, formatter)
-            return
-        from rich.markup import escape  # slow to load, and rarely needed
-
-        shown = copy(self)
-        shown.params = [copy(param) for param in self.params]
-        for param in shown.params:
-            if text := getattr(param, "help", None):
-                vars(param)["help"] = escape(text)
-        shown.help = None if self.help is None else escape(self.help)
-        TyperCommand.format_help(shown, ctx, formatter)
-
-    def _format_narrow(self, ctx: Any, formatter: Any) -> None:
+        """Write the help, one part for each panel."""
         self.format_usage(ctx, formatter)
         self.format_help_text(ctx, formatter)
         panels: dict[str, list[tuple[str, str]]] = {}
@@ -70,6 +62,24 @@ class PlainHelp(TyperCommand):
         for panel, records in panels.items():
             with formatter.section(panel):
                 formatter.write_dl(records)
+        if hidden := self._hidden():
+            formatter.write_paragraph()
+            formatter.write_text(f"{hidden} more flags: {ctx.command_path} {ALL}")
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Completions of a flag, or of its value."""
+        return TyperCommand.shell_complete(self._whole(), ctx, incomplete)
+
+    def _hidden(self) -> int:
+        return sum(getattr(param, "hidden", False) for param in self.params)
+
+    def _whole(self) -> Self:
+        """The same command with nothing hidden."""
+        whole = copy(self)
+        whole.params = [copy(param) for param in self.params]
+        for param in whole.params:
+            vars(param)["hidden"] = False
+        return whole
 
 
 def in_flags(error: InputError, command: TyperCommand, argv: Sequence[str]) -> str:

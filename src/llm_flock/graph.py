@@ -10,13 +10,13 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from llm_flock import formations
 from llm_flock.arrays import Mask, Pairwise, Vector
 
 
 def distances(positions: ArrayLike) -> Pairwise:
     """Distances between all robots, shape (n, n) [units], exactly symmetric."""
-    rows = np.asarray(positions, dtype=np.float64)
-    return scipy.spatial.distance.cdist(rows, rows)
+    return formations.distances(positions)
 
 
 def adjacency(positions: ArrayLike, comm_range: float) -> Mask:

@@ -55,12 +55,14 @@ class Mission(BaseModel):
         InputError: fields contradict each other. `build_mission` raises InputError in both cases.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     shape: str = Field(
         default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."
     )
-    n_robots: int = Field(default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N")
+    n_robots: int = Field(
+        default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N", json_schema_extra={"flag": "robots"}
+    )
     places: int | None = Field(
         default=None, ge=1, le=MAX_ROBOTS, description="Number of places in the formation; one per robot if unset"
     )

@@ -5,12 +5,13 @@ An entry point of the group `llm_flock.KIND` is one thing of that kind, under it
 | Kind | Name | Object |
 |---|---|---|
 | `commands` | the command | a function with Typer's parameters, or a Typer with commands of its own |
-| `models` | prefix of a model string | a `llm_flock.llm.port.ModelSource` |
+| `models` | prefix of a model string | a `llm_flock.llm.sources.ModelSource` |
 | `consensus`, `assignment` | the rule | a class without parameters that is a `ConsensusRule` or an `AssignmentRule` |
 | `robots` | the driver | makes the robots of a flight (`llm_flock.runtime.flight.fleet.Driver`) |
 | `sinks` | the flag | a function that shows runs while they fly (`llm_flock.cli.sinks`) |
 | `exports` | the flag | a function that writes a record for another program (`llm_flock.cli.export`) |
-| `watches` | what is watched | follows a team that another process flies (`llm_flock.viewer.swarm`) |
+| `inspections` | the subject | a function that shows more of a record in `llm-flock inspect` |
+| `watches` | what is watched | makes a `llm_flock.runtime.watched.WatchedTeam` |
 | `flights` | what shows them | shows flights, and provides poses (`llm_flock.runtime.flight.shown`) |
 | `doctor` | the subject | a function that returns the findings of `llm-flock doctor` |
 | `views` | `html` or `animation` | how a notebook shows a record |
@@ -35,6 +36,7 @@ Kind: TypeAlias = Literal[
     "robots",
     "sinks",
     "exports",
+    "inspections",
     "watches",
     "flights",
     "doctor",

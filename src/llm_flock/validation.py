@@ -66,9 +66,7 @@ def _form(loc: Sequence[int | str], model: type[BaseModel]) -> str | None:
     """What a field's text has to look like, in words, where its definition has them (`expected`)."""
     *where, name = loc
     info = fields_of(_known(where, model)[1]).get(str(name))
-    extra = None if info is None else info.json_schema_extra
-    said = cast("dict[str, object]", extra).get("expected") if isinstance(extra, dict) else None
-    return said if isinstance(said, str) else None
+    return None if info is None else extra(info, "expected")
 
 
 def _field_error(loc: Sequence[int | str], model: type[BaseModel], within: str, *, missing: bool) -> FieldError:
@@ -111,6 +109,13 @@ def fields_of(annotation: Any) -> Mapping[str, FieldInfo]:
     """The fields of the model that a type is, or holds, by the name that a file gives them; none for other types."""
     found = _model_in(annotation)
     return {} if found is None else {info.alias or name: info for name, info in found.model_fields.items()}
+
+
+def extra(info: FieldInfo, key: str) -> str | None:
+    """A text that the definition of a field has in its `json_schema_extra`: `expected`, or the name of its `flag`."""
+    extras: object = info.json_schema_extra
+    said = cast("dict[str, object]", extras).get(key) if isinstance(extras, dict) else None
+    return said if isinstance(said, str) else None
 
 
 def _known(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[int | str], Any]:

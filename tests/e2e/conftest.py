@@ -12,7 +12,6 @@ expect.set_options(timeout=20_000)
 
 LONG = (
     "swarm_faults",
-    "large_rehearsal",
     "ros2",
     "cli",
     "viewer",

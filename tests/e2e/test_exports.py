@@ -20,13 +20,12 @@ from foxglove_client import FoxgloveClient
 from playwright.sync_api import Browser, Page, expect
 from sample_records import FakeRun, make_record, run_info
 
-from llm_flock.foxglove.services import KILL, MISSION
 from llm_flock.record.reader import read_record
 from llm_flock.record.schema import Entry, ProtocolEvent, RunInfo
 from llm_flock.record.writer import RecordWriter
+from llm_flock.runtime.network.swarm import free_port
 
 HOSTILE = """</script><script>window.pwned=1</script>"><img src=x onerror="window.pwned=2">"""
-TOKEN = "the-token-of-a-test"
 
 
 class Poisoned:
@@ -127,7 +126,6 @@ def test_a_record_opens_in_rerun(tmp_path: Path) -> None:
 def served(folder: Path, *arguments: str) -> Iterator[str]:
     """The address at which a command serves Foxglove, until it is interrupted."""
     command = [sys.executable, "-m", "llm_flock", *arguments, "--foxglove", "--foxglove-port", "0"]
-    command += ["--foxglove-token", TOKEN]
     with subprocess.Popen(command, cwd=folder, env=ENV, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         try:
@@ -139,37 +137,26 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
             process.wait(30)
 
 
-def test_a_run_is_seen_and_steered(tmp_path: Path) -> None:
+def test_a_run_is_seen(tmp_path: Path) -> None:
     options = ("--robots", "5", "--rounds", "200", "--no-stop-when-formed", "--quiet", "--pace", "20", "--out", "demo")
     with served(tmp_path, "run", *options) as url, FoxgloveClient(url) as client:
-        client.listen_until(lambda: "/robots/4/pose" in client.channels and len(client.services) == 2)
         client.subscribe("/state", "/robots/4/pose")
-        client.listen_until(lambda: len(client.of("/robots/4/pose")) > 3)
-        assert client.call(MISSION, {"shape": "line"}) == {"robot": 0}
-        # It is given no later than a robot is killed by an order that comes after it.
-        assert client.call(KILL, {"robot": 4}) == {"robot": 4}
-        client.listen_until(lambda: bool(client.of("/state")) and client.of("/state")[-1]["phases"][4] == "dead")
-    record = read_record(tmp_path / "demo" / "run.mcap")
-    assert [mission.mission["shape"] for mission in record.missions] == ["circle", "line"]
+        client.listen_until(lambda: len(client.of("/robots/4/pose")) > 3 and len(client.of("/state")) > 3)
+    assert read_record(tmp_path / "demo" / "run.mcap").rounds >= 3
 
 
-def test_a_swarm_is_seen_and_steered(tmp_path: Path) -> None:
-    options = ("--robots", "4", "--quiet", "--no-record", "--max-s", "60")
+def test_a_swarm_is_seen_and_takes_a_mission_from_the_command(tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    options = ("--robots", "4", "--quiet", "--no-record", "--no-stop-when-formed", "--connect", endpoint)
     with served(tmp_path, "swarm", *options) as url, FoxgloveClient(url) as client:
-        client.listen_until(lambda: "/robots/3/pose" in client.channels, 60)
         client.subscribe("/mission", "/state")
         client.listen_until(lambda: bool(client.of("/state")))
-        assert client.call(MISSION, {"shape": "line", "spacing": 12}) in [{"robot": robot} for robot in range(4)]
+        flock_process("mission", "--set", "shape=line", "--connect", endpoint, cwd=tmp_path)
         client.listen_until(lambda: client.of("/mission")[-1]["mission"]["shape"] == "line")
-        assert client.call(KILL, {"robot": 3}) == {"robot": 3}
-        client.listen_until(lambda: client.of("/state")[-1]["phases"][3] == "dead")
-        assert "a robot that runs" in client.call(KILL, {"robot": 3})
 
 
 def test_the_viewer_plays_a_record_to_foxglove(tmp_path: Path) -> None:
     make_record(tmp_path / "run.mcap", n=4, rounds=3)
     with served(tmp_path, "view", "run.mcap", "--no-browser", "--port", "0") as url, FoxgloveClient(url) as client:
-        client.listen_until(lambda: "/robots/3/pose" in client.channels)
         client.subscribe("/state")
         client.listen_until(lambda: [state["round"] for state in client.of("/state")][-2:] == [2, 3])
-        assert "started from the page" in client.call(KILL, {"robot": 1})

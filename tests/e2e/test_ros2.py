@@ -22,10 +22,10 @@ from ros2_messages import SAMPLES, definition, points, same
 from zenoh_router import listener, router
 
 from llm_flock.errors import MessageError
-from llm_flock.robots.positions import PoseFrame
+from llm_flock.robots.pose import PoseFrame
 from llm_flock.ros2 import drawing
+from llm_flock.ros2.flight import RosPoses
 from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.poses import RosPoses
 from llm_flock.ros2.types import CLOCK, DIAGNOSTICS, POINTS, POSE, TEXT, type_hash
 from llm_flock.ros2.wire import Attachment
 from llm_flock.runtime.network.swarm import free_port

@@ -14,7 +14,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments import tables
 from llm_flock.experiments.store import trial_files
 from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.experiments.sweep_forecast import expect_cells
+from llm_flock.experiments.tally import expect_cells
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.record.reader import read_record
 

@@ -10,7 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
-from llm_flock.cli.doctor import Finding, reach_drones, reach_router
+from llm_flock.cli.extensions import Finding
+from llm_flock.cli.fly import reach_drones
+from llm_flock.cli.swarm import reach_router
 
 
 def test_the_doctor_says_what_is_there_and_shows_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,7 +27,7 @@ def test_the_doctor_says_what_is_there_and_shows_no_key(monkeypatch: pytest.Monk
     assert found["key", "OPENAI_API_KEY"]["ok"] and not found["key", "DEEPSEEK_API_KEY"]["ok"]
     assert not found["extra", "crazyflie"]["ok"] and "crazyflie" in found["reach", "drone"]["detail"]
     assert found["reach", f"router at {endpoint}"]["ok"]
-    assert not reach_router(endpoint).ok and not reach_router("nowhere").ok
+    assert not reach_router(router=endpoint)[0].ok and not reach_router(router="nowhere")[0].ok
     assert ("reach", "browser") in found
 
 
@@ -34,13 +36,13 @@ def test_the_doctor_finds_a_drone_or_says_why_not(monkeypatch: pytest.MonkeyPatc
     from llm_flock.robots.crazyflie import link
 
     monkeypatch.setattr(link, "in_reach", lambda: ("udp://127.0.0.1:19850",))
-    assert reach_drones().ok
+    assert reach_drones()[0].ok
 
     def broken() -> tuple[str, ...]:
         raise OSError("no permission")
 
     monkeypatch.setattr(link, "in_reach", broken)
-    assert reach_drones() == Finding("reach", "drone", False, "the search failed: no permission")
+    assert reach_drones() == [Finding("reach", "drone", False, "the search failed: no permission")]
 
 
 @pytest.mark.parametrize("columns", ["24", "60", "80"])

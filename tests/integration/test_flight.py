@@ -176,7 +176,7 @@ def test_the_default_flight_forms_and_lands_with_the_stock_controller(shape: str
 
 def test_a_drone_whose_controller_changes_in_flight_is_noticed() -> None:
     def tune(flight: Flight, robots: Robots) -> None:
-        robots[1].body.follow("exactly", time.monotonic())
+        robots[1].body.follow(None, time.monotonic())
 
     flight = figures(flown(flight_config(robot="flights:stock", **STOCK), tune))
     assert flight.ended == "off_course" and flight.safe and "d1: it is" in (flight.reason or "")

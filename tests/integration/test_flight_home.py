@@ -15,8 +15,7 @@ from flights import STARTS, STOCK, Robots, Sabotage, flight_config, flown
 from llm_flock import metrics
 from llm_flock.mission import Mission
 from llm_flock.record.reader import read_record
-from llm_flock.robots.simulated import draw_start
-from llm_flock.runtime.bodies import InstantBodies
+from llm_flock.robots.simulated import Readings, draw_start
 from llm_flock.runtime.flight import homing
 from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.flight import Flight
@@ -133,7 +132,7 @@ def test_everybody_gets_home_from_anywhere_and_keeps_the_distance(n: int, size: 
     for seed in range(max(1, round(5 * EFFORT))):
         rng = np.random.default_rng(seed)
         starts, homes = draw_start(mission, "separated", rng), draw_start(mission, "separated", rng)
-        team, way = InstantBodies(mission, starts, 0.0, rng), WayHome(mission, homes, 0.5)
+        team, way = Readings(mission, starts, 0.0, rng), WayHome(mission, homes, 0.5)
         for _ in range(way.most_steps(starts)):
             before = team.places
             moves = way.step(team)
@@ -146,7 +145,7 @@ def test_everybody_gets_home_from_anywhere_and_keeps_the_distance(n: int, size: 
 def test_homes_that_are_too_near_are_named_and_nobody_waits_for_ever() -> None:
     mission = Mission(shape="line", n_robots=2, center=(15, 15), arena=((0, 0), (30, 30)), comm_range=20)
     homes = np.array([[10.0, 10.0], [11.0, 10.0]])
-    team = InstantBodies(mission, np.array([[5.0, 5.0], [25.0, 25.0]]), 0.0, np.random.default_rng(0))
+    team = Readings(mission, np.array([[5.0, 5.0], [25.0, 25.0]]), 0.0, np.random.default_rng(0))
     way = WayHome(mission, homes, 0.5)
     for _ in range(way.most_steps(team.places)):
         team.move(way.step(team))

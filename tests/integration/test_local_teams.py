@@ -13,7 +13,7 @@ from llm_flock.errors import InputError
 from llm_flock.experiments import executors
 from llm_flock.experiments.compare import build_cells, compare
 from llm_flock.experiments.sweep_file import load_sweep
-from llm_flock.experiments.sweep_forecast import expect_cells
+from llm_flock.experiments.tally import expect_cells
 from llm_flock.llm.local.engine import ENGINES
 from llm_flock.llm.local.weights import find_weights
 from llm_flock.runtime.config import build_config

@@ -12,12 +12,13 @@ import pytest
 from flights import figures, flight_config, yes
 
 from llm_flock.errors import InputError
-from llm_flock.robots.positions import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import deadman, positions
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, start_of
 from llm_flock.runtime.flight.flight import Flight, FlightResult
+from llm_flock.runtime.flight.sections import DroneConfig
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")
 

@@ -19,10 +19,9 @@ from flights import figures
 
 from llm_flock.errors import InputError
 from llm_flock.record.reader import read_record
-from llm_flock.robots.positions import Pose, PoseFrame
-from llm_flock.robots.positions.datagram import datagram_of
+from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.robots.positions.mocap import MocapPoses
-from llm_flock.robots.positions.udp import UdpPoses
+from llm_flock.robots.positions.udp import UdpPoses, datagram_of
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.testing.crtp import StandIns
 from llm_flock.testing.poses import PoseStream

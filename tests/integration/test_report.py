@@ -18,10 +18,9 @@ from llm_flock.experiments.store import Store
 from llm_flock.printable import printable
 from llm_flock.record.reader import read_record
 from llm_flock.record.writer import RecordWriter
-from llm_flock.report.diagnosis import find_causes
 from llm_flock.report.drawings import along_axes, draw_all, success
 from llm_flock.report.findings import ERROR, cell_lines, pair_lines, usual_reference
-from llm_flock.report.gallery import gallery, worst
+from llm_flock.report.gallery import find_causes, gallery, worst
 from llm_flock.report.page import inline_svg, write_report
 from llm_flock.report.results import OUTCOMES, Results
 from llm_flock.report.sheets import facts, interval, success_sheet
@@ -205,7 +204,7 @@ def test_a_failure_with_a_record_has_snapshots_and_a_conversation(results: Resul
     shown = {failure.trial.id: failure for failure in gallery(results, 100)}
     failure = shown["circle10paper1"]
     assert failure.figure is not None and "records/circle10paper1.mcap" in failure.source
-    assert any("plans were in use among 10 robots" in story.sentence for story in failure.stories)
+    assert any("10 plans were in use at the end" in story.text for story in failure.stories)
     talk = next(story.conversation for story in failure.stories if story.conversation)
     assert [line.role for line in talk] == ["system", "user", "assistant", "verdict"]
     assert talk[-1].text == "The answer was taken."
@@ -242,7 +241,7 @@ def test_a_crash_names_the_pair_and_the_round(tmp_path: Path) -> None:
     with RecordWriter(tmp_path / "run.mcap") as writer:
         run.write(writer)
     first, *_ = find_causes(read_record(tmp_path / "run.mcap"))
-    assert first.sentence == "At the start, robots 0 and 1 came within 0.50 units of each other." and first.round == 0
+    assert first.text == "At the start, robots 0 and 1 came within 0.50 units of each other." and first.round == 0
 
 
 def test_a_figure_on_a_page_takes_the_pages_colours(results: Results) -> None:
@@ -301,11 +300,12 @@ def test_a_run_without_a_plan_and_a_model_that_is_not_asked_are_explained(tmp_pa
     mission = llm_flock.Mission(shape="triangle", n_robots=3)
     llm_flock.run(mission, model="simulated:distorted", seed=1, out=str(tmp_path / "none"))
     first, *_ = find_causes(read_record(tmp_path / "none" / "run.mcap"))
-    assert first.sentence.startswith("No model proposed an acceptable plan; most often, ") and first.entries
+    assert "(simulated:distorted) gave no usable answer in 18 of 18 calls. The last reason: " in first.text
+    assert len({entry.robot for entry in first.calls}) == 1 and first.calls[-1].rejected
     model = "0=simulated:malformed,1-2=simulated:ideal"
     llm_flock.run(mission, model=model, seed=1, rounds=4, out=str(tmp_path / "short"))
-    *_, last = find_causes(read_record(tmp_path / "short" / "run.mcap"))
-    assert last.sentence.startswith("At the end the models of robot 0 were no longer asked; robot 0's because")
+    first, *_ = find_causes(read_record(tmp_path / "short" / "run.mcap"))
+    assert first.text.startswith("Robot 0: its model (simulated:malformed) gave no usable answer in ")
 
 
 def _one(folder: Path, **changes: object) -> Path:

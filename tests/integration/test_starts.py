@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import typed
 
 import llm_flock
-from llm_flock.cli.options import parse_flags
 from llm_flock.errors import InputError
 
 
@@ -52,10 +52,10 @@ def test_connected_starts_are_in_radio_contact_and_apart() -> None:
 
 
 def test_an_area_is_typed_as_two_corners() -> None:
-    assert parse_flags({"start_area": "20,30,60,70"}) == {"start_area": ((20.0, 30.0), (60.0, 70.0))}
-    assert parse_flags({"start_area": "1,2,3,4,5,6"}) == {"start_area": ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))}
+    assert typed("--start-area", "20,30,60,70") == {"start_area": ((20.0, 30.0), (60.0, 70.0))}
+    assert typed("--start-area", "1,2,3,4,5,6") == {"start_area": ((1.0, 2.0, 3.0), (4.0, 5.0, 6.0))}
     with pytest.raises(InputError, match="start_area"):
-        llm_flock.run(rounds=0, model="geometry", **parse_flags({"start_area": "20,30,60"}))
+        llm_flock.run(rounds=0, model="geometry", **typed("--start-area", "20,30,60"))
 
 
 def test_starts_are_drawn_in_an_area() -> None:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import pytest
+from command_line import typed
 
-from llm_flock.cli.options import parse_flags
 from llm_flock.errors import InputError
 from llm_flock.mission import build_mission
 from llm_flock.obstacles import clearance
@@ -70,10 +70,10 @@ def test_obstacles_on_the_command_line(tmp_path: Path) -> None:
     text = '[{"center": [50, 50], "radius": 6}]'
     file = tmp_path / "obstacles.json"
     file.write_text(text, encoding="utf-8")
-    assert parse_flags({"obstacles": text}) == parse_flags({"obstacles": str(file)}) == {"obstacles": [DISC]}
+    assert typed("--obstacles", text) == typed("--obstacles", str(file)) == {"obstacles": [DISC]}
     for wrong, said in (("[", "broken JSON in line 1"), (str(tmp_path / "nothing.json"), "the name of a file")):
         with pytest.raises(InputError, match=said):
-            parse_flags({"obstacles": wrong})
+            typed("--obstacles", wrong)
     file.write_text("{}", encoding="utf-8")
     with pytest.raises(InputError, match="a JSON list"):
-        parse_flags({"obstacles": str(file)})
+        typed("--obstacles", str(file))

@@ -25,6 +25,7 @@ from rounds import round_began
 from sample_records import make_record
 from signed_team import Liar, SignedTeam, good_plan
 from toy_keys import ToyKeys
+from whole_agent import whole_agent
 
 from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import show_conversation, show_overview
@@ -73,7 +74,7 @@ from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.replay_page import write_page
 
 CASES = 25
-VALIDATOR = Validator(verify=True, shield_on=True)
+VALIDATOR = Validator(shield_on=True)
 
 seeds = st.integers(0, 2**63)
 
@@ -86,7 +87,9 @@ def team(n: int = 4) -> list[Agent]:
     rules = PRESETS["flock"]
     mission = Mission(shape="circle", n_robots=n)
     return [
-        Agent(j, mission, consensus_rule(rules["consensus"]), assignment_rule(rules["assignment"]), shield_on=True)
+        whole_agent(
+            j, mission, consensus_rule(rules["consensus"]), assignment_rule(rules["assignment"]), shield_on=True
+        )
         for j in range(n)
     ]
 
@@ -253,7 +256,7 @@ def rewritten(source: Path, target: Path, rng: random.Random) -> None:
 def inspected(path: Path) -> None:
     found = read_record(path)
     show_overview(found)
-    show_accusations(found, None)
+    show_accusations(found, keys=None)
     for robot in range(3):
         try:
             show_conversation(found, robot, None)

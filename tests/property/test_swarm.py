@@ -7,6 +7,7 @@ import pytest
 from effort import cases
 from hypothesis import given
 from hypothesis import strategies as st
+from whole_agent import whole_agent
 
 from llm_flock import graph
 from llm_flock.mission import Mission
@@ -30,7 +31,7 @@ def swarm(
     """N agents that have sensed each other and each proposed a randomly turned circle."""
     mission = Mission(shape="circle", n_robots=n, arena=((-500, -500), (600, 600)))
     near = graph.neighbors(positions, mission.comm_range)
-    agents = [Agent(i, mission, consensus(), assignment(), shield_on=True) for i in range(n)]
+    agents = [whole_agent(i, mission, consensus(), assignment(), shield_on=True) for i in range(n)]
     for i, agent in enumerate(agents):
         sensed = {j: tuple(positions[j].tolist()) for j in near[i]}
         agent.handle(

@@ -199,16 +199,16 @@ def test_the_public_keys_are_enough_to_check_a_record(
     record = read_record(make_record(tmp_path / "run.mcap", n=N, rounds=1))
     run = run_info(CONFIG, simulated=True)
     record = replace(record, run=run, events=events, missions=(mission_info(MISSION, 0, 0),))
-    show_accusations(record, third)
-    show_accusations(record, None)
+    show_accusations(record, keys=third)
+    show_accusations(record, keys=None)
     first, second, *unchecked = capsys.readouterr().out.splitlines()
     assert first == "robot 1 accuses robot 2 of lying: proven, it signed this message (impostor)"
     assert second == "robot 1 accuses robot 0 of lying: not proven"
     assert len(unchecked) == 2 and all("give --keys" in line for line in unchecked)
-    show_accusations(replace(record, run=record.run.model_copy(update={"config": {}})), third)
+    show_accusations(replace(record, run=record.run.model_copy(update={"config": {}})), keys=third)
     assert "not proven" in capsys.readouterr().out, "a record of no swarm"
-    show_accusations(replace(record, events=2 * MOST_SHOWN * events[:1]), third)
+    show_accusations(replace(record, events=2 * MOST_SHOWN * events[:1]), keys=third)
     assert f"{MOST_SHOWN} more accusations" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"team\.json"):
-        show_accusations(record, tmp_path / "nowhere")
+        show_accusations(record, keys=tmp_path / "nowhere")
     assert load_public_keys(third).robots == N

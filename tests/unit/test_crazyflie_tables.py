@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from llm_flock.robots.crazyflie.tables import default_folder, keep_whole
+from llm_flock.robots.crazyflie.link import default_folder, keep_whole
 
 
 class Cache:

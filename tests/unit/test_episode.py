@@ -7,9 +7,9 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.assignment import Claim, IndexAssignment
-from llm_flock.protocol.agreement.consensus import NoConsensus
+from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.messages.message import BidTable, Provenance
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.runtime.episode import Episode, blocked_places
 
@@ -22,7 +22,7 @@ class Mind(Agent):
     """A mind that has made itself up."""
 
     def __init__(self, plan: Plan | None, mission: Mission = LINE, table: BidTable | None = None) -> None:
-        super().__init__(0, mission, NoConsensus(), IndexAssignment(), shield_on=False)
+        super().__init__(0, mission, parts=Parts())
         agreement = self._agreement
         agreement.plan, agreement.claim = plan, Claim(slot=0, table=table)
         if plan is not None:

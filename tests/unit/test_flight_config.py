@@ -6,6 +6,7 @@ import asyncio
 import math
 import random
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,15 @@ import pytest
 from flights import STARTS, flight_config
 from pydantic import BaseModel
 
+from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock.robots.base import PEAK_SPEED
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.frame import MissionFrame
 from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
+from llm_flock.runtime.mission_frame import MissionFrame
 
 SPACE: dict[str, Any] = {
     "points": [[0, 0, -4], [0, 0, 4], [8, 0, 0]],
@@ -214,6 +216,14 @@ def test_a_driver_that_is_not_there(robot: str) -> None:
         build_fleet(flight_config(robot=robot))
     with pytest.raises(InputError, match="robot"):
         asyncio.run(dry_run(flight_config(robot=robot)))
+
+
+def test_a_driver_is_a_plug_in_and_a_wrong_name_gets_a_hint(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match="did you mean 'crazyflie'"):
+        build_fleet(flight_config(robot="crazyfly"))
+    entry = EntryPoint("tricycle", "flights:one_by_one", "llm_flock.robots")
+    monkeypatch.setattr(plugins, "entries", lambda _kind: {"tricycle": entry})
+    assert len(build_fleet(flight_config(robot="tricycle"))) == 4
 
 
 def test_a_driver_of_ones_own() -> None:

@@ -202,13 +202,12 @@ KINDS: dict[str, Any] = {
     "Plot": panels.PlotConfig,
     "RosOut": panels.LogConfig,
     "RawMessages": panels.RawMessagesConfig,
-    "CallService": panels.ServiceCallConfig,
 }
-"""The SDK's schema of each panel's settings. For tabs and parameters it has none."""
+"""The SDK's schema of each panel's settings."""
 
 
 def leaves(tree: Any) -> list[str]:
-    """The panels of an arrangement, with those in tabs left out."""
+    """The panels of an arrangement."""
     if isinstance(tree, str):
         return [tree]
     assert set(tree) <= {"direction", "first", "second", "splitPercentage"} and tree["direction"] in ("row", "column")
@@ -256,17 +255,16 @@ def objection(value: Any, kind: Any, where: str) -> str | None:
 def test_the_layout_is_one_arrangement_of_panels_with_settings() -> None:
     found = layout()
     assert set(found) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
-    tabs = [tab["layout"] for config in found["configById"].values() for tab in config.get("tabs", ())]
-    placed = [name for tree in (found["layout"], *tabs) for name in leaves(tree)]
+    placed = leaves(found["layout"])
     assert sorted(placed) == sorted(found["configById"])
-    assert all(re.fullmatch(r"(3D|Plot|RosOut|RawMessages|CallService|Parameters|Tab)!\w+", name) for name in placed)
+    assert all(re.fullmatch(rf"({'|'.join(KINDS)})!\w+", name) for name in placed)
 
 
 def test_the_settings_of_each_panel_are_of_the_sdks_schema() -> None:
     for name, config in layout(((0.0, 0.0, 0.0), (60.0, 40.0, 20.0)))["configById"].items():
-        kind = KINDS.get(name.partition("!")[0])
+        kind = KINDS[name.partition("!")[0]]
         settings = {key: value for key, value in config.items() if key != "title"}
-        assert kind is None or objection(settings, kind, name) is None
+        assert objection(settings, kind, name) is None
     assert objection({"topicPath": 3}, panels.RawMessagesConfig, "") is not None
     assert objection({"nonsense": 3}, panels.RawMessagesConfig, "") is not None
 

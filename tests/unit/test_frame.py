@@ -10,10 +10,11 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError
-from llm_flock.llm.frame import frame_plan, frame_step, trained_for
+from llm_flock.llm.frame import frame_plan, frame_step
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, Reply
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.sources import Habits, habits_of
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -176,8 +177,8 @@ def test_history_and_an_own_frame_do_not_go_together() -> None:
 
 
 def test_models_that_are_trained_for_it() -> None:
-    assert trained_for("local:smollm2") and trained_for("local:smollm2+none")
-    assert not trained_for("local:/models/smollm2.gguf") and not trained_for("simulated:ideal")
+    assert habits_of("local:smollm2").frame == habits_of("local:smollm2+none").frame == "own"
+    assert habits_of("local:/models/smollm2.gguf") == habits_of("simulated:ideal") == Habits()
 
 
 @pytest.mark.parametrize("fields", [

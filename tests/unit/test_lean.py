@@ -20,7 +20,6 @@ from llm_flock.cli import app
 from llm_flock.cli.start import next_steps
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, ExtraMissing, require, require_posix
-from llm_flock.viewer.command import app as alone
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -70,8 +69,6 @@ LINES = {
 }
 """Command lines that have nothing to fly or draw, and what else they must not import."""
 
-LINES_OF_VIEW = ("view --help", "view --port x", "view no-such-file", "view --base-url http://localhost")
-
 PROBE = """
 import json, sys
 from llm_flock.__main__ import main
@@ -110,19 +107,9 @@ def test_the_probe_would_notice() -> None:
 def test_the_viewer_loads_no_other_command() -> None:
     # A page waits for it. It refuses what it is given here after it has built its options.
     probe = PROBE.replace("sys.argv[1:] = line.split()", 'sys.argv[1:] = ["view", *line.split()]')
-    *said, found = probed('[["no-such-file", ["llm_flock.cli", "rich", "asyncio", "typer", "numpy"]]]', probe)
+    *said, found = probed('[["no-such-file", ["llm_flock.cli.run", "rich", "asyncio", "typer", "numpy"]]]', probe)
     assert "no-such-file" in "\n".join(said)
     assert found == '[["typer"]]'
-
-
-def test_the_viewer_alone_says_what_it_says_among_the_others() -> None:
-    said = [
-        CliRunner().invoke(one, line.split(), prog_name="llm-flock") for one in (app, alone) for line in LINES_OF_VIEW
-    ]
-    half = len(LINES_OF_VIEW)
-    for one, other in zip(said[:half], said[half:], strict=True):
-        assert (one.exit_code, one.output, str(one.exception)) == (other.exit_code, other.output, str(other.exception))
-    assert "--foxglove-port" in said[0].output
 
 
 def test_the_list_of_commands_is_that_of_the_commands() -> None:
@@ -167,7 +154,7 @@ def test_a_missing_extra_is_named_in_one_line(name: str, monkeypatch: pytest.Mon
     [
         ("polars", "sweep no-such-file", "sweep"),
         ("polars", "report no-such-folder", "sweep"),
-        ("matplotlib", "export no-such-folder", "sweep"),
+        ("matplotlib", "export .", "sweep"),
         ("matplotlib", "figure no-such-file", "figures"),
         ("PIL", "animate no-such-file", "figures"),
         ("zenoh", "keys no-such-folder --robots 2", "network"),

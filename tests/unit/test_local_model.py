@@ -195,7 +195,7 @@ def test_the_pool_builds_models_on_board_without_loading_them(file):
     assert isinstance(model, LocalModel)
     assert engine.ENGINES.running == 0
     name = parse_model(f"local:{file}")
-    assert (name.kind, name.provider, name.model) == ("local", "local", str(file))
+    assert (name.kind, name.provider, name.model) == ("plugin", "local", str(file))
     with pytest.raises(InputError, match="smollm2 or a GGUF file"):
         parse_model("local:")
 

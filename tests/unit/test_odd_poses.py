@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from llm_flock.robots.positions import GateLimits, Pose, PoseFrame, PoseGate
+from llm_flock.robots.pose import Pose, PoseFrame
+from llm_flock.robots.positions import GateLimits, PoseGate
 from llm_flock.robots.positions.gate import JUMP
 
 LIMITS = GateLimits(late_s=0.1, lost_s=0.5, jump_m=0.1, speed_m_s=1.0)

@@ -15,13 +15,16 @@ import pytest
 from flights import flight_config
 from pose_frames import LIMITS, NAMES, frame, reason
 
+from llm_flock import plugins
 from llm_flock.errors import InputError
+from llm_flock.extras import ExtraMissing
 from llm_flock.robots.base import RobotError, RobotState
-from llm_flock.robots.crazyflie.lighthouse import LIGHTHOUSE_LOG, lighthouse_in_words
+from llm_flock.robots.crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
 from llm_flock.robots.point_mass import PointMass
-from llm_flock.robots.positions import Pose, PoseFeed, PoseFrame, PoseGate
+from llm_flock.robots.pose import Pose, PoseFrame
+from llm_flock.robots.positions import PoseFeed, PoseGate
 from llm_flock.robots.positions.mocap import frame_of_bodies
-from llm_flock.ros2.poses import RosPoses
+from llm_flock.ros2.flight import RosPoses
 from llm_flock.ros2.wire import Attachment
 from llm_flock.runtime.flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source
 from llm_flock.runtime.ros2_config import Ros2Config
@@ -142,11 +145,13 @@ def test_settings_that_cannot_work_are_refused(fields: dict[str, Any], field: st
     assert raised.value.field == field and says in str(raised.value)
 
 
-def test_only_the_command_opens_ros_so_that_no_flight_begins_without_poses() -> None:
+def test_poses_from_ros_come_by_a_plug_in_whose_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     config = flight_config(pose_source="ros2", robot="crazyflie", router="tcp/127.0.0.1:7447")
-    with pytest.raises(InputError, match="llm-flock fly"):
-        pose_source(config)
+    assert isinstance(pose_source(config), RosPoses)
     assert pose_source(flight_config()) is None
+    monkeypatch.setattr(plugins, "entries", lambda _kind: {})
+    with pytest.raises(ExtraMissing, match=r"pip install 'llm-flock\[ros2\]'"):
+        pose_source(config)
 
 
 def test_a_driver_that_takes_no_poses_is_refused_before_anything_is_opened() -> None:

@@ -13,9 +13,17 @@ from hypothesis import strategies as st
 from pose_frames import LIMITS, NAMES, frame, reason, text
 
 from llm_flock.errors import MessageError
-from llm_flock.robots.positions import GateLimits, Pose, PoseFrame, PoseGate
-from llm_flock.robots.positions.datagram import MOST_BYTES, MOST_POSES, datagram_of, frame_of
-from llm_flock.robots.positions.udp import MOST_A_SECOND, SILENT_S, UdpPoses
+from llm_flock.robots.pose import Pose, PoseFrame
+from llm_flock.robots.positions import GateLimits, PoseGate
+from llm_flock.robots.positions.udp import (
+    MOST_A_SECOND,
+    MOST_BYTES,
+    MOST_POSES,
+    SILENT_S,
+    UdpPoses,
+    datagram_of,
+    frame_of,
+)
 
 # ------------------------------------------------------------------ datagrams
 

@@ -15,8 +15,7 @@ from llm_flock.mission import Mission
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, WorldState, pack, unpack
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.transport.radio import Radio, Seen
-from llm_flock.transport.seal import PlainSeal
-from llm_flock.transport.zenoh import Allowance, access_control, settings
+from llm_flock.transport.zenoh import Allowance, PlainSeal, access_control, settings
 
 MISSION = Mission(shape="circle", n_robots=4, comm_range=15.0)
 PLACES = [(50.0, 50.0), (60.0, 50.0), (66.0, 50.0), (50.0, 52.0)]

@@ -27,7 +27,7 @@ from llm_flock.robots.crazyflie.radios import (
     traffic_of,
     wifi_over,
 )
-from llm_flock.runtime.flight.radios import radio_checks, radio_plan
+from llm_flock.runtime.flight.preflight import radio_checks, radio_plan
 from llm_flock.testing.crtp.radio import BEHIND_S, QUEUE, RELAXED_S, ModelledRadio
 
 ROOT = Path(__file__).parents[2]

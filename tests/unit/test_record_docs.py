@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import re
+import sys
 from pathlib import Path
-from typing import get_args
+from typing import Any
 
 import pytest
 
@@ -12,15 +14,16 @@ from llm_flock.protocol import events
 from llm_flock.record import scene
 from llm_flock.record.schema import (
     CHANNELS,
-    FORMAT_VERSION,
     SCENE_TOPIC,
     VOLATILE_RESULTS,
-    Entry,
+    LlmEntry,
     channel_schema,
     volatile_fields,
 )
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "docs" / "_ext"))
+from_code: Any = importlib.import_module("from_code")
 PAGE = (ROOT / "docs" / "reference" / "record.md").read_text(encoding="utf-8")
 SECTIONS = {part.split("\n", 1)[0].strip(): part for part in PAGE.split("\n### ")[1:]}
 
@@ -32,49 +35,37 @@ def table(section: str, number: int = 0) -> dict[str, tuple[str, ...]]:
     return {row[0].strip("| `"): row[1:] for row in rows}
 
 
-def fields(model: type[Entry], prefix: str = "") -> dict[str, tuple[type[Entry], str]]:
-    """Every field of a channel, those inside other objects too, as the page writes them."""
-    found: dict[str, tuple[type[Entry], str]] = {}
-    for name, info in model.model_fields.items():
-        found[prefix + name] = (model, name)
-        for kind in (info.annotation, *get_args(info.annotation)):
-            if isinstance(kind, type) and issubclass(kind, Entry):
-                found |= fields(kind, f"{prefix}{name}{'.' if kind is info.annotation else '[].'}")
-    return found
-
-
 def test_every_channel_has_a_section() -> None:
     assert set(SECTIONS) == {*CHANNELS, SCENE_TOPIC}
 
 
 @pytest.mark.parametrize("topic", CHANNELS)
-def test_every_field_has_a_row_with_its_type(topic: str) -> None:
-    rows = table(topic)
-    expected = fields(CHANNELS[topic])
-    assert list(rows) == list(expected)
-    for name, (model, field) in expected.items():
-        schema = channel_schema(model)["properties"][field]
-        says, meaning = rows[name]
-        first = says.split(",")[0].split()[0]
-        assert first == {"array": "list"}.get(schema["type"], schema["type"]), name
-        assert meaning
-        info = model.model_fields[field]
-        assert ("optional" in says) == (info.default is None and not info.is_required()), name
-        assert ("volatile" in says) == (name in volatile_fields(topic)), name
+def test_every_channel_draws_its_fields_from_the_code(topic: str) -> None:
+    assert f"```{{record-fields}} {topic}\n```" in SECTIONS[topic]
+    rows = from_code.record_rows(channel_schema(CHANNELS[topic]), CHANNELS[topic])
+    assert CHANNELS[topic].model_fields.keys() <= {name for name, _, _ in rows}
+    assert {name for name, says, _ in rows if "volatile" in says} == volatile_fields(topic)
 
 
-def test_volatile_results_and_version_are_named() -> None:
-    assert set(re.findall(r"`(\w+)`", table("/summary")["result"][1].split(";")[1])) == VOLATILE_RESULTS
-    assert f"now {FORMAT_VERSION};" in table("/run")["format_version"][1]
+def test_fields_of_objects_inside_a_call_are_listed() -> None:
+    rows = {name: says for name, says, _ in from_code.record_rows(channel_schema(LlmEntry), LlmEntry)}
+    assert rows["messages[].role"] == "string" and rows["usage.input"] == "integer"
+    assert rows["rejected"] == "string, optional" and rows["latency_s"] == "number, volatile"
+
+
+def test_volatile_results_are_named() -> None:
+    (says,) = re.findall(r"Of the summary's result, (.*) are volatile", PAGE.replace("\n", " "))
+    assert set(re.findall(r"`(\w+)`", says)) == VOLATILE_RESULTS
 
 
 def test_every_kind_of_event_is_explained() -> None:
-    rows = table("/protocol", 1)
+    rows = table("/protocol")
     assert {kind: frozenset(re.findall(r"`(\w+)`", row[1])) for kind, row in rows.items()} == events.NOTES
 
 
 def test_origins_are_those_of_the_agent() -> None:
-    assert set(re.findall(r"`(\w+)`", table("/state")["origins"][1])) == {origin.value for origin in events.Origin}
+    says = CHANNELS["/state"].model_fields["origins"].description or ""
+    assert set(re.findall(r"\w+", says.partition(":")[2])) - {"or"} == {origin.value for origin in events.Origin}
 
 
 def test_entities_of_the_scene_are_explained() -> None:

@@ -69,7 +69,7 @@ def test_no_module_is_left_to_be_loaded() -> None:
 def test_text_of_a_record_stays_text(tmp_path: Path) -> None:
     run = loaded(make_record(tmp_path / "run.mcap", n=3, rounds=2), HOSTILE)
     run.write(run_info(config={"model": {"model": HOSTILE}, "protocol": {"consensus": HOSTILE, "assignment": "x"}}))
-    for event in run._events[1]:
+    for event in run.history.events[1]:
         event.detail["reason"] = HOSTILE
     text = page(run)
     assert text.count("<script") == 3 and "<img" not in text and "\u202e" not in text

@@ -277,7 +277,7 @@ def mission_of(config: FlightConfig) -> MissionInfo:
 
 def test_a_flight_shows_where_its_drones_are_and_no_fault_there_comes_back() -> None:
     config, graph = flight_config(router="tcp/127.0.0.1:1"), FakeGraph()
-    show = FlightShow(graph, config)  # type: ignore[arg-type]
+    show = FlightShow(graph, config.ros2, ["cf1", "cf2"], config.frame, 3.2)  # type: ignore[arg-type]
     show.write(mission_of(config))
     show.write(FlightEvent(round=0, time_s=0.0, kind="take_off", robot=None, detail={}))
     show.write(sample())

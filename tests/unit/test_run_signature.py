@@ -6,20 +6,20 @@ import threading
 import typing
 from concurrent.futures import Future
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_origin
+from typing import Annotated, Any, Unpack, get_args, get_origin
 
 import numpy as np
 import pytest
 
 import llm_flock
 from llm_flock.errors import InputError
-from llm_flock.runtime import parameters as module
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.loops import wait_for
+from llm_flock.runtime.parameters import Parameters
 from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.trial import TrialProgress
 
-SURROUNDINGS = {"mission", "config", "on_round", "progress", "trace", "sink", "lane", "steer"}
+SURROUNDINGS = {"config", "on_round", "progress", "trace", "sink", "lane", "steer"}
 WIDER = {"consensus", "assignment", "model", "temperature", "model_seed", "prompts", "record_llm", "out"}
 SMALL: dict[str, Any] = {"shape": "triangle", "n_robots": 3, "seed": 1}
 
@@ -40,16 +40,13 @@ MAPPING = typing.get_origin(typing.Mapping[str, int])
 
 
 def test_the_signature_has_every_field_of_the_configuration() -> None:
-    given = inspect.signature(llm_flock.run).parameters
-    hints = typing.get_type_hints(module.parameters)
+    hints = typing.get_type_hints(Parameters)
     fields: dict[str, Any] = {}
     for section in RunConfig.model_fields.values():
         kind: Any = section.annotation
         fields |= kind.model_fields
-    assert set(given) - SURROUNDINGS == set(fields)
+    assert set(hints) - SURROUNDINGS == set(fields)
     for name, field in fields.items():
-        assert given[name].default == field.get_default(call_default_factory=True), name
-        assert given[name].kind is inspect.Parameter.KEYWORD_ONLY
         if name not in WIDER:
             assert plain(hints[name]) == plain(field.annotation), name
 
@@ -57,7 +54,8 @@ def test_the_signature_has_every_field_of_the_configuration() -> None:
 def test_both_functions_show_it_and_say_what_they_return() -> None:
     run, run_async = inspect.signature(llm_flock.run), inspect.signature(llm_flock.run_async)
     assert run.parameters == run_async.parameters
-    assert run.return_annotation is run_async.return_annotation is RunResult
+    assert typing.get_type_hints(llm_flock.run)["given"] == Unpack[Parameters]
+    assert run.return_annotation == run_async.return_annotation == RunResult.__name__
     assert inspect.iscoroutinefunction(llm_flock.run_async)
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import typed
 
-from llm_flock.cli.options import parse_flags
 from llm_flock.errors import InputError
 from llm_flock.runtime.config import build_config, load_config
 from llm_flock.runtime.schedule import RANDOM_ROUNDS, Schedule
@@ -166,11 +166,10 @@ def test_changes_come_from_a_file_of_the_run_or_from_a_flag(tmp_path: Path) -> N
     table = {"round": 20, "robot": 3, "set": {"shape": "square", "center": [60, 50]}}
     (tmp_path / "changes.json").write_text(json.dumps([table]))
     for text in (json.dumps([table]), str(tmp_path / "changes.json")):
-        flags = parse_flags({"n_robots": 8, "changes": text, "velocity": None})
-        assert build_config(**flags).trial.changes == config.trial.changes
+        given = typed("--robots", "8", "--changes", text)
+        assert build_config(**given).trial.changes == config.trial.changes
     with pytest.raises(InputError, match="a JSON list"):
-        parse_flags({"changes": str(_object(tmp_path))})
-    assert parse_flags({"velocity": "1,-0.5"}) == {"velocity": (1.0, -0.5)}
+        typed("--changes", str(_object(tmp_path)))
 
 
 def _object(folder: Path) -> Path:

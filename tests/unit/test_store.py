@@ -115,13 +115,6 @@ def test_tables_hold_every_trial_in_the_order_of_cells_and_seeds(tmp_path: Path)
     assert not (tmp_path / "trials.parquet").exists()
 
 
-def test_trials_of_an_earlier_version_appear_under_present_names(tmp_path: Path) -> None:
-    config = build_config(shape="triangle", n_robots=3).model_dump(mode="json")
-    config["protocol"]["consensus"] = "pedigree"
-    Store(tmp_path).save(stored("a", config=config))
-    assert tables.read_trials(tmp_path)["consensus"].to_list() == ["provenance"]
-
-
 def test_the_files_are_used_while_they_are_as_new_as_the_trials(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.save(stored("a"))

@@ -5,11 +5,13 @@ from pathlib import Path
 import pytest
 from sweeps import small
 
-from llm_flock.cli.sweep_display import duration, progress_text, short
+from llm_flock.cli.expected import short
+from llm_flock.cli.sweep_display import duration, progress_text
 from llm_flock.experiments.grid import TrialSpec
-from llm_flock.experiments.sweep_forecast import Expected, Tally
+from llm_flock.experiments.tally import Tally
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.limits import Spent
+from llm_flock.runtime.forecast import Expected
 from llm_flock.runtime.trial import TrialProgress
 
 
@@ -43,18 +45,6 @@ def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
     assert tally.eta_s == pytest.approx(40.0 * 300 / 500)
     finish(tally, specs[3], 300, formed=False, error="x", cut=True)
     assert tally.eta_s == 0 and (tally.over, tally.formed, tally.broken, tally.cut) == (4, 2, 1, 1)
-
-
-@pytest.mark.parametrize("summary", [{"rounds": 7, "formed": True}, {}, None])
-def test_a_sweep_without_a_number_of_rounds_goes_on(tmp_path: Path, summary: dict[str, object] | None) -> None:
-    """By default a run ends by its deadline, and its configuration has no number of rounds."""
-    specs = small(tmp_path, seeds=1).trials
-    config = {"mission": {"n_robots": 3}, "trial": {"rounds": None}}
-    plain = {"id": "other", "cell": "other", "axes": {}, "config": config, "rounds": {}, "code": ""}
-    flown = TrialResult(**plain, summary=summary, error=None if summary else "x", cut=False, simulated=True)
-    tally = Tally(clock=lambda: 0.0)
-    tally.begin([flown], specs)
-    assert tally.trials == 1 + len(specs) and tally.over == 1
 
 
 def test_trials_under_way_count_in_part(tmp_path: Path) -> None:

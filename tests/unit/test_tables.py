@@ -82,5 +82,5 @@ def test_no_command_cuts_its_table(columns: str, line: str, tmp_path: Path, monk
 @pytest.mark.parametrize("name", ["run", "compare", "fly", "swarm"])
 def test_help_cuts_no_flag(name: str, columns: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", columns)
-    text = CliRunner().invoke(app, [name, "--help"]).stdout
+    text = CliRunner().invoke(app, [name, "--help-all"]).stdout
     assert "…" not in text and f"Usage: llm-flock {name}" in text and "--reasoning-effort" in text

@@ -13,11 +13,12 @@ import pytest
 
 from llm_flock.distill.examples import TEAMS
 from llm_flock.llm.frame import frame_step
+from llm_flock.llm.geometry import KnownPlans
+from llm_flock.llm.local.source import TAUGHT_PLANS, is_taught
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm.prompt_values import FARTHEST, nearer_goal
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter
-from llm_flock.llm.taught_planner import TAUGHT_PLANS, TaughtPlanner, is_taught
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -49,7 +50,7 @@ def test_what_it_knows_is_what_the_recipe_teaches() -> None:
 @pytest.mark.parametrize(("shape", "n"), TAUGHT_PLANS)
 def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
     question = asked(shape, n)
-    assert is_taught(question) and asyncio.run(TaughtPlanner(Saying()).plan(question)) is SAID
+    assert is_taught(question) and asyncio.run(KnownPlans(Saying(), is_taught).plan(question)) is SAID
 
 
 @pytest.mark.parametrize(
@@ -63,13 +64,13 @@ def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
     ],
 )
 def test_plans_that_it_was_not_taught_come_from_geometry_and_say_so(question: PlanQuestion) -> None:
-    answer = asyncio.run(TaughtPlanner(Saying()).plan(question))
+    answer = asyncio.run(KnownPlans(Saying(), is_taught).plan(question))
     assert isinstance(answer, PlanAnswer) and answer.by == "geometry"
     assert len(answer.plan) == question.mission.n_places
 
 
 def test_a_shape_in_words_has_no_plan_by_geometry() -> None:
-    assert isinstance(asyncio.run(TaughtPlanner(Saying()).plan(asked("text:a heart", 5))), NoAnswer)
+    assert isinstance(asyncio.run(KnownPlans(Saying(), is_taught).plan(asked("text:a heart", 5))), NoAnswer)
 
 
 @pytest.mark.parametrize(("model", "by"), [("local:smollm2", "geometry"), ("openai:o3-mini", None)])

@@ -101,7 +101,7 @@ def test_nothing_in_a_record_drives_the_terminal(
     result = {"plan_robot": 1, "plan_by": HOSTILE}
     hostile = replace(record, llm=(call,), missions=(mission,), events=(event,), result=result)
     show_overview(hostile)
-    show_accusations(hostile, None)
+    show_accusations(hostile, keys=None)
     show_conversation(hostile, 0, None)
     out = capsys.readouterr().out
     assert shown(out) and "here" in out and "\\x1b[2J" in out

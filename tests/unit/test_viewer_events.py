@@ -10,10 +10,10 @@ import pytest
 from sample_records import FakeRun
 
 from llm_flock.protocol.events import NOTES
+from llm_flock.record.history import RunHistory
 from llm_flock.record.schema import ProtocolEvent
 from llm_flock.viewer.data import event_lines
 from llm_flock.viewer.events import in_words, told_kinds
-from llm_flock.viewer.recording import Recording
 
 VALUES: dict[str, Any] = {
     "plan": "ab12", "asked": "ab12", "slot": 3, "before": None, "from": 2, "by": "model", "question": "step",
@@ -91,7 +91,7 @@ def test_what_is_not_known_is_told_all_the_same() -> None:
     ("reason", "end"), [("it is too far", "far."), ("it is too far.", "far."), ("why?", "why?"), ("cut …", "cut …")]
 )
 def test_an_event_ends_with_one_sign(reason: str, end: str) -> None:
-    run = Recording("1", "test", None, live=False)
+    run = RunHistory()
     FakeRun(n=3, rounds=1).write(run)
     detail = {"question": "step", "by": "geometry", "cause": "refused", "reason": reason}
     run.write(ProtocolEvent(round=1, comm_round=0, robot=2, kind="fallback", detail=detail))

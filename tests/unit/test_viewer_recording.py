@@ -15,6 +15,7 @@ from llm_flock.record.writer import RecordWriter
 from llm_flock.viewer.data import frames, news
 from llm_flock.viewer.events import in_words
 from llm_flock.viewer.library import Library, load
+from llm_flock.viewer.mind import breakers, claims_heard
 from llm_flock.viewer.paths import newest_in, records_in, title_of
 from llm_flock.viewer.recording import Recording
 
@@ -27,11 +28,11 @@ def replayed(path: Path) -> Recording:
 
 def test_a_record_is_shown_whole(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=4))
-    assert (run.rounds, run.open, run.failure, run.n_robots) == (4, False, None, 5)
+    assert (run.history.rounds, run.open, run.failure, run.history.n_robots) == (4, False, None, 5)
     newest = news(run, 0, 0, 0)
     assert newest["last"] == 4 and len(newest["plans"]) == 5 and len(newest["figures"]["procrustes_mean"]) == 5
     assert newest["marks"]["1"] == {"plans": 5}
-    some = frames(run, 3, 100)
+    some = frames(run.history, 3, 100)
     assert [frame["r"] for frame in some] == [3, 4]
     assert len(some[0]["x"]) == 5 and some[1]["p"] == [0] * 5
     assert news(run, 5, 5, 1) == newest | {
@@ -64,8 +65,8 @@ def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> N
     whole = path.read_bytes()
     path.write_bytes(whole[: whole.rindex(b'"round":5')])
     run = replayed(path)
-    assert 0 <= run.rounds < 6 and not run.open and run.failure is None
-    assert len(frames(run, 0, 100)) == run.rounds + 1
+    assert 0 <= run.history.rounds < 6 and not run.open and run.failure is None
+    assert len(frames(run.history, 0, 100)) == run.history.rounds + 1
 
 
 @pytest.mark.parametrize("content", [b"", b"not a record", b"\x89MCAP0\r\n"])
@@ -96,21 +97,21 @@ def test_keys_are_all_that_a_page_can_name() -> None:
 
 def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=3))
-    plan = run.states[3].plan_ids[0]
+    plan = run.history.states[3].plan_ids[0]
     for number, robot, kind, source in ((1, 0, "proposed", None), (2, 1, "adopted", 0), (3, 2, "adopted", 1)):
         detail = {"plan": plan, "slot": 0} if source is None else {"plan": plan, "from": source}
         run.write(ProtocolEvent(round=number, comm_round=0, robot=robot, kind=kind, detail=detail))
-    assert [(step.robot, step.source, step.round) for step in run.provenance(2, 3)] == [
+    assert [(step.robot, step.source, step.round) for step in run.history.provenance(2, 3)] == [
         (0, None, 1),
         (1, 0, 2),
         (2, 1, 3),
     ]
-    assert run.provenance(2, 0) == []
+    assert run.history.provenance(2, 0) == []
 
 
 def test_claims_are_those_in_radio_range_the_own_first(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=10, rounds=3))
-    found = run.claims_heard(4, 3)
+    found = claims_heard(run.history, 4, 3)
     assert found[0].robot == 4 and not found[0].rival
     assert all(claim.distance <= 15.0 for claim in found)
     assert [claim.distance for claim in found[1:]] == sorted(claim.distance for claim in found[1:])
@@ -141,7 +142,7 @@ def test_a_live_run_shows_no_half_round(tmp_path: Path) -> None:
         fake.write(writer, finish=False)
         writer.write(ProtocolEvent(round=2, comm_round=0, robot=0, kind="killed", detail={}))
         run = replayed(tmp_path / "run.mcap")
-    assert run.rounds == 1 and "2" not in news(run, 0, 0, 0)["marks"]
+    assert run.history.rounds == 1 and "2" not in news(run, 0, 0, 0)["marks"]
 
 
 def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_path: Path) -> None:
@@ -151,7 +152,7 @@ def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_pa
     for robot, kind in ((1, "aloft"), (1, "link_lost"), (None, "abort")):
         run.write(FlightEvent(round=2, time_s=1.0, kind=kind, robot=robot, detail={}))
     assert news(run, 0, 0, 0)["marks"]["2"]["faults"] == 2
-    assert [event.kind for event in run.events(2) if event.robot == 1][-2:] == ["aloft", "link_lost"]
+    assert [event.kind for event in run.history.events[2] if event.robot == 1][-2:] == ["aloft", "link_lost"]
 
 
 def test_an_open_circuit_breaker_is_shown_in_words_and_marked(tmp_path: Path) -> None:
@@ -163,18 +164,20 @@ def test_an_open_circuit_breaker_is_shown_in_words_and_marked(tmp_path: Path) ->
     result = llm_flock.run(mission, model="0=simulated:malformed,1-2=simulated:ideal", seed=1, out=str(tmp_path))
     assert result.formed and result.summary.breakers_opened == (0,)
     run = replayed(path)
-    opened = next(k for k, state in enumerate(run.states) if "step" in state.open_breakers[0])
-    (sentence,) = [text for text in run.breakers(opened, 0) if "step" in text]
+    opened = next(k for k, state in enumerate(run.history.states) if "step" in state.open_breakers[0])
+    (sentence,) = [text for text in breakers(run.history, 0, opened) if "step" in text]
     assert (
         "its model is not asked for a step after 2 refusals in a row" in sentence and "next probe in round" in sentence
     )
-    assert run.breakers(0, 0) == run.breakers(opened, 1) == []
-    assert frames(run, opened, 1)[0]["b"] == [0] and frames(run, 0, 1)[0]["b"] == []
+    assert breakers(run.history, 0, 0) == breakers(run.history, 1, opened) == []
+    assert frames(run.history, opened, 1)[0]["b"] == [0] and frames(run.history, 0, 1)[0]["b"] == []
     assert run.marks[opened]["fallbacks"] > 0
-    assert any(call.probe for k in range(run.rounds + 1) for call in run.calls(k, 0))
-    words = [in_words(event, run.plan_name) for k in range(run.rounds + 1) for event in run.events(k)]
+    assert any(call.probe for k in range(run.history.rounds + 1) for call in run.history.calls[k, 0])
+    words = [
+        in_words(event, run.history.plan_name) for k in range(run.history.rounds + 1) for event in run.history.events[k]
+    ]
     assert any("was helped by geometry, for its model gave no usable step" in text for text in words)
-    work = work_text(run.result or {})
+    work = work_text(run.history.result or {})
     assert (
         work.startswith("plan by robot ")
         and "geometry" in work

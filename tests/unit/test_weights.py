@@ -240,12 +240,6 @@ def test_smollm2_comes_with_the_adapter_of_its_package(tmp_path, monkeypatch):
     assert find_weights("smollm2+none") == Weights(model, packaged=True)
 
 
-def test_a_pipe_is_no_file(tmp_path):
-    os.mkfifo(tmp_path / "m.gguf")
-    with pytest.raises(InputError, match=r"a file$"):
-        read_header(tmp_path / "m.gguf")
-
-
 def test_texts_of_a_sparse_file_do_not_fill_the_memory(tmp_path):
     path, text = tmp_path / "m.gguf", 12 << 20
     with path.open("wb") as file:

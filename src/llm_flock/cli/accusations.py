@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.text import Text
 
 from llm_flock.cli.terminal import Screen
@@ -21,7 +22,14 @@ MOST_SHOWN = 64
 """Accusations of a record that are checked and shown."""
 
 
-def show_accusations(record: RunRecord, keys: Path | None) -> None:
+def show_accusations(
+    record: RunRecord,
+    *,
+    keys: Annotated[
+        Path | None,
+        typer.Option("--keys", metavar="DIR", help="Check accusations of lying with a team's public keys (team.json)"),
+    ] = None,
+) -> None:
     """Print a line for each accusation in a record; with a team's folder, whether its proof holds.
 
     What the accuser says is not shown, only what the proof says: a record may come from anywhere.

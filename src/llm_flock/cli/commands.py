@@ -3,54 +3,61 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TypeVar
+from importlib import import_module
+from typing import Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
+from llm_flock import plugins
+from llm_flock.cli.extensions import with_extensions
 from llm_flock.cli.options import add_config_flags
-from llm_flock.flags import FlagErrors, PlainHelp
+from llm_flock.errors import FieldError
+from llm_flock.extras import EXTRAS
+from llm_flock.flags import PlainHelp
 
-Function = TypeVar("Function", bound=Callable[..., None])
+_CORE = {
+    "run": "llm_flock.cli.run",
+    "inspect": "llm_flock.cli.inspect",
+    "export": "llm_flock.cli.export",
+    "doctor": "llm_flock.cli.doctor",
+    "shapes": "llm_flock.cli.lists",
+    "models": "llm_flock.cli.lists",
+}
+"""Commands of the core by name, each with the module of its function; plug-ins add theirs."""
 
-_FUNCTIONS: dict[str, Callable[..., None]] = {}
-_GROUPS: dict[str, typer.Typer] = {}
+
+def _names() -> list[str]:
+    """All commands, in the order of the help."""
+    return [*_CORE, *(name for name in plugins.entries("commands") if name not in _CORE)]
 
 
-def command(function: Function) -> Function:
-    """Add a function to the commands, under its name."""
-    _FUNCTIONS[function.__name__.replace("_", "-")] = function
-    return function
-
-
-def add_group(name: str, group: typer.Typer) -> None:
-    """Add a command that has commands of its own."""
-    _FUNCTIONS[name] = lambda: None
-    _GROUPS[name] = group
+def _find(name: str) -> Callable[..., None] | typer.Typer:
+    return getattr(import_module(_CORE[name]), name) if name in _CORE else plugins.load("commands", name)
 
 
 class _Built(Mapping[str, Any]):
     """The commands with all their flags, each built when it is looked up."""
 
     def __getitem__(self, name: str) -> Any:
-        function = _FUNCTIONS[name]
-        group = _GROUPS.get(name)
-        if group is None:
-            add_config_flags(function)
+        found = _find(name)
+        if isinstance(found, typer.Typer):
+            group = found
+        else:
             group = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-            group.command(name, cls=PlainHelp)(function)
+            group.command(name, cls=PlainHelp)(add_config_flags(with_extensions(found)))
         built = typer.main.get_command(group)
         built.name = name
         return built
 
     def __iter__(self) -> Iterator[str]:
-        return iter(_FUNCTIONS)
+        return iter(_names())
 
     def __len__(self) -> int:
-        return len(_FUNCTIONS)
+        return len(_names())
 
 
-class Commands(FlagErrors):
+class Commands(TyperGroup):
     """Lists commands by their first line of help alone, and builds the one that is called."""
 
     def __init__(self, **attributes: Any) -> None:
@@ -59,17 +66,24 @@ class Commands(FlagErrors):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Names, in the order of the help."""
-        return list(_FUNCTIONS)
+        return _names()
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """What a list of commands shows of one; None if there is none of this name."""
-        if cmd_name not in _FUNCTIONS:
+        if cmd_name not in _names():
             return None
-        group = _GROUPS.get(cmd_name)
-        text = _FUNCTIONS[cmd_name].__doc__ if group is None else str(group.info.help)
+        found = _find(cmd_name)
+        text = str(found.info.help) if isinstance(found, typer.Typer) else found.__doc__
         return TyperCommand(cmd_name, help=text)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is called, with all its flags, and the arguments that are left for it."""
+        """The command that is called, with all its flags, and the arguments that are left for it.
+
+        Raises:
+            FieldError: the command belongs to an extra that is not installed.
+        """
+        absent = next((extra for extra in EXTRAS.values() if args[0] in extra.commands), None)
+        if absent is not None and args[0] not in _names():
+            raise FieldError("extra", absent.name, says=f"{args[0]} needs the extra {absent.name}: {absent.install}")
         name, listed, rest = super().resolve_command(ctx, args)
         return name, self.commands[name] if listed is not None and name is not None else None, rest

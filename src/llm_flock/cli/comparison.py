@@ -13,7 +13,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_COMPARE, parse_flags, with_config_flags
+from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, with_config_flags
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError, unknown
 
@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     from llm_flock.experiments.trial import TrialResult
 
 
-@with_config_flags(without=SET_BY_COMPARE)
+SET_BY_COMPARE = ("protocol", "shape", "n_robots", "seed", "out", "record_llm")
+"""Fields that differ between cells or trials, or are files of a single run."""
+
+
+@with_config_flags(shown=("model", "base_url", "max_cost", "rounds", "kill_random", "loss"), without=SET_BY_COMPARE)
 def compare(
     cells: Annotated[
         str, typer.Option(help="Shapes and team sizes: SHAPE/N with commas between them", metavar="SHAPE/N,...")
@@ -56,7 +60,7 @@ def compare(
     for name in presets:
         if name not in PRESETS:
             raise InputError("protocols", name, says=unknown("protocol", name, PRESETS))
-    found = comparison.build_cells(parse_teams(cells), presets, file=config, fit_arena=fit_arena, **parse_flags(flags))
+    found = comparison.build_cells(parse_teams(cells), presets, file=config, fit_arena=fit_arena, **flags)
     for cell in found:  # before the file is there: it would be in the way of the next try
         check_planners(cell.config)
     finished = formed = 0

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
+import typer
 from rich.markup import escape
 from rich.panel import Panel
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
@@ -16,6 +17,7 @@ from rich.text import Text
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
+from llm_flock.record import RECORD_NAME
 from llm_flock.record.words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
     from llm_flock.runtime.result import Summary
     from llm_flock.runtime.trial import TrialProgress
 
+
+RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
 MOST_MESSAGE = 100_000
 """Longest message that is shown of a conversation [characters]; the record has all of it."""
@@ -156,6 +160,8 @@ def show_overview(record: RunRecord) -> None:
         console.print(Text(one_line(sentence)))
     if record.result is not None and (work := work_text(record.result)):
         console.print(Text(one_line(work)))
+    if why := record.diagnosis().why:
+        console.print(Text(one_line(why)))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")
     for row in record.metrics:
         table.add_row(
@@ -237,3 +243,8 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
         console.print(Text(f"{one_line(verdict(entry), MOST_VERDICT)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
+
+
+def record_file(path: Path) -> Path:
+    """The record, also if its folder is given."""
+    return path / RECORD_NAME if path.is_dir() else path

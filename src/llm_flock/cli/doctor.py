@@ -1,13 +1,12 @@
-"""`llm-flock doctor`: what is installed, which keys are set, and what can be reached from here."""
+"""`llm-flock doctor`: what is installed and which keys are set; plug-ins say what can be reached from here."""
 
 from __future__ import annotations
 
 import json
 import os
 import platform
-import socket
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import metadata
 from itertools import groupby
 from typing import Annotated
@@ -16,47 +15,24 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.extras import EXTRAS
 
-ROUTER = "tcp/127.0.0.1:7447"
-"""Where a swarm's peers find each other unless the configuration says otherwise."""
 
-PATIENCE_S = 2.0
-"""Longest wait for a router [s]."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of the examination.
-
-    Attributes:
-        part: what it belongs to: base, extra, key or reach.
-        name: what was looked for.
-        ok: whether it is there.
-        detail: what was found, or what to do.
-    """
-
-    part: str
-    name: str
-    ok: bool
-    detail: str
-
-
+@extended("doctor")
 def doctor(
-    router: Annotated[str, typer.Option(help="Endpoint of a swarm's router or peer to reach")] = ROUTER,
-    drones: Annotated[
-        bool, typer.Option("--drones/--no-drones", help="Look for Crazyflies by radio, cable and UDP (a second)")
-    ] = True,
     json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table")] = False,
+    *,
+    extensions: list[Extension],
 ) -> None:
     """Show what is installed, which extras and keys are there, and whether drones, a router and a browser are in reach.
 
     No language model is asked, and no key is shown. What is missing is no error: a simulated run needs none of it.
     """
     found = [*base(), *extras(), *provider_keys()]
-    found += [reach_drones()] if drones else []
-    found += [reach_router(router), reach_browser()]
+    for extension in extensions:
+        found += extension()
     if json_output:
         say(json.dumps([asdict(finding) for finding in found]))
         return
@@ -103,44 +79,3 @@ def provider_keys() -> list[Finding]:
 def is_set(variable: str) -> bool:
     """Whether an environment variable holds more than spaces."""
     return bool(os.environ.get(variable, "").strip())
-
-
-NO_DRONE = "none answers, by radio at the address E7E7E7E7E7; llm-flock stand-ins simulates some"
-"""Radios are searched on all channels for the address that drones are shipped with, not for others."""
-
-
-def reach_drones() -> Finding:
-    """Crazyflies that answer."""
-    if EXTRAS["crazyflie"].missing:
-        return Finding("reach", "drone", False, "the extra crazyflie is not installed")
-    from llm_flock.robots.crazyflie.link import in_reach
-
-    try:
-        uris = in_reach()
-    except Exception as error:  # noqa: BLE001  # drivers of radios raise anything, and this only looks
-        return Finding("reach", "drone", False, f"the search failed: {error}")
-    return Finding("reach", "drone", bool(uris), ", ".join(uris) or NO_DRONE)
-
-
-def reach_router(endpoint: str) -> Finding:
-    """Whether something listens at a swarm's endpoint, such as tcp/127.0.0.1:7447."""
-    host, colon, port = endpoint.partition("/")[2].rpartition(":")
-    name = f"router at {endpoint}"
-    if not colon or not port.isdigit() or not host or int(port) > 65535:
-        return Finding("reach", name, False, "not an endpoint such as tcp/127.0.0.1:7447")
-    try:
-        socket.create_connection((host.strip("[]"), int(port)), PATIENCE_S).close()
-    except OSError as error:
-        return Finding("reach", name, False, f"{error.strerror or error}; llm-flock swarm needs none")
-    return Finding("reach", name, True, "something listens there")
-
-
-def reach_browser() -> Finding:
-    """The browser that `llm-flock view` opens."""
-    import webbrowser
-
-    try:
-        browser = webbrowser.get()
-    except webbrowser.Error:
-        return Finding("reach", "browser", False, "none here; llm-flock view prints an address for any browser")
-    return Finding("reach", "browser", True, getattr(browser, "name", "") or type(browser).__name__)

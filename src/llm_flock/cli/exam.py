@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 Text = str | None
 Count = int | None
 
-ON_BOARD = 4
-"""Questions that a model on board is asked at once: on every machine it answers as many at the same time."""
-
 
 def exam(
     models: Annotated[list[str] | None, typer.Argument(metavar="MODEL...", help="As in run --model")] = None,
@@ -120,9 +117,8 @@ def _model(
     from llm_flock.exam.inspect_model import PREFIX
 
     inspect_model: Any = import_module("inspect_ai.model")
-    at_once = min(max_concurrent, ON_BOARD) if name.startswith("local:") else max_concurrent
     config = inspect_model.GenerateConfig(
-        max_connections=at_once,
+        max_connections=max_concurrent,
         temperature=settings.temperature,
         seed=settings.seed,
         reasoning_effort=settings.reasoning,
@@ -130,7 +126,7 @@ def _model(
     )
     # A model that was kept would belong to the event loop of an earlier evaluation.
     model: Any = inspect_model.get_model(f"{PREFIX}/{name}", base_url=base_url, config=config, memoize=False)
-    model.api.prepare(settings, budget, max_concurrent=at_once, timeout_s=timeout_s)
+    model.api.prepare(settings, budget, max_concurrent=max_concurrent, timeout_s=timeout_s)
     return model
 
 

@@ -1,4 +1,4 @@
-"""`llm-flock export`: writes a record for other programs, and the tables of a sweep as CSV."""
+"""`llm-flock export`: writes a record for other programs, and the tables of a sweep as CSV, by plug-ins."""
 
 from __future__ import annotations
 
@@ -7,17 +7,18 @@ from typing import Annotated
 
 import typer
 
-from llm_flock.cli.display import note_broken
+from llm_flock import plugins
+from llm_flock.cli.display import note_broken, record_file
+from llm_flock.cli.extensions import Extension, extended
 from llm_flock.cli.terminal import say
 from llm_flock.errors import FieldError, InputError
-from llm_flock.extras import require
+from llm_flock.extras import EXTRAS
 
-PAGE, LAYOUT, INDEXED, RERUN, BAG = "replay.html", "foxglove-layout.json", "foxglove.mcap", "run.rrd", "bag"
-"""Names of the files."""
-
-RECORD = "run.mcap"
+TABLES = "tables"
+"""The plug-in without a flag: writes a directory of results as CSV files."""
 
 
+@extended("exports")
 def export(
     path: Annotated[
         Path | None,
@@ -27,108 +28,52 @@ def export(
             show_default=False,
         ),
     ] = None,
-    html: Annotated[
-        bool, typer.Option("--html", help="Write the replay of a record as one page that needs nothing else")
-    ] = False,
-    foxglove: Annotated[
-        bool,
-        typer.Option("--foxglove", help="Write a record for Foxglove, and the layout; without PATH the layout alone"),
-    ] = False,
-    rerun: Annotated[bool, typer.Option("--rerun", help="Write a record for the Rerun viewer")] = False,
-    ros2bag: Annotated[
-        bool, typer.Option("--ros2bag", help="Write a record as a bag of ROS 2 (MCAP), to a folder `bag`")
-    ] = False,
-    unit_m: Annotated[
-        float | None,
-        typer.Option(help="With --ros2bag: length of one mission unit [m] [1, or the flight's]", show_default=False),
-    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write to [PATH]", show_default=False)] = None,
+    *,
+    extensions: list[Extension],
 ) -> None:
     """Write a record for other programs, or the two tables of a sweep as CSV. Older exports but bags are replaced.
 
     Without a format, PATH is a directory of results, whose tables go to trials.csv and rounds.csv.
     """
-    if unit_m is not None and not ros2bag:
-        raise FieldError("unit_m", unit_m, says="--unit-m is for --ros2bag")
+    formats = [extension for extension in extensions if extension.flags]
+    for extension in formats:
+        extension.refuse_idle_flags()
+    chosen = [extension for extension in formats if extension.on]
+    record = None if path is None else record_file(path)
+    if chosen:
+        if record is not None:
+            from llm_flock.record.reader import read_end
+
+            note_broken([read_end(record)], "exported")
+        for extension in chosen:
+            for written in extension(record, out or (Path() if record is None else record.parent)):
+                say(written)
+        return
     if path is None:
-        if not foxglove or html or rerun or ros2bag:
-            says = "export needs the path of a record or of a directory of results; only --foxglove works without"
-            raise FieldError("path", says=says)
-        _write_layout((out or Path()) / LAYOUT, None)
-        return
-    record = path / RECORD if path.is_dir() else path
-    if not (html or foxglove or rerun or ros2bag):
-        if record.is_file():
-            raise FieldError(
-                "format", says="a record is exported with at least one of --html, --foxglove, --rerun and --ros2bag"
-            )
-        _write_tables(path, out or path)
-        return
-    folder = out or record.parent
-    from llm_flock.record.reader import read_end
-
-    note_broken([read_end(record)], "exported")
-    if foxglove:
-        from llm_flock.foxglove.file import write_file
-
-        target = folder / INDEXED
-        write_file(record, target)
-        say(target)
-        _write_layout(folder / LAYOUT, record)
-    if html:
-        from llm_flock.viewer.replay_page import write_page
-
-        write_page(record, folder / PAGE)
-        say(folder / PAGE)
-    if rerun:
-        from llm_flock.record.reader import read_record
-        from llm_flock.viz.rerun_file import write_rerun
-
-        write_rerun(read_record(record), folder / RERUN)
-        say(folder / RERUN)
-    if ros2bag:
-        _write_bag(record, folder / BAG, unit_m)
+        raise FieldError("path", says=NEEDS_PATH)
+    if record is not None and record.is_file():
+        flags = [f"--{extension.name}" for extension in formats]
+        listed = " and ".join(filter(None, (", ".join(flags[:-1]), *flags[-1:])))
+        raise FieldError("format", says=f"a record is exported with at least one of {listed}")
+    if TABLES not in plugins.entries("exports"):
+        says = f"export of a sweep needs the extra sweep: {EXTRAS['sweep'].install}"
+        raise FieldError("extra", "sweep", says=says)
+    if not path.is_dir():
+        raise InputError("path", str(path), "a record, or a directory of results as `llm-flock sweep` makes it")
+    for written in plugins.load("exports", TABLES)(path, out or path):
+        say(written)
 
 
-def _write_bag(record: Path, target: Path, unit_m: float | None) -> None:
-    require("ros2", "export --ros2bag")
-    from pydantic import ValidationError
-
-    from llm_flock.ros2.bag import write_bag
-    from llm_flock.runtime.ros2_config import Ros2Config
-    from llm_flock.validation import input_error
-
-    try:
-        config = Ros2Config(unit_m=unit_m)
-    except ValidationError as error:
-        raise input_error(error, Ros2Config) from None
-    say(write_bag(record, target, config))
+NEEDS_PATH = "export needs the path of a record or of a directory of results; only --foxglove works without"
 
 
-def _write_tables(folder: Path, out: Path) -> None:
-    require("sweep", "export")
-    if not folder.is_dir():
-        raise InputError("path", str(folder), "a record, or a directory of results as `llm-flock sweep` makes it")
-    from llm_flock.experiments.tables import export_csv
+def needed(record: Path | None) -> Path:
+    """The record that an export writes.
 
-    for path in export_csv(folder, out):
-        say(path)
-
-
-def _write_layout(target: Path, record: Path | None) -> None:
-    """Write the layout; with a record, its camera sees that record's arena."""
-    from llm_flock.foxglove.layout import layout_text
-    from llm_flock.record.schema import MissionInfo
-    from llm_flock.record.stream import RecordStream
-
-    arena = None
-    if record is not None:
-        found = (entry for entry in RecordStream(record).entries() if isinstance(entry, MissionInfo))
-        low, high = next(found).mission["arena"]
-        arena = (tuple(low), tuple(high))
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(layout_text(arena), encoding="utf-8")
-    except OSError as error:
-        raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
-    say(target)
+    Raises:
+        FieldError: for field `path`: there is none.
+    """
+    if record is None:
+        raise FieldError("path", says=NEEDS_PATH)
+    return record

@@ -12,25 +12,21 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line, summary_table
-from llm_flock.cli.foxglove import showing_run
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
-    FLIGHT,
-    SET_BY_FLY,
     ConfigPath,
     JsonOutput,
     Quiet,
     Record,
-    load_shown,
-    refuse_ros2,
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import chosen, refuse, showing
 from llm_flock.cli.terminal import Screen, say, while_shown
 from llm_flock.errors import FieldError
-from llm_flock.extras import require_posix
-from llm_flock.foxglove.options import Service, with_foxglove
+from llm_flock.extras import EXTRAS, require_posix
 
 if TYPE_CHECKING:
     from llm_flock.record.writer import RecordSink
@@ -45,8 +41,22 @@ WORD = "fly"
 """The word that confirms a flight."""
 
 
-@with_config_flags(without=SET_BY_FLY, kind=FLIGHT)
-@with_foxglove
+SHOWN = (
+    *("shape", "n_robots", "center", "spacing", "model", "base_url", "rounds", "seed", "out"),
+    *("robot", "drones", "crazyflies", "scale_m", "origin_m", "altitude_m", "geofence"),
+    *("min_separation_m", "max_speed_m_s", "round_s", "at_end", "pose_source"),
+)
+"""Fields that `fly --help` lists."""
+
+NOT_IN_FLIGHTS = (
+    *("kill", "join", "kill_random", "join_random", "noise", "start_positions"),
+    *("unit_m", "use_sim_time", "ros_missions", "ros_poses"),
+)
+"""Fields of runs and swarms that flights do not support."""
+
+
+@with_config_flags("llm_flock.runtime.flight.config:FlightConfig", shown=SHOWN, without=NOT_IN_FLIGHTS)
+@extended("sinks")
 def fly(
     config: ConfigPath = None,
     dry_run: Annotated[
@@ -57,35 +67,37 @@ def fly(
     record: Record = True,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission with drones: preflight, confirmation, take-off, flock, landing.
 
     In flight, r lets all drones return to their starts and land there, l (or Ctrl-C) lands them where they are, and
-    x (or Ctrl-C twice) cuts all motors. Foxglove gives no orders.
+    x (or Ctrl-C twice) cuts all motors.
     """
     import asyncio
 
     from llm_flock.runtime.flight.config import FlightConfig
     from llm_flock.runtime.flight.fleet import with_drones
+    from llm_flock.runtime.ros2_config import refuse_ros2
 
-    if config is None and not dry_run and not (flags["drones"] or flags["crazyflies"]):
+    sinks = chosen(extensions)
+    if config is None and not dry_run and not (flags.get("drones") or flags.get("crazyflies")):
         says = "fly needs to know the drones: --config FILE, such as examples/flight.toml, or --crazyflies FILE"
         raise FieldError("config", says=f"{says} (--dry-run needs neither)")
     if not dry_run:
         require_posix("fly")
-    from llm_flock.foxglove.services import Orders
-
     if dry_run:
-        service.refuse("a dry run")
+        refuse(sinks, "a dry run")
         refuse_ros2(flags, "has no effect in a dry run")
-    settings = with_drones(load_shown(FlightConfig, config, flags))
+    settings = with_drones(FlightConfig.load(config, **flags))
+    if settings.ros2.router is None:
+        refuse_ros2(flags, "has no effect without --ros2")
     if dry_run:
         _dry_run(settings, json_output)
         return
-    settings = with_output_folder(settings, "flight-", record=record, typed=flags["out"])
-    with showing_run(service, settings, Orders()) as sink:
+    settings = with_output_folder(settings, "flight-", record=record, typed=flags.get("out"))
+    with showing(sinks, settings) as sink:
         result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet, sink=sink))
     summary = None if result.result is None else result.result.summary
     if json_output:
@@ -107,9 +119,9 @@ async def _fly(
 
     from llm_flock.cli.keyboard import Keyboard, ask
     from llm_flock.record.writer import both
-    from llm_flock.ros2.flight import poses_of, showing_flight
     from llm_flock.runtime.flight.fleet import build_fleet
     from llm_flock.runtime.flight.flight import TAKING_OFF, Flight
+    from llm_flock.runtime.flight.shown import ros2_bridge
 
     async def confirm(report: PreflightReport) -> bool:
         if not as_json:
@@ -139,8 +151,11 @@ async def _fly(
     waited: set[str] = set()
     bar, on_round = live_line(settings.mission.shape, enabled=live)
     async with AsyncExitStack() as stack:
-        sink = both(sink, await stack.enter_async_context(showing_flight(settings)))
-        fleet, poses = build_fleet(settings), poses_of(settings)
+        if settings.ros2.router is not None:
+            names = [drone.name for drone in settings.fleet.drones]
+            showing = ros2_bridge().showing_flight(settings.ros2, names, settings.frame, settings.safety.low_battery_v)
+            sink = both(sink, await stack.enter_async_context(showing))
+        fleet = build_fleet(settings)
         flight = Flight(
             settings,
             fleet,
@@ -148,7 +163,6 @@ async def _fly(
             on_stage=while_shown(on_stage),
             on_connect=while_shown(on_connect),
             sink=sink,
-            poses=poses,
         )
         with Keyboard(flight) as keyboard:
             try:
@@ -171,7 +185,7 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
     import asyncio
 
     from llm_flock.runtime.flight.dry_run import dry_run
-    from llm_flock.runtime.flight.radios import radio_plan
+    from llm_flock.runtime.flight.preflight import radio_plan
 
     plan = asyncio.run(dry_run(settings))
     if as_json:
@@ -250,7 +264,7 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
 
 def _radio_tables(settings: FlightConfig) -> list[Table]:
     """What each radio has to carry; no table where no drone is called by radio."""
-    from llm_flock.runtime.flight.radios import radio_plan
+    from llm_flock.runtime.flight.preflight import radio_plan
 
     table = Table(
         "radio", "channels", "drones", r"needed \[1/s]", r"can \[1/s]", "share", r"turn \[ms]", title="radios"
@@ -314,3 +328,27 @@ def _plain(result: FlightResult) -> dict[str, Any]:
         "summary": None if result.result is None else result.result.summary.to_dict(),
         "broken_record": None if result.broken_record is None else str(result.broken_record),
     }
+
+
+NO_DRONE = "none answers, by radio at the address E7E7E7E7E7; llm-flock stand-ins simulates some"
+"""Radios are searched on all channels for the address that drones are shipped with, not for others."""
+
+
+def reach_drones(
+    *,
+    drones: Annotated[
+        bool, typer.Option("--drones/--no-drones", help="Look for Crazyflies by radio, cable and UDP (a second)")
+    ] = True,
+) -> list[Finding]:
+    """What `llm-flock doctor` says of Crazyflies that answer."""
+    if not drones:
+        return []
+    if EXTRAS["crazyflie"].missing:
+        return [Finding("reach", "drone", False, "the extra crazyflie is not installed")]
+    from llm_flock.robots.crazyflie.link import in_reach
+
+    try:
+        uris = in_reach()
+    except Exception as error:  # noqa: BLE001  # drivers of radios raise anything, and this only looks
+        return [Finding("reach", "drone", False, f"the search failed: {error}")]
+    return [Finding("reach", "drone", bool(uris), ", ".join(uris) or NO_DRONE)]

@@ -63,3 +63,11 @@ def _check_folder(folder: Path) -> None:
     """Refuse what is no folder at once; what is in it, the tables check."""
     if not folder.is_dir():
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
+
+
+def export_tables(folder: Path, out: Path) -> list[Path]:
+    """Write the tables of a sweep as CSV files, for `llm-flock export`; returns their paths."""
+    require("sweep", "export")
+    from llm_flock.experiments.tables import export_csv
+
+    return export_csv(folder, out)

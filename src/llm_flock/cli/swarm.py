@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Coroutine
+import socket
+from collections.abc import Coroutine, Iterator, Mapping
 from contextlib import ExitStack
+from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,40 +16,66 @@ from rich.markup import escape
 from rich.table import Table
 
 from llm_flock.cli.display import live_line
-from llm_flock.cli.foxglove import SwarmOrders, showing_run
+from llm_flock.cli.export import needed
+from llm_flock.cli.extensions import Extension, Finding, extended
 from llm_flock.cli.options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
-    ROS2,
-    SET_BY_SWARM,
-    SWARM,
     ConfigPath,
     JsonOutput,
     Quiet,
     Record,
-    load_shown,
-    parse_flags,
     with_config_flags,
     with_output_folder,
 )
+from llm_flock.cli.sinks import chosen, showing
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
-from llm_flock.foxglove.options import Service, with_foxglove
 from llm_flock.record.words import rules_text
 
 if TYPE_CHECKING:
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.swarm import SwarmResult
 
+BAG = "bag"
+"""Folder of a bag."""
+
+ROUTER = "tcp/127.0.0.1:7447"
+"""Where a swarm's peers find each other unless the configuration says otherwise."""
+
+PATIENCE_S = 2.0
+"""Longest wait for a router [s]."""
+
 NOBODY = "no swarm answers there; `robot` and `swarm` take the same --connect and --swarm"
 
 NOT_FORMED = "[bold red]no[/]"
 
-WITHOUT_OUT = SET_BY_SWARM | ROS2 | {"out"}
+SWARM = "llm_flock.runtime.network.config:SwarmConfig"
 
-BODIES_HERE = SET_BY_SWARM | {"ros_poses", "ros_pose_topic"}
-"""Fields that have no meaning where another process has the robots' bodies and sensors."""
+SHOWN = ("shape", "n_robots", "model", "base_url", "swarm", "listen", "connect", "keys")
+"""Fields that the help of each command lists."""
+
+NOT_IN_SWARMS = ("kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds")
+"""Fields of runs that swarms of processes do not support."""
+
+BODIES_ELSEWHERE = (*NOT_IN_SWARMS, "ros_poses", "ros_pose_topic")
+"""Fields without a meaning where another process has the robots' bodies and sensors, too."""
+
+
+def _load(config: Path | None, flags: Mapping[str, Any]) -> SwarmConfig:
+    """The configuration of a command that may show its team in ROS 2.
+
+    Raises:
+        InputError: a value is not allowed, or a flag of ROS 2 was typed and there is no --ros2.
+    """
+    from llm_flock.runtime.network.config import SwarmConfig
+    from llm_flock.runtime.ros2_config import refuse_ros2
+
+    settings = SwarmConfig.load(config, **flags)
+    if settings.ros2.router is None:
+        refuse_ros2(flags, "has no effect without --ros2")
+    return settings
 
 
 def _run_until_stopped(work: Coroutine[Any, Any, None]) -> None:
@@ -59,7 +87,7 @@ def _run_until_stopped(work: Coroutine[Any, Any, None]) -> None:
         raise typer.Exit(EXIT_INTERRUPTED) from None
 
 
-@with_config_flags(without=WITHOUT_OUT, kind=SWARM)
+@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out"), without_sections=("ros2",))
 def robot(
     robot_id: Annotated[int, typer.Option("--id", min=0, help="Id of this robot in the swarm")],
     config: ConfigPath = None,
@@ -69,42 +97,46 @@ def robot(
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.robot import run_robot
 
-    _run_until_stopped(run_robot(SwarmConfig.load(config, **parse_flags(flags)), robot_id))
+    _run_until_stopped(run_robot(SwarmConfig.load(config, **flags), robot_id))
 
 
-@with_config_flags(without=WITHOUT_OUT, kind=SWARM)
+@with_config_flags(SWARM, shown=SHOWN, without=(*NOT_IN_SWARMS, "out"), without_sections=("ros2",))
 def world(config: ConfigPath = None, **flags: Any) -> None:
     """Simulate the bodies and sensors of a swarm. Listens where the robots connect."""
     from llm_flock.runtime.network.config import SwarmConfig
     from llm_flock.runtime.network.swarm import world_config
     from llm_flock.runtime.network.world import run_world
 
-    settings = world_config(SwarmConfig.load(config, **parse_flags(flags)))
+    settings = world_config(SwarmConfig.load(config, **flags))
     listens = f"the world listens on {settings.network.listen}"
     _run_until_stopped(run_world(settings, lambda: say(listens, error=True)))
 
 
-@with_config_flags(without=BODIES_HERE, kind=SWARM)
-@with_foxglove
+@with_config_flags(
+    SWARM,
+    shown=(*SHOWN, "protocol", "obstacles", "loss", "seed", "max_s", "out"),
+    without=BODIES_ELSEWHERE,
+)
+@extended("sinks")
 def swarm(
     config: ConfigPath = None,
     json_output: JsonOutput = False,
     record: Record = True,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Fly one mission on this machine with a process for each robot, one for the world and one for the record."""
     import asyncio
 
+    sinks = chosen(extensions)
     require("network", "swarm")
     require_posix("swarm")
     from llm_flock.ros2.run import swarm_shown
-    from llm_flock.runtime.network.config import SwarmConfig
 
-    settings = load_shown(SwarmConfig, config, flags)
-    settings = with_output_folder(settings, "swarm-", record=record, typed=flags["out"])
+    settings = _load(config, flags)
+    settings = with_output_folder(settings, "swarm-", record=record, typed=flags.get("out"))
     if settings.record is not None:
         from llm_flock.record.writer import check_new
 
@@ -112,16 +144,10 @@ def swarm(
     shape, n_robots = settings.mission.shape, settings.mission.n_robots
     waiting = f"starting {n_robots} robots, each a process ..."
     bar, on_round = live_line(shape, enabled=not quiet and not json_output, waiting=waiting)
-    from llm_flock.foxglove.services import Orders
-
-    given = SwarmOrders(settings, launched=True)
-    orders = Orders(mission=given.mission, kill=given.kill)
     signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
-        with showing_run(service, settings, orders) as sink, ExitStack() as shown:
-            flight = swarm_shown(
-                settings, on_round, sink, on_start=given.start, on_launch=lambda: shown.enter_context(bar)
-            )
+        with showing(sinks, settings) as sink, ExitStack() as shown:
+            flight = swarm_shown(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
             result = asyncio.run(flight)
     except KeyboardInterrupt:
         say(f"interrupted; all {n_robots} robots have ended", error=True)
@@ -187,31 +213,28 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     return table
 
 
-@with_config_flags(without=BODIES_HERE, kind=SWARM)
-@with_foxglove
+@with_config_flags(SWARM, shown=(*SHOWN, "router", "out"), without=BODIES_ELSEWHERE)
+@extended("sinks")
 def watch(
     config: ConfigPath = None,
     quiet: Quiet = False,
     *,
-    service: Service,
+    extensions: list[Extension],
     **flags: Any,
 ) -> None:
     """Watch a running swarm from outside, until Ctrl-C; with --out, record it."""
     from llm_flock.ros2.run import run_bridge
-    from llm_flock.runtime.network.config import SwarmConfig
 
-    settings = load_shown(SwarmConfig, config, flags)
+    sinks = chosen(extensions)
+    settings = _load(config, flags)
     where = f" at {settings.network.connect}" if settings.network.connect else ""
     waiting = f"waiting for robots of swarm {settings.network.swarm!r}{where} ..."
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet, waiting=waiting)
-    from llm_flock.foxglove.services import Orders
-
-    orders = Orders(mission=SwarmOrders(settings, launched=False).mission)
-    with showing_run(service, settings, orders) as sink, bar:
+    with showing(sinks, settings) as sink, bar:
         _run_until_stopped(run_bridge(settings, settings.record, on_round, sink))
 
 
-@with_config_flags(without=SET_BY_SWARM, kind=SWARM)
+@with_config_flags(SWARM, shown=(*SHOWN, "router", "ros_missions", "ros_poses", "unit_m", "out"), without=NOT_IN_SWARMS)
 def ros2(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
     """Show a running swarm as nodes of ROS 2, until Ctrl-C, and take missions and poses from there; no ROS is needed.
 
@@ -223,7 +246,7 @@ def ros2(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
     from llm_flock.ros2.run import run_bridge
     from llm_flock.runtime.network.config import SwarmConfig
 
-    settings = with_router(SwarmConfig.load(config, **parse_flags(flags)))
+    settings = with_router(SwarmConfig.load(config, **flags))
     bar, on_round = live_line(settings.network.swarm, enabled=not quiet)
     with bar:
         _run_until_stopped(run_bridge(settings, settings.record, on_round))
@@ -255,6 +278,64 @@ def mission(
     if not takers:
         raise InputError("connect", settings.network.connect or None, says=NOBODY)
     say("given to robot " + " and robot ".join(map(str, takers)))
+
+
+def keys(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New or empty folder", show_default=False)],
+    robots: Annotated[int, typer.Option(min=1, help="Number of robots", show_default=False)],
+    days: Annotated[int, typer.Option(min=1, help="Validity of the certificates [days]")] = 365,
+) -> None:
+    """Make the keys and certificates of a team whose robots are separate processes.
+
+    No file is overwritten. Each robot gets a folder: its machine needs that folder, team.json and ca.pem.
+    """
+    require("network", "keys")
+    from llm_flock.trust.keys import make_keys
+
+    make_keys(folder, robots, days=days)
+    say(f"keys of {robots} robots, operator, world and watcher in {folder}; keep {folder / 'authority'} offline")
+
+
+def export_bag(
+    record: Path | None,
+    folder: Path,
+    *,
+    ros2bag: Annotated[
+        bool, typer.Option("--ros2bag", help="Write a record as a bag of ROS 2 (MCAP), to a folder `bag`")
+    ] = False,
+    unit_m: Annotated[
+        float | None,
+        typer.Option(help="With --ros2bag: length of one mission unit [m] [1, or the flight's]", show_default=False),
+    ] = None,
+) -> Iterator[Path]:
+    """Write a record as a bag; gives the path of the bag."""
+    require("ros2", "export --ros2bag")
+    from pydantic import ValidationError
+
+    from llm_flock.ros2.bag import write_bag
+    from llm_flock.runtime.ros2_config import Ros2Config
+    from llm_flock.validation import input_error
+
+    try:
+        config = Ros2Config(unit_m=unit_m)
+    except ValidationError as error:
+        raise input_error(error, Ros2Config) from None
+    yield write_bag(needed(record), folder / BAG, config)
+
+
+def reach_router(
+    *, router: Annotated[str, typer.Option(help="Endpoint of a swarm's router or peer to reach")] = ROUTER
+) -> list[Finding]:
+    """What `llm-flock doctor` says of a swarm's endpoint: whether something listens there."""
+    host, colon, port = router.partition("/")[2].rpartition(":")
+    name = f"router at {router}"
+    if not colon or not port.isdigit() or not host or int(port) > 65535:
+        return [Finding("reach", name, False, "not an endpoint such as tcp/127.0.0.1:7447")]
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), PATIENCE_S).close()
+    except OSError as error:
+        return [Finding("reach", name, False, f"{error.strerror or error}; llm-flock swarm needs none")]
+    return [Finding("reach", name, True, "something listens there")]
 
 
 def _change(text: str) -> tuple[str, Any]:

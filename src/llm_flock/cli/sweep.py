@@ -10,13 +10,16 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, SET_BY_SWEEP, parse_flags, with_config_flags
+from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, with_config_flags
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.errors import InputError, unknown
 from llm_flock.extras import require
 
+SET_BY_SWEEP = ("protocol", "shape", "n_robots", "seed", "out", "record_llm")
+"""Axes of a grid, and files of a single run."""
 
-@with_config_flags(without=SET_BY_SWEEP)
+
+@with_config_flags(shown=("model", "base_url"), without=SET_BY_SWEEP)
 def sweep(
     file: Annotated[Path, typer.Argument(help="The sweep (TOML)", show_default=False)],
     out: Annotated[
@@ -67,11 +70,11 @@ def sweep(
     keep = None if keep_records is None else _one_of("keep_records", keep_records, ("all", "failed", "none"))
     budget = {"max_calls": budget_calls, "max_tokens": budget_tokens, "max_cost": budget_cost}
     given = _variables(variables or [])
-    found = load_sweep(file, variables=given, seeds=seeds, budget=budget, **parse_flags(flags))
+    found = load_sweep(file, variables=given, seeds=seeds, budget=budget, **flags)
     from llm_flock.cli.sweep_display import show_expected, show_status, sweep_line
     from llm_flock.experiments.store import Store
     from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
-    from llm_flock.experiments.sweep_forecast import expect_cells
+    from llm_flock.experiments.tally import expect_cells
     from llm_flock.experiments.trial import KeepRecords
 
     folder = out or Path("runs") / found.file.sweep.name

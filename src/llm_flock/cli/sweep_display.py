@@ -15,10 +15,12 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
+from llm_flock.cli.expected import STOPPED, budget_text, cost_text, short
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_file import Sweep
-from llm_flock.experiments.sweep_forecast import Expected, Tally
+from llm_flock.experiments.tally import Tally
+from llm_flock.runtime.forecast import Expected
 
 REDRAW_S = 0.2
 PLAIN_S = 10.0
@@ -111,21 +113,15 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
             "prices. Nothing was asked of any model.",
             highlight=False,
         )
+    if total.stopped:
+        console.print(STOPPED, highlight=False)
     budget = sweep.file.budget
-    limits = {"calls": budget.max_calls, "tokens": budget.max_tokens, "US dollars": budget.max_cost}
-    shown = ", ".join(f"{value:,} {unit}" for unit, value in limits.items() if value is not None)
-    console.print(f"Budget: {shown or 'none'}.", highlight=False)
+    console.print(budget_text(budget.max_calls, budget.max_tokens, budget.max_cost), highlight=False)
 
 
 def _figures(count: int, found: Expected) -> list[str]:
-    cost = "not known" if found.cost_usd is None else f"{found.cost_usd:,.2f}"
     plain = (count, found.calls, found.at_most, found.tokens_input, found.tokens_output)
-    return [*map(short, plain), cost]
-
-
-def short(number: float) -> str:
-    """A count that fits into a column: 12,345 or 1.23 M."""
-    return f"{round(number):,}" if number < 1e6 else f"{number / 1e6:,.2f} M"
+    return [*map(short, plain), cost_text(found.cost_usd)]
 
 
 def show_status(status: SweepStatus, folder: Path, *, as_json: bool) -> None:

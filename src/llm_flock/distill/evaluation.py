@@ -17,12 +17,13 @@ import numpy as np
 from llm_flock.arrays import Point
 from llm_flock.distill.examples import HELD_OUT_TEAMS, draw_mission, draw_step
 from llm_flock.distill.taught import training_prompts
-from llm_flock.llm.frame import FrameName, frame_plan, frame_step, trained_for
+from llm_flock.llm.frame import FrameName, frame_plan, frame_step
+from llm_flock.llm.local.source import TAUGHT_PLANS
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import LanguageModel
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.taught_planner import TAUGHT_PLANS
+from llm_flock.llm.sources import habits_of
 from llm_flock.protocol.planning import Answer, PlanAnswer, PlanQuestion, Question, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
 from llm_flock.protocol.verification.steps import check_answer, clip_waypoint
@@ -154,10 +155,10 @@ class Evaluator:
     def __init__(
         self, model: str, *, prompts: str | None = None, frame: FrameName | None = None, seed: int = 0
     ) -> None:
-        own = trained_for(model)
+        habits = habits_of(model)
         self._text = model
-        self._prompts = PromptSet.load(prompts or ("brief" if own else "full"))
-        self._frame: FrameName = frame or ("own" if own else "world")
+        self._prompts = PromptSet.load(prompts or habits.prompts)
+        self._frame: FrameName = frame or habits.frame
         self._seed = seed
 
     def steps(self, count: int, horizon: int) -> MotionFigures:

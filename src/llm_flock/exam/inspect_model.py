@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from contextvars import ContextVar
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +19,7 @@ from llm_flock.llm.own import OwnModel
 from llm_flock.llm.port import Call, CallSettings, LanguageModel, Reply, Usage
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
+from llm_flock.llm.sources import source_of
 
 require("exam", "llm-flock exam")
 
@@ -104,6 +106,8 @@ class FlockModel(ModelAPI):
         self.limits = CallLimits(rng=np.random.default_rng(0))
         self._urls = parse_base_urls(base_url, (model_name,))
         self._pool = ModelPool(base_urls=self._urls)
+        self._name = name
+        self._source = source_of(name.provider) if name.kind == "plugin" else None
         self._own = OwnModel.load(model_name) if name.kind == "own" else None
         self._replay = ReplayModel(Path(name.model)) if name.kind == "replay" else None
 
@@ -118,6 +122,11 @@ class FlockModel(ModelAPI):
         """Whether it can be asked for a mission in plain words. Stand-ins and geometry cannot read any."""
         return self.kind != "geometry" and (not self.simulated or self.kind == "own")
 
+    @property
+    def files(self) -> Mapping[str, str]:
+        """Digests of its files by name, if a plug-in provides it; empty for others."""
+        return {} if self._source is None else self._source.digests(self._name.model)
+
     def prepare(self, settings: CallSettings, budget: Budget, *, max_concurrent: int, timeout_s: float) -> None:
         """Check that the model can be asked, and set its limits. Call before the first question.
 
@@ -131,9 +140,11 @@ class FlockModel(ModelAPI):
             InputError: its key, address, file, profile or price is missing, or it does not take these settings.
         """
         check_priced(budget.max_cost_usd, (self.model_name,), self._urls)
+        if self._source is not None:
+            max_concurrent = min(max_concurrent, self._source.at_once)
         # A wait that is too long belongs to the limits, so the connection's own is longer.
         self._pool = ModelPool(base_urls=self._urls, timeout_s=2 * timeout_s)
-        if self.kind in ("local", "provider", "simulated"):
+        if self.kind in ("plugin", "provider", "simulated"):
             self._pool.model(self.model_name, rng=np.random.default_rng(0), settings=settings)
         self.limits = CallLimits(
             rng=np.random.default_rng(0),

@@ -15,8 +15,9 @@ from llm_flock.exam.ask import Examiner, Outcome, round_of
 from llm_flock.exam.inspect_model import AskedByInspect, FlockModel
 from llm_flock.exam.questions import WORDS, Question, digest, from_lines, to_lines
 from llm_flock.exam.splits import VERSION, paper
-from llm_flock.llm.frame import FrameName, trained_for
+from llm_flock.llm.frame import FrameName
 from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.sources import habits_of
 from llm_flock.runtime.versions import versions
 
 # By name, because the library is not installed where types are checked.
@@ -52,7 +53,7 @@ def exam(
     """
     api = _api()
     name = api.model_name if api is not None else ""
-    trained = trained_for(name)
+    trained = habits_of(name).frame == "own"
     settings: dict[str, Any] = {
         "prompts": prompts or ("brief" if trained else "full"),
         "frame": frame or ("own" if trained else "world"),
@@ -78,7 +79,8 @@ def exam(
             "questions": digest(questions),
             "prompts": examiner.prompts_digest(questions),
             "simulated": api is not None and api.simulated,
-            "versions": {name: version for name, version in versions().items() if version != "not installed"},
+            "versions": {k: v for k, v in versions().items() if v != "not installed"}
+            | ({} if api is None else dict(api.files)),
         },
     )
 

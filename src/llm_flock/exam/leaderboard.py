@@ -77,7 +77,7 @@ class Row(BaseModel):
         questions: digest of the questions.
         prompts: digest of their prompts.
         count: number of questions.
-        versions: of packages that can change a result.
+        versions: of packages that can change a result, and digests of a model's files.
         total: mean of the sections' shares right at first ask, each section counting the same.
         total_two: the same after two reasons at most.
         bands: by section, and number of places or distance.

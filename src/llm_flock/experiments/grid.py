@@ -13,15 +13,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from llm_flock import formations, renamed
+from llm_flock import formations
 from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
-from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.models import parse_models
+from llm_flock.llm.models import model_digests, parse_models, waits
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
-from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.schedule import points_file
@@ -103,7 +101,7 @@ class TrialSpec:
     @property
     def waits(self) -> bool:
         """Whether the trial mostly waits for answers, so that many of its kind fit into one process."""
-        return any(map(_waits, self.models))
+        return any(map(waits, self.models))
 
 
 def models_of(config: RunConfig) -> tuple[str, ...]:
@@ -111,40 +109,17 @@ def models_of(config: RunConfig) -> tuple[str, ...]:
     return tuple(dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)))
 
 
-def _waits(model: str) -> bool:
-    name = parse_model(model)
-    if name.kind != "simulated":
-        return name.kind in ("provider", "local", "own")
-    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
-
-
-ADDED: Mapping[str, frozenset[str]] = {
-    "limits": frozenset({"max_answer_tokens"}),
-    "model": frozenset({"wish"}),
-    "trial": frozenset({"start_area"}),
-}
-"""Settings, by section, that are younger than the first sweeps; none is given unless it is set."""
-
-
 def trial_id(config: RunConfig) -> str:
-    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights.
-
-    Renamed settings count under their old names, and later ones only where they are given, so that a sweep that was
-    started before goes on.
-    """
+    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
     sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
-    for name, fields in ADDED.items():
-        sections[name] = {f: value for f, value in sections[name].items() if value is not None or f not in fields}
-    plain = {name: renamed.former(section) for name, section in sections.items()}
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
     for model in models_of(config):
         name = parse_model(model)
         if name.kind == "replay":
             files.append(_digest(Path(name.model)))
-        elif name.kind == "local":
-            files.extend(find_weights(name.model).digests().values())
-    text = json.dumps([plain, files], sort_keys=True, separators=(",", ":"))
+        files.extend(model_digests(model).values())
+    text = json.dumps([sections, files], sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
 
 

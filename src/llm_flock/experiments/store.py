@@ -24,7 +24,6 @@ from pathlib import Path
 
 import msgspec
 
-from llm_flock import renamed
 from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments.trial import FORMAT, TrialResult
 from llm_flock.file_lock import lock_file
@@ -154,7 +153,7 @@ def trial_files(folder: Path) -> Iterator[Path]:
 
 
 def read_trial(path: Path) -> TrialResult:
-    """Read one finished trial; names of an earlier version appear as their present ones.
+    """Read one finished trial.
 
     Raises:
         RecordError: the file cannot be read, is damaged, or of a newer format.
@@ -169,12 +168,7 @@ def read_trial(path: Path) -> TrialResult:
         raise RecordError(f"{path}: the trial of another file, {found.id}")
     if found.format != FORMAT:
         raise RecordError(f"{path}: format {found.format}; this release reads format {FORMAT}")
-    return msgspec.structs.replace(
-        found,
-        cell=renamed.current_label(found.cell),
-        axes=renamed.current(found.axes, warn=False),
-        config=renamed.current_config(found.config),
-    )
+    return found
 
 
 def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:

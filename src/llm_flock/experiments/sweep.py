@@ -22,7 +22,6 @@ from llm_flock.llm.limits import Budget
 from llm_flock.llm.models import check_priced
 from llm_flock.llm.providers import parse_base_urls
 from llm_flock.llm.sharing import Rate
-from llm_flock.renamed import current_label
 from llm_flock.runtime.planners import check_planners
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
@@ -134,8 +133,7 @@ def fly_sweep(
 
 def _register(sweep: Sweep, store: Store) -> None:
     """Write into the directory which sweep it belongs to. A sweep may gain trials later, but not lose any."""
-    plan = {spec.id: [spec.cell, str(spec.seed)] for spec in sweep.trials}
-    labels = {spec.id: [current_label(spec.cell), str(spec.seed)] for spec in sweep.trials}
+    plan = {spec.id: (spec.cell, str(spec.seed)) for spec in sweep.trials}
     path = store.folder / PLAN_NAME
     with store.wait_for("plan"):
         if path.exists():
@@ -143,11 +141,7 @@ def _register(sweep: Sweep, store: Store) -> None:
                 known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
             except (OSError, msgspec.MsgspecError, RecursionError) as error:
                 raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
-            gone = [
-                f"{cell}, seed {seed}"
-                for trial, (cell, seed) in known.items()
-                if labels.get(trial) != [current_label(cell), seed]
-            ]
+            gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != (cell, seed)]
             if gone:
                 shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")
                 raise InputError(

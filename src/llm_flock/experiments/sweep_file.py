@@ -13,7 +13,7 @@ from typing import Annotated, Any, cast
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from llm_flock import renamed
+from llm_flock import plugins
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock.experiments.trial import KeepRecords
@@ -21,7 +21,7 @@ from llm_flock.llm.providers import PROVIDERS
 from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.mission import Mission
 from llm_flock.runtime.config import RunConfig, build_config, read_toml
-from llm_flock.text_files import read_text
+from llm_flock.runtime.forecast import OUTPUT_TOKENS, PROFILE
 from llm_flock.validation import input_error
 
 MOST_TRIALS = 100_000
@@ -78,10 +78,8 @@ class ProviderTable(_Table):
 class ExpectTable(_Table):
     """`[expect]`: the assumptions of `--dry-run` about language models."""
 
-    output_tokens: Positive = Field(default=400, description="Tokens of an answer, reasoning included")
-    profile: str = Field(
-        default="distorted@0.3,overshoot@0.3", description="Stand-in that rehearses the cells of real models"
-    )
+    output_tokens: Positive = Field(default=OUTPUT_TOKENS, description="Tokens of an answer, reasoning included")
+    profile: str = Field(default=PROFILE, description="Stand-in that rehearses the cells of real models")
 
 
 class SweepFile(_Table):
@@ -128,7 +126,7 @@ def load_sweep(
     given = {name: value for name, value in (budget or {}).items() if value is not None}
     try:
         data = read_toml("file", path)
-        text = read_text(path)
+        text = path.read_text(encoding="utf-8")
         if isinstance(table := data.get("budget", {}), dict):
             data["budget"] = {**cast("dict[str, Any]", table), **given}
         if seeds is not None and isinstance(table := data.get("sweep"), dict):
@@ -140,7 +138,7 @@ def load_sweep(
             raise InputError(found.field.replace("max_", "budget_"), found.value, says=found.says) from None
         raise found from None
     for name in file.providers:
-        if name not in (known := (*PROVIDERS, "local", "simulated")):
+        if name not in (known := (*PROVIDERS, *plugins.entries("models"), "simulated")):
             raise FieldError("providers", name, says=unknown(f"provider [providers.{name}]", name, known))
     parse_profile(file.expect.profile)
     return Sweep(file=file, text=text, trials=tuple(_trials(file, variables or {}, overrides)))
@@ -152,9 +150,8 @@ def _trials(
     for name in variables:
         if name not in {**file.variables, **file.grid}:
             raise InputError("set", name, says=unknown("variable or axis", name, (*file.variables, *file.grid)))
-    given = renamed.current({field: value for field, value in overrides.items() if value is not None})
-    grid = renamed.current(file.grid)
-    axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in grid.items()}
+    given = {field: value for field, value in overrides.items() if value is not None}
+    axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in file.grid.items()}
     for name in axes.keys() & variables.keys() - file.variables.keys():
         axes[name] = _kept(name, axes[name], variables[name])
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
@@ -212,12 +209,11 @@ def _point(axis: str, value: Any) -> _Point:
         label = fields.pop("name", None)
         if not isinstance(label, str) or not label:
             raise InputError(f"grid.{axis}", fields, "tables with a `name`")
-        return _Point(label, renamed.current(fields))
+        return _Point(label, fields)
     if axis == "team":
         ((shape, n_robots),) = parse_teams(str(value))
         return _Point(str(value), {"shape": shape, "n_robots": n_robots})
-    fields = renamed.current({axis: value})
-    return _Point(str(fields[axis]), fields)
+    return _Point(str(value), {axis: value})
 
 
 def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Point]) -> Cell:

@@ -1,13 +1,14 @@
 """Named shapes and their ideal target points, points from a file, and the geometry of a set of points."""
 
 from llm_flock.formations.files import load_points
-from llm_flock.formations.geometry import circumradius, rotated, rotational_symmetry, smallest_distance
+from llm_flock.formations.geometry import circumradius, distances, rotated, rotational_symmetry, smallest_distance
 from llm_flock.formations.shapes import ShapeInfo, describe, ideal_points, shape_name, shapes
 
 __all__ = [
     "ShapeInfo",
     "circumradius",
     "describe",
+    "distances",
     "ideal_points",
     "load_points",
     "rotated",

@@ -10,7 +10,6 @@ from typing import Any, cast
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
-from llm_flock.text_files import read_text
 
 
 def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
@@ -23,7 +22,7 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
         InputError: the file cannot be read, or its rows are not all 2 or all 3 finite numbers.
     """
     try:
-        text = read_text(path, "utf-8-sig")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:  # no UTF-8, or no name of a file
         raise InputError(field, str(path), f"a readable file ({getattr(error, 'strerror', None) or error})") from None
     rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text, path, field)
@@ -43,7 +42,7 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
 def _json_rows(text: str, path: Path, field: str) -> list[tuple[str, Any]]:
     try:
         data: Any = json.loads(text)
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(field, str(path), f"a JSON list of [x, y] lists ({error})") from None
     if not isinstance(data, list):
         raise InputError(field, str(path), "a JSON list of [x, y] lists")

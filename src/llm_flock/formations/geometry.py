@@ -1,4 +1,4 @@
-"""Geometry of a set of points: closest pair, radius, rotation and symmetry."""
+"""Geometry of a set of points: distances, closest pair, radius, rotation and symmetry."""
 
 from __future__ import annotations
 
@@ -9,10 +9,19 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from llm_flock.arrays import Points
+from llm_flock.arrays import Pairwise, Points
 
-PAIRWISE_UP_TO = 500
-"""Largest number of points for which all pairs are measured; beyond it, a k-d tree is faster."""
+SMALL = 50
+"""Largest number of points measured without scipy.spatial, which takes longer to import than a small run takes."""
+
+
+def distances(points: ArrayLike) -> Pairwise:
+    """Distances between all points, shape (n, n) [units], exactly symmetric."""
+    rows = np.asarray(points, dtype=np.float64)
+    if len(rows) > SMALL:
+        return scipy.spatial.distance.cdist(rows, rows)
+    # Axis by axis: scipy sums in this order too, so the size of a team does not change a bit.
+    return np.sqrt(sum((axis[:, None] - axis) ** 2 for axis in rows.T))
 
 
 def smallest_distance(points: ArrayLike) -> float:
@@ -20,8 +29,8 @@ def smallest_distance(points: ArrayLike) -> float:
     rows = np.asarray(points, dtype=np.float64)
     if len(rows) < 2:
         return math.inf
-    if len(rows) <= PAIRWISE_UP_TO:
-        return float(scipy.spatial.distance.pdist(rows).min())
+    if len(rows) <= SMALL:
+        return float(distances(rows)[np.triu_indices(len(rows), 1)].min())
     return float(np.asarray(scipy.spatial.KDTree(rows).query(rows, k=2)[0])[:, 1].min())
 
 

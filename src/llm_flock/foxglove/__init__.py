@@ -1,1 +1,1 @@
-"""Runs in Foxglove: its channels, live by a WebSocket server with orders, and as an indexed file."""
+"""Runs in Foxglove: its channels, live by a WebSocket server, and as an indexed file."""

@@ -1,4 +1,4 @@
-"""The layout of a run in Foxglove and Lichtblick: the team from above, measurements, events, the mission and a robot.
+"""The layout of a run in Foxglove and Lichtblick: the team from above, measurements, events and conversations.
 
 Both programs import the file (Layouts, Import from file). Names of panels and fields are those that they export.
 """
@@ -9,14 +9,12 @@ import json
 from typing import Any
 
 from llm_flock.foxglove.channels import ARENA, LOG, TRAILS
-from llm_flock.foxglove.services import KILL, MISSION
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.scene import FRAME
 from llm_flock.record.schema import SCENE_TOPIC
 
 SCENE, ERROR, AGREEMENT, CLOSEST = "3D!team", "Plot!error", "Plot!agreement", "Plot!closest"
-EVENTS, MIND, ORDERS = "RosOut!events", "RawMessages!mind", "Tab!orders"
-GIVE, END, VALUES = "CallService!mission", "CallService!kill", "Parameters!mission"
+EVENTS, MIND = "RosOut!events", "RawMessages!mind"
 
 
 def layout(arena: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0), (100.0, 100.0))) -> dict[str, Any]:
@@ -37,17 +35,6 @@ def layout(arena: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0), (10
             CLOSEST: _plot("Smallest distance of two robots [units]", ("/metrics.segment_separation", "closest")),
             EVENTS: {"topicToRender": LOG, "minLogLevel": 1, "searchTerms": []},
             MIND: {"topicPath": "/llm", "diffEnabled": False, "diffMethod": "custom", "diffTopicPath": ""},
-            GIVE: _call(MISSION, {"shape": "square"}, "Give the mission"),
-            END: _call(KILL, {"robot": 0}, "Kill the robot"),
-            VALUES: {"title": "Mission"},
-            ORDERS: {
-                "activeTabIdx": 0,
-                "tabs": [
-                    {"title": "Model", "layout": MIND},
-                    {"title": "Mission", "layout": {"direction": "column", "first": VALUES, "second": GIVE}},
-                    {"title": "Kill", "layout": END},
-                ],
-            },
         },
         "globalVariables": {},
         "userNodes": {},
@@ -64,7 +51,7 @@ def layout(arena: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0), (10
                     "direction": "column",
                     "splitPercentage": 34,
                     "first": AGREEMENT,
-                    "second": {"direction": "column", "splitPercentage": 45, "first": CLOSEST, "second": ORDERS},
+                    "second": {"direction": "column", "splitPercentage": 45, "first": CLOSEST, "second": MIND},
                 },
             },
         },
@@ -114,14 +101,4 @@ def _plot(title: str, *series: tuple[str, str]) -> dict[str, Any]:
         "showYAxisLabels": True,
         "isSynced": True,
         "xAxisVal": "timestamp",
-    }
-
-
-def _call(service: str, request: dict[str, Any], button: str) -> dict[str, Any]:
-    return {
-        "serviceName": service,
-        "requestPayload": json.dumps(request),
-        "layout": "vertical",
-        "buttonText": button,
-        "editingMode": True,
     }

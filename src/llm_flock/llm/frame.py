@@ -23,17 +23,6 @@ FrameName: TypeAlias = Literal["world", "own"]
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 A = TypeVar("A", PlanAnswer, StepAnswer)
 
-TRAINED = "local:smollm2"
-"""The model that is trained for its own frame and the brief prompts; an adapter may follow after a plus sign."""
-
-LETTERS_MODEL = "local:smollm2+letters"
-"""The model that is trained for the prompts `letters`."""
-
-
-def trained_for(model: str) -> bool:
-    """Whether a model, as `--model` names it, is trained for its own frame and the brief prompts."""
-    return model.partition("+")[0] == TRAINED
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFrame:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from llm_flock.protocol.geometry import geometric_plan, straight_path
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 
 
 class GeometryPlanner:
@@ -33,3 +34,19 @@ def plan_by_geometry(question: PlanQuestion) -> PlanAnswer | NoAnswer:
     """As `geometric_plan`, for a planner whose model is not asked: the answer says who made it."""
     answer = geometric_plan(question)
     return replace(answer, by="geometry") if isinstance(answer, PlanAnswer) else answer
+
+
+class KnownPlans:
+    """A `Planner` whose model is asked only for the plans that it `knows`. Others come from geometry, and say so."""
+
+    def __init__(self, asking: Planner, knows: Callable[[PlanQuestion], bool]) -> None:
+        self._asking = asking
+        self._knows = knows
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """The model's plan where it knows one, else the shape in its reference orientation."""
+        return await self._asking.plan(question) if self._knows(question) else plan_by_geometry(question)
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """The model's answer."""
+        return await self._asking.step(question)

@@ -15,6 +15,7 @@ from llm_flock.llm.limits import CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Call, ChatMessage
 from llm_flock.llm.providers import parse_base_urls, parse_model
+from llm_flock.llm.sources import source_of
 from llm_flock.mission import build_mission
 from llm_flock.validation import input_error
 
@@ -52,11 +53,11 @@ class MissionReader:
     """
 
     def __init__(self, model: str, base_url: str | None = None) -> None:
-        kind = parse_model(model).kind
-        if kind not in ("provider", "local"):
-            raise InputError("model", model, "PROVIDER:MODEL or local:MODEL, as a stand-in cannot read")
-        if kind == "local":
-            ModelPool().model(model, rng=np.random.default_rng(0))  # finds its files, or says which is missing
+        name = parse_model(model)
+        if name.kind not in ("provider", "plugin"):
+            raise InputError("model", model, "a language model, as a stand-in cannot read")
+        if name.kind == "plugin":
+            source_of(name.provider).digests(name.model)  # refuses what is missing
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(

@@ -12,12 +12,12 @@ import numpy as np
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.extras import require
-from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
 from llm_flock.llm.simulated.model import SimulatedModel
 from llm_flock.llm.simulated.profiles import parse_profile
+from llm_flock.llm.sources import ModelHost, source_of
 
 if TYPE_CHECKING:
     import httpx2
@@ -103,6 +103,24 @@ def _setting(name: str, text: str) -> Any:
     return value
 
 
+def waits(model: str) -> bool:
+    """Whether a model mostly waits for answers, so that runs with it need little of a processor."""
+    name = parse_model(model)
+    if name.kind != "simulated":
+        return name.kind in ("provider", "plugin", "own")
+    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
+
+
+def model_digests(model: str) -> Mapping[str, str]:
+    """Digests of the files of a plug-in's model, by name; empty for any other model.
+
+    Raises:
+        InputError: the files are missing or unfit.
+    """
+    name = parse_model(model)
+    return source_of(name.provider).digests(name.model) if name.kind == "plugin" else {}
+
+
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
     """Refuse a money budget for models of unknown price: it would have no effect.
 
@@ -137,9 +155,10 @@ class _NeverAsked:
 
 
 class ModelPool:
-    """Builds models, one for each (provider, model), on one HTTP client or engine; an async context manager.
+    """Builds models, one for each (provider, model), on one HTTP client and a host for each plug-in.
 
-    Keys are read from the environment when a model is first needed, and removed from all texts of its replies.
+    It is an async context manager. Keys are read from the environment when a model is first needed, and removed from
+    all texts of its replies.
     A pool for which `asks` is false needs no keys: its models of providers check a configuration, and are never asked.
 
     Args:
@@ -163,7 +182,7 @@ class ModelPool:
         self._environ = os.environ if environ is None else environ
         self._models: dict[tuple[str, str], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
-        self._leases = EngineLeases()
+        self._hosts: dict[str, ModelHost] = {}
 
     async def __aenter__(self) -> Self:
         return self
@@ -172,8 +191,9 @@ class ModelPool:
         await self.aclose()
 
     async def aclose(self) -> None:
-        """Close all connections and stop engines. No model of this pool may be asked afterwards."""
-        await self._leases.aclose()
+        """Close all connections, and the hosts of plug-ins. No model of this pool may be asked afterwards."""
+        while self._hosts:
+            await self._hosts.popitem()[1].aclose()
         if self._http is not None:
             await self._http.aclose()
         self._http = None
@@ -183,7 +203,7 @@ class ModelPool:
         """The language model of one robot.
 
         Args:
-            text: `provider:model`, `local:MODEL` or `simulated:PROFILE`.
+            text: `provider:model`, `simulated:PROFILE`, or the name of a plug-in's model.
             rng: chance of a simulated model; others do not use it.
             settings: how to sample.
 
@@ -192,10 +212,12 @@ class ModelPool:
                 geometry, which other classes provide (`replay.ReplayModel`, `geometry.GeometryPlanner`).
         """
         name = parse_model(text)
-        if name.kind == "local":
-            return LocalModel(name.text, self._leases, settings)
+        if name.kind == "plugin":
+            if name.provider not in self._hosts:
+                self._hosts[name.provider] = source_of(name.provider).host()
+            return self._hosts[name.provider].model(name.text, settings)
         if name.kind not in ("simulated", "provider"):
-            raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
+            raise InputError("model", text, "no replay, geometry or class here")
         if name.kind == "provider" and not self._asks:
             return _NeverAsked(name.text)
         if name.kind == "simulated":

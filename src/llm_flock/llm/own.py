@@ -15,7 +15,7 @@ from typing import Any, Self, TypeAlias, cast
 
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm.port import MOST_TOKENS, Answers, Call, Reply, Usage
-from llm_flock.llm.providers import MODEL_FORMS
+from llm_flock.llm.providers import model_forms
 from llm_flock.own_code import is_cancelled, load_own, shown
 
 logger = logging.getLogger(__name__)
@@ -58,7 +58,7 @@ class OwnModel:
         Raises:
             InputError: for field `model`: there is no such class, or it cannot be called so.
         """
-        make = load_own("model", name, MODEL_FORMS)
+        make = load_own("model", name, model_forms())
         try:
             model = make()
         except Exception as error:  # a user's code may raise anything
@@ -127,7 +127,7 @@ def says_simulated(name: str) -> bool:
     Raises:
         InputError: for field `model`: there is no such class.
     """
-    return bool(getattr(load_own("model", name, MODEL_FORMS), "simulated", False))
+    return bool(getattr(load_own("model", name, model_forms()), "simulated", False))
 
 
 def own_name(model: object) -> str:

@@ -191,12 +191,10 @@ class PromptSet:
         try:
             # As `template.render`, without its two copies of the variables: they hold the globals already.
             return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
-        except RecursionError:
-            allowed = "a template that ends: it includes itself without end"
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
             # Any fault of an expression: the template is the operator's text, not our code.
             allowed = f"a template that can be rendered: {error}"
-        raise InputError("prompts", template.filename or name, allowed)
+            raise InputError("prompts", template.filename or name, allowed) from None
 
     def try_out(self) -> None:
         """Render everything once, so that a faulty template fails before a run begins."""
@@ -249,8 +247,6 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
     except jinja2.TemplateSyntaxError as error:
         where = f"{error.filename or file}, line {error.lineno}"
         raise InputError("prompts", where, f"a Jinja template: {error.message}") from None
-    except RecursionError:
-        raise InputError("prompts", file, "a template whose expressions are not nested that deeply") from None
     except (jinja2.TemplateError, OSError, UnicodeDecodeError) as error:
         raise InputError("prompts", file, f"a readable text file in UTF-8: {error}") from None
     unknown = sorted(used - VARIABLES[name])

@@ -5,16 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeAlias, cast
+from typing import Literal, TypeAlias
 from urllib.parse import urlsplit
 
+from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
+from llm_flock.extras import EXTRAS, ExtraMissing
 from llm_flock.printable import hidden
 
 LONGEST_URL = 2_000
 """Longest address of a provider [characters]."""
 
-ModelKind: TypeAlias = Literal["provider", "local", "simulated", "replay", "geometry", "own"]
+ModelKind: TypeAlias = Literal["provider", "plugin", "simulated", "replay", "geometry", "own"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +63,21 @@ PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 """The table of providers by name, in the order of the documentation."""
 
 
-MODEL_FORMS = (
-    f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or local:MODEL, simulated:PROFILE, replay:FILE, "
-    "geometry, or package.module:Class"
-)
-"""What a model string may be, in words."""
+def model_forms() -> str:
+    """What a model string may be, as a phrase."""
+    installed = "".join(f"{prefix}:MODEL, " for prefix in plugins.entries("models"))
+    return (
+        f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or {installed}simulated:PROFILE, replay:FILE, "
+        "geometry, or package.module:Class"
+    )
+
 
 _OWN = re.compile(r"(?:[^\W\d]\w*\.)+[^\W\d]\w*:[^\W\d][\w.<>]*|[^\W\d]\w*:(?:[\w.<>]+\.)?[A-Z]\w*|__main__:[\w.<>]+")
 """A class of the user's own. Where the module has no dot, the class begins with a capital letter, so that a misspelt
 provider is no class."""
+
+_ALWAYS: Mapping[str, ModelKind] = {"simulated": "simulated", "replay": "replay"}
+"""Kinds by prefix, beside providers and plug-ins."""
 
 _RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
 
@@ -91,9 +99,8 @@ class ModelName:
 
     Attributes:
         text: as written.
-        provider: name in the table of providers; the kind for everything else.
-        model: the part after the first colon: model name, file of a model on board, profile of a simulated model,
-            path of a cassette, or a class.
+        provider: name in the table of providers, or prefix of a plug-in; the kind for everything else.
+        model: the part after the first colon: model name, profile of a simulated model, path of a cassette, or a class.
     """
 
     text: str
@@ -108,30 +115,35 @@ class ModelName:
 
 
 def parse_model(text: str) -> ModelName:
-    """Read `provider:model`, `local:MODEL`, `simulated:PROFILE`, `replay:FILE`, `geometry` or `package.module:Class`.
+    """Read `provider:model`, `simulated:PROFILE`, `replay:FILE`, `geometry`, `package.module:Class`, or a plug-in's.
 
-    Nothing is imported: the name may come from a record.
+    Nothing that the name chooses is imported: it may come from a record.
 
     Raises:
         InputError: for field `model`, with a list of the possibilities.
+        ExtraMissing: the prefix belongs to an extra that is not installed.
     """
     text = text.strip()
     provider, colon, model = text.partition(":")
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
-    others = {"local": "smollm2 or a GGUF file", "simulated": "a profile", "replay": "a file"}
-    if provider not in {*PROVIDERS, *others} and _OWN.fullmatch(text):
+    others: dict[str, ModelKind] = {**dict.fromkeys(plugins.entries("models"), "plugin"), **_ALWAYS}
+    known = (*PROVIDERS, *others)
+    if colon and provider in EXTRAS and provider not in known:
+        raise ExtraMissing(f"--model {text}", provider)
+    if provider not in known and _OWN.fullmatch(text):
         return ModelName(text=text, kind="own", provider="own", model=model)
-    if not colon or provider not in {*PROVIDERS, *others}:
-        known = (*PROVIDERS, *others, "package.module:Class")
-        says = unknown(f"provider {provider!r}", provider, known) if colon else ""
-        raise InputError("model", text, MODEL_FORMS, says=says)
+    if not colon or provider not in known:
+        says = unknown(f"provider {provider!r}", provider, (*known, "package.module:Class")) if colon else ""
+        raise InputError("model", text, model_forms(), says=says)
     if not model:
-        raise InputError("model", text, f"{others.get(provider, 'a model name')} after '{provider}:'")
+        expected = {"simulated": "a profile", "replay": "a file"}.get(provider, "a model name")
+        if others.get(provider) == "plugin":
+            expected = plugins.load("models", provider).expects
+        raise InputError("model", text, f"{expected} after '{provider}:'")
     if provider in PROVIDERS and re.search(r"[\s,=]", model):
         raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
-    kind = "provider" if provider in PROVIDERS else cast(ModelKind, provider)
-    return ModelName(text=text, kind=kind, provider=provider, model=model)
+    return ModelName(text=text, kind=others.get(provider, "provider"), provider=provider, model=model)
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:

@@ -10,12 +10,13 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
+from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, CallGate, Spent
-from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
+from llm_flock.llm.sources import source_of
 
 CHARS_PER_TOKEN = 4
 FIRST_GUESS = 500
@@ -86,8 +87,8 @@ class SharedGate:
 
     Args:
         budget: of all runs together.
-        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). `local` defaults to as many
-            questions at once as the engine answers.
+        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to as
+            many questions at once as they answer.
         window_s: length of a minute, for tests [s].
     """
 
@@ -98,14 +99,17 @@ class SharedGate:
         *,
         window_s: float = WINDOW_S,
     ) -> None:
-        rates = {"local": Rate(max_concurrent=slot_count()), **(rates or {})}
+        given = rates or {}
         self.budget = budget or Budget()
         self.spent = Spent()
         self.elsewhere = Spent()
         """Spent by other processes, of the same budget; whoever learns of it sets it."""
         self.reason: str | None = None
         self._traffic: defaultdict[str, _Traffic] = defaultdict(lambda: _Traffic(Rate(), window_s))
-        for provider, rate in rates.items():
+        for provider in {*plugins.entries("models"), *given}:
+            rate = given.get(provider)
+            if rate is None:
+                rate = Rate(max_concurrent=source_of(provider).at_once)
             self._traffic[provider] = _Traffic(rate, window_s)
         self._changed = asyncio.Event()
         self._tickets = itertools.count()

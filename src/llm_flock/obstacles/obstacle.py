@@ -37,7 +37,7 @@ class Obstacle(BaseModel):
     the world frame.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     center: tuple[Finite, ...] | None = Field(default=None, description="Centre of a disc [units]")
     radius: Positive | None = Field(default=None, description="Radius of a disc [units]")

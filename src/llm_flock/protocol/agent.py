@@ -14,8 +14,7 @@ from typing import assert_never
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
-from llm_flock.protocol.agreement.assignment import AssignmentRule, Claim
-from llm_flock.protocol.agreement.consensus import ConsensusRule
+from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.agreement.messaging import Messaging
 from llm_flock.protocol.breaker import CircuitBreaker, Fallback, QuestionKind
 from llm_flock.protocol.events import (
@@ -40,24 +39,12 @@ from llm_flock.protocol.events import (
     Sensed,
     Stopped,
 )
-from llm_flock.protocol.membership.all_to_all import AllToAll
-from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
-from llm_flock.protocol.membership.in_touch import InTouch
-from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
-from llm_flock.protocol.membership.replanning import Gaps, Replanning
-from llm_flock.protocol.membership.seeking import Seeking
-from llm_flock.protocol.membership.waiting import waiting_place
-from llm_flock.protocol.messages.channel import Channel
-from llm_flock.protocol.messages.message import BLOCKED, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import MissionStamp, Provenance
 from llm_flock.protocol.motion.pilot import Observation, Pilot
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer
 from llm_flock.protocol.proposals import Proposals
-from llm_flock.protocol.signed.assignment import SignedAssignment
-from llm_flock.protocol.signed.certificates import LIARS, Authenticator
-from llm_flock.protocol.signed.channel import SignedChannel
-from llm_flock.protocol.signed.evidence import Evidence
-from llm_flock.protocol.verification.validator import Validator
 
 
 class IllegalEvent(AssertionError):
@@ -69,81 +56,38 @@ class Agent:
 
     Args:
         robot: own id, 0 .. N-1.
-        shield_on: project every waypoint on the buffered Voronoi cell, give way to others, and ask them to give way.
+        mission: the first mission; no message changes its limits.
+        parts: rules, channel, membership, safety and verifier; null parts where they are left out.
         noise_bound: largest error of a believed position [units].
-        verify: check every plan before it is followed, and every step before it is flown.
-        time_out: rounds without a heartbeat after which a robot counts as dead.
-        gaps: report slots that no living robot can take, or plan again.
         on_event: let the planner answer with a path, and ask again only after an unforeseen event.
         fallback: what to do without a usable answer; see `llm_flock.protocol.breaker`.
         own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
-        apart: distance at which bodies can pass each other [units]; None for the safe distance.
-        authenticator: signs this robot's messages and checks those of others; without one nothing is signed.
-        liars: number of robots with keys that may lie together; one more must see that a place is free.
     """
 
     def __init__(
         self,
         robot: int,
         mission: Mission,
-        consensus: ConsensusRule,
-        assignment: AssignmentRule,
         *,
-        shield_on: bool,
+        parts: Parts,
         noise_bound: float = 0.0,
-        verify: bool = False,
-        time_out: int = TIME_OUT,
-        gaps: Gaps = "report",
         on_event: bool = False,
         fallback: Fallback = "hold",
         own_clock: bool = False,
-        apart: float | None = None,
-        authenticator: Authenticator | None = None,
-        liars: int = LIARS,
     ) -> None:
         self.robot = robot
         self.phase = Phase.IDLE
         self._own_clock, self._period = own_clock, 0
-        self._liveness = liveness = Liveness(robot, mission.n_robots, time_out)
-        self._replanning = Replanning(robot, liveness, gaps)
-        validator = Validator(verify=verify, shield_on=shield_on, any_size=gaps == "replan")
-        all_to_all = AllToAll(robot, mission.n_robots, enabled=authenticator is None)
-        in_touch = InTouch(robot, mission.n_robots, enabled=authenticator is None)
-        channel = Channel(robot, mission)
-        if authenticator is not None:
-            evidence = Evidence(robot, authenticator, liars)
-            channel = SignedChannel(robot, mission, authenticator, evidence, liveness, replans=gaps == "replan")
-            assignment = SignedAssignment(assignment, evidence)
-        self._agreement = Agreement(
-            robot,
-            mission,
-            consensus,
-            assignment,
-            validator=validator,
-            liveness=liveness,
-            replanning=self._replanning,
-            all_to_all=all_to_all,
-            in_touch=in_touch,
-        )
-        self._messaging = Messaging(robot, self._agreement, channel)
-        self._pilot = Pilot(
-            robot,
-            mission,
-            validator,
-            shield_on=shield_on,
-            noise_bound=noise_bound,
-            on_event=on_event,
-            fallback=fallback,
-            apart=apart,
-        )
-        self._proposals = Proposals(robot, self._agreement, validator, self._replanning, fallback)
+        self._membership = parts.membership
+        self._agreement = Agreement(robot, mission, parts)
+        self._messaging = Messaging(robot, self._agreement, parts)
+        self._pilot = Pilot(robot, mission, parts, noise_bound=noise_bound, on_event=on_event, fallback=fallback)
+        self._proposals = Proposals(robot, self._agreement, parts, fallback)
         self._breakers: dict[QuestionKind, CircuitBreaker] = {
             "plan": self._proposals.breaker,
             "step": self._pilot.breaker,
         }
         self._fallback: Fallback = fallback
-        self._seeking = Seeking(robot, 0 if authenticator is None else liars)
-        self._connectivity = ConnectivityRecovery(liveness, all_to_all, 0 if authenticator is None else liars)
         self._scene: Observation | None = None
         self._seen: tuple[int, RoundBegan | Sensed] | None = None
         self._asked_about: object = None
@@ -284,15 +228,16 @@ class Agent:
         agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
-        state = (CANNOT_FLY if self._pilot.breaker.is_open else 0) | (NO_PLAN if self.plan is None else 0)
-        self._liveness.begin_round(number, near, state)
         agreement.begin_round(event.neighbors)
-        silent = self._liveness.silent
-        self._seeking.count(near - silent, silent, self._liveness.strangers, self.mission.n_robots)
-        self._messaging.begin_round()
-        self._replanning.watch(
-            agreement.mission, agreement.plan, agreement.claim.table, may_shrink=self._connectivity.given_up
+        self._membership.begin_round(
+            number,
+            near,
+            mission=agreement.mission,
+            plan=agreement.plan,
+            claim=agreement.claim,
+            cannot_fly=self._pilot.breaker.is_open,
         )
+        self._messaging.begin_round()
 
     def _look_about(self, event: Sensed) -> None:
         """Take sensor values between rounds; a pending step will be flown from these."""
@@ -352,7 +297,6 @@ class Agent:
         return notes
 
     def _begin_mission(self) -> None:
-        self._seeking.start_again()
         self._pilot.begin_mission()
         for breaker in self._breakers.values():
             breaker.begin_mission()
@@ -363,33 +307,26 @@ class Agent:
         effects, target, idle = list[Effect](), None, None
         if plan is None and self._fallback != "hold" and self._proposals.breaker.refusals:
             # It goes where others will look for it, and takes the first acceptable plan that it hears.
-            target = self._seeking.target(self.mission, scene.here)
+            target = self._membership.seek(self.mission, scene.here)
             if target is not None:
                 return Phase.MOVING, self._pilot.seek(scene, self.mission, target)
             idle = "no plan yet: waiting to be found"
         elif plan is None:
             idle = "no plan yet"
-        elif slot is None and self._seeking.lost and (away := self._seeking.target(self.mission, scene.here)):
+        elif slot is None and self._membership.lost and (away := self._membership.seek(self.mission, scene.here)):
             # What it knows of the places is old: it goes where the others will be.
             return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
         elif slot is None:
             # A spare robot waits near the formation, and travels along with it.
             others = [scene.seen(x) for x in scene.sensed.values()]
-            blocked = [a for a, (_, _, owner) in enumerate(self.claim.table or ()) if owner == BLOCKED]
-            target = waiting_place(self.mission, scene.here, plan, others, blocked)
+            target = self._membership.wait(self.mission, plan, self.claim, scene.here, others)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
+            bodies = [scene.seen(x) for x in scene.sensed.values()]
             agreement = self._agreement
-            target, visited, notes = self._connectivity.route(
-                self.mission,
-                plan,
-                slot,
-                self.claim.table,
-                scene.here,
-                bodies=[scene.seen(x) for x in scene.sensed.values()],
-                placed=agreement.placed,
+            target, agreement.claim, notes = self._membership.route(
+                self.mission, plan, agreement.claim, scene.here, bodies
             )
-            agreement.count_search(visited)
             effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()

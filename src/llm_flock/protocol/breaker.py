@@ -109,3 +109,10 @@ class CircuitBreaker:
     def _note(self, wait: int | None, reason: str) -> Note:
         detail = {"question": self._question, "state": self.state.value, "refusals": self.refusals}
         return Note("breaker", {**detail, "wait": wait, "reason": reason})
+
+
+def fallback_notes(question: str, by: str, failure: NoAnswer | None) -> list[Note]:
+    """A note that geometry or a neighbour's plan replaced a planner's answer; empty if the planner did not fail."""
+    if failure is None:
+        return []
+    return [Note("fallback", {"question": question, "by": by, "cause": failure.cause, "reason": failure.reason})]

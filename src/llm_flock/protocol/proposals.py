@@ -7,14 +7,12 @@ from typing import Literal
 
 from llm_flock.arrays import moved
 from llm_flock.protocol.agreement.agreement import Agreement
-from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback
+from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback, fallback_notes
 from llm_flock.protocol.events import AskPlan, Note, RoundBegan
-from llm_flock.protocol.geometry import geometric_plan
-from llm_flock.protocol.membership.replanning import Replanning
 from llm_flock.protocol.messages.message import MissionStamp
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
-from llm_flock.protocol.verification.validator import Validator, fallback_notes
 
 
 class Proposals:
@@ -23,16 +21,14 @@ class Proposals:
     Args:
         robot: own id.
         agreement: takes the proposals.
-        replanning: knows how many places a plan is to have.
+        parts: its membership knows how many places a plan is to have, its verifier checks plans.
         fallback: what to do without a usable answer.
     """
 
-    def __init__(
-        self, robot: int, agreement: Agreement, validator: Validator, replanning: Replanning, fallback: Fallback
-    ) -> None:
+    def __init__(self, robot: int, agreement: Agreement, parts: Parts, fallback: Fallback) -> None:
         self.breaker = CircuitBreaker("plan", enabled=fallback != "hold")
         self._robot = robot
-        self._agreement, self._validator, self._replanning = agreement, validator, replanning
+        self._agreement, self._membership, self._verifier = agreement, parts.membership, parts.verifier
         self._fallback: Fallback = fallback
         self._asked: PlanQuestion | None = None
         self._asked_about: tuple[MissionStamp, Plan | None] | None = None
@@ -46,7 +42,7 @@ class Proposals:
     def ask(self, event: RoundBegan) -> list[AskPlan | Note]:
         """The question for this round, last; without one if no plan is needed, or geometry's stands in for it."""
         agreement, mission = self._agreement, self._agreement.mission
-        places = self._replanning.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
+        places = self._membership.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
         if places is None or not agreement.may_propose(places):
             return []
         self._asked = PlanQuestion(
@@ -71,7 +67,7 @@ class Proposals:
         assert self._asked is not None, "only a robot that asked is answered"
         if self._topic != self._asked_about:
             return [Note("stale_answer", {"about": "plan"})]
-        answer = self._validator.plan(self._asked, answer)
+        answer = self._verifier.plan(self._asked, answer)
         if isinstance(answer, PlanAnswer):
             return [*self.breaker.usable(), *self._propose(self._asked, answer, answer.by)]
         notes = [self._agreement.lack_plan(answer), *self.breaker.refused(self._asked.round, answer)]
@@ -84,8 +80,11 @@ class Proposals:
 
     def _plan_by_geometry(self, question: PlanQuestion, failure: NoAnswer) -> list[Note]:
         """Propose geometry's plan in place of the model's, where geometry stands in for whole plans."""
-        answer = geometric_plan(question) if self._fallback == "geometry" else failure
-        answer = self._validator.plan(question, answer)
+        if self._fallback != "geometry":
+            return []
+        from llm_flock.protocol.geometry import geometric_plan
+
+        answer = self._verifier.plan(question, geometric_plan(question))
         if isinstance(answer, NoAnswer):
             return []
         notes = fallback_notes("plan", "geometry", failure)
@@ -93,7 +92,7 @@ class Proposals:
 
     def _propose(self, question: PlanQuestion, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
         """Propose a plan that passed its checks, with room for everybody at its places."""
-        roomy = self._validator.with_room(question, answer)
+        roomy = self._verifier.with_room(question, answer)
         enlarged = [] if roomy is answer else [Note("enlarged", {"asked": answer.plan.digest})]
         return [*enlarged, *self._agreement.propose(self._in_frame(question, roomy), by)]
 

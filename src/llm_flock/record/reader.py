@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from llm_flock import plugins
 from llm_flock.errors import RecordError
+from llm_flock.extras import ExtraMissing
 from llm_flock.record import RECORD_NAME
+from llm_flock.record.diagnosis import Diagnosis, diagnose
+from llm_flock.record.history import RunHistory
 from llm_flock.record.schema import (
     CHANNELS,
     BodySample,
@@ -33,8 +37,6 @@ from llm_flock.record.tables import TableName, to_pandas, to_polars
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
     import polars
-
-    from llm_flock.viz.inline import Animation
 
 E = TypeVar("E", bound=Entry)
 
@@ -96,11 +98,24 @@ class RunRecord:
         """The models that were called, each once, in the order of their first calls."""
         return tuple(dict.fromkeys(entry.model for entry in self.llm))
 
-    def animate(self, *, fps: int = 12) -> Animation:
-        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
-        from llm_flock.viz.inline import Animation
+    def diagnosis(self) -> Diagnosis:
+        """Who or what kept the team from its last mission; empty for a run that formed, or has no round."""
+        if (self.result or {}).get("formed"):
+            return Diagnosis()
+        end = () if self.result is None else (SummaryMessage(result=self.result),)
+        seen = (self.run, *self.missions, *self.plans, *self.states, *self.metrics, *self.events, *self.llm)
+        return diagnose(RunHistory.of((*seen, RoundEnd(round=self.rounds), *end)))
 
-        return Animation.of(self, fps=fps)
+    def animate(self, *, fps: int = 12) -> Any:
+        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round.
+
+        Raises:
+            InputError: a rate below 1.
+            ExtraMissing: the extra `figures` is not installed.
+        """
+        if "animation" not in plugins.entries("views"):
+            raise ExtraMissing("animate()", "figures")
+        return plugins.load("views", "animation")(self, fps=fps)
 
     def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
         """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
@@ -122,11 +137,12 @@ class RunRecord:
         state = "complete" if self.complete else "ends early"
         return f"RunRecord({self.path}, {self.positions.shape[1]} robots, {self.rounds} rounds, {state})"
 
-    def _repr_html_(self) -> str:
-        """The picture and the table that a notebook shows."""
-        from llm_flock.viz.inline import record_html
+    def html(self) -> str | None:
+        """The picture and the table that a notebook shows; None where nothing is installed that draws them."""
+        return plugins.load("views", "html")(self) if "html" in plugins.entries("views") else None
 
-        return record_html(self)
+    def _repr_html_(self) -> str | None:
+        return self.html()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

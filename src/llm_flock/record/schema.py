@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Annotated, Any, Self, cast
 
-from pydantic import AfterValidator, AliasChoices, BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from llm_flock.record.values import (
     Config,
@@ -21,7 +21,6 @@ from llm_flock.record.values import (
     Rows,
     Whole,
 )
-from llm_flock.renamed import RECORD_FIELDS, current_origins
 
 FORMAT_VERSION = 1
 """Increased whenever a reader of older records would misread a newer one."""
@@ -45,7 +44,7 @@ SILENT = frozenset({DEAD, ASLEEP})
 class Entry(BaseModel):
     """Base of all recorded messages. Optional fields that are None are left out of the file."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=(), defer_build=True)
 
     def encoded(self) -> bytes:
         """The message as it is written: compact JSON in UTF-8."""
@@ -96,7 +95,7 @@ class State(Entry):
     plan_ids: list[str | None] = Field(description="The plan each robot follows, null without one")
     influence: list[Finite] = Field(description="Share of the team within radio range, |N_i| / N")
     waypoints: list[Row | None] = Field(description="Commanded this round [units], null at the start")
-    origins: Annotated[list[str], AfterValidator(current_origins)] = Field(
+    origins: list[str] = Field(
         description="Origin of the waypoint: start, model, clipped, shield, yield, geometry or hold"
     )
     phases: list[str] = Field(description="Phase of each robot's state machine; dead or asleep without one")
@@ -122,7 +121,6 @@ class ProtocolEvent(Entry):
     round: Round = Field(description="Motion round")
     comm_round: Whole | None = Field(
         None,
-        validation_alias=AliasChoices("comm_round", *RECORD_FIELDS["/protocol"]["comm_round"]),
         description="Communication round within the motion round; left out between two of them",
     )
     robot: Robot = Field(description="Whose event it is")

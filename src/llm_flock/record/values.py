@@ -11,7 +11,6 @@ from typing import Annotated, Any, Self, cast
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from llm_flock.bounds import MAX_CORNERS, MAX_OBSTACLES, MAX_ROBOTS
-from llm_flock.renamed import current_config
 
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
 """A figure: far more than any run reaches, and no trouble for the arithmetic of drawings."""
@@ -115,7 +114,7 @@ def _config(config: dict[str, Any]) -> dict[str, Any]:
     for name in ("protocol", "model"):
         if not isinstance(config.get(name, {}), dict):
             raise ValueError(f"{name} is a section of the configuration, with fields of its own")
-    return current_config(_free(config))
+    return _free(config)
 
 
 _DETAILS: dict[str, tuple[type, ...]] = {

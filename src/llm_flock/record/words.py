@@ -91,6 +91,21 @@ def robots_text(robots: Sequence[int]) -> str:
     return f"robot{'s' if len(robots) > 1 else ''} {some}"
 
 
+def letters(number: int) -> str:
+    """The name of a run's plan, from 0 in the order in which plans were first seen: A .. Z, AA, AB, ..."""
+    name = ""
+    number += 1
+    while number:
+        number, rest = divmod(number - 1, 26)
+        name = chr(ord("A") + rest) + name
+    return name
+
+
+def begun(text: str) -> str:
+    """A text with a capital letter first."""
+    return text[:1].upper() + text[1:]
+
+
 def sentence(text: str, most: int) -> str:
     """A text of at most `most` letters in one line, with one sign at its end."""
     text = one_line(text, most).rstrip()

@@ -6,18 +6,23 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from llm_flock.errors import FlockError, InputError
+from llm_flock.experiments.compare import TOLERANCE
 from llm_flock.experiments.grid import models_of
 from llm_flock.experiments.store import TRIALS, read_trial
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
+from llm_flock.metrics import segment_separation
+from llm_flock.record.diagnosis import Cause
 from llm_flock.record.reader import RunRecord, read_record
-from llm_flock.report.diagnosis import Cause, find_causes
+from llm_flock.record.schema import ChatLine
 from llm_flock.report.results import OUTCOMES, Results, TrialRow
 from llm_flock.runtime.api import RECORD_NAME, run
 from llm_flock.runtime.config import RunConfig
@@ -27,10 +32,28 @@ from llm_flock.viz.figures import snapshots
 MOST_FLOWN_AGAIN = 100
 """Largest team that is flown again for the gallery; more robots would take minutes."""
 
+LONGEST = 6000
+"""Letters of a message that are shown at most."""
+
 SEVERITY = ("broke off", "no answers", "no plan", "interrupted", "budget", "not formed", "formed")
 """Outcomes, the worst first."""
 REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
 """Figures that are the same when the same code flies the same trial again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Story:
+    """Something that went wrong in a trial, and the conversation behind it.
+
+    Attributes:
+        text: what happened.
+        about: whose conversation it is, and when; empty without one.
+        conversation: the last call with all messages before it, its answer, and as "verdict" what became of that.
+    """
+
+    text: str
+    about: str = ""
+    conversation: tuple[ChatLine, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +66,7 @@ class Failure:
     trial: TrialRow
     reason: str
     source: str
-    stories: tuple[Cause, ...] = ()
+    stories: tuple[Story, ...] = ()
     figure: Figure | None = field(default=None, repr=False)
 
     @property
@@ -90,10 +113,63 @@ def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
             return Failure(trial=trial, reason=reason, source=source)
         causes = find_causes(record)
         rounds = {0, record.rounds, *(cause.round for cause in causes[:2] if cause.round is not None)}
+        stories = tuple(map(_story, causes))
         if len(rounds) <= 2:
             rounds.add(record.rounds // 2)
         figure = snapshots(record, sorted(k for k in rounds if k <= record.rounds))
-        return Failure(trial=trial, reason=reason, source=source, stories=causes, figure=figure)
+        return Failure(trial=trial, reason=reason, source=source, stories=stories, figure=figure)
+
+
+def find_causes(record: RunRecord) -> list[Cause]:
+    """What went wrong in a record: that two robots came too near, then why it did not form."""
+    crash = _crash(record)
+    return [*([] if crash is None else [crash]), *record.diagnosis().causes]
+
+
+def _crash(record: RunRecord) -> Cause | None:
+    """The first round in which two robots came nearer than the safe distance while they moved."""
+    safe, places = float(record.mission.mission["safe_distance"]) - TOLERANCE, record.positions
+    for number, after in enumerate(places):
+        before = places[max(0, number - 1)]
+        if segment_separation(before, after) >= safe:
+            continue
+        gaps = {
+            pair: segment_separation(before[[*pair]], after[[*pair]]) for pair in combinations(range(len(after)), 2)
+        }
+        first, second = pair = min(gaps, key=lambda pair: gaps[pair])
+        what = f"robots {first} and {second} came within {gaps[pair]:.2f} units of each other"
+        if number == 0:
+            return Cause(f"At the start, {what}.", pair, 0)
+        moved = np.linalg.norm(after - before, axis=1)
+        origins = record.states[number].origins
+        robot = min(pair, key=lambda k: (origins[k] != "model", -float(moved[k])))
+        text = f"In round {number}, {what}; robot {robot} moved {moved[robot]:.2f} units."
+        steps = [
+            entry for entry in record.llm if (entry.robot, entry.kind) == (robot, "step") and entry.round <= number
+        ]
+        return Cause(text, pair, number, tuple(entry for entry in steps if entry.round == steps[-1].round))
+    return None
+
+
+def _story(cause: Cause) -> Story:
+    if not cause.calls:
+        return Story(text=cause.text)
+    last = cause.calls[-1]
+    question = {"plan": "asked for a plan", "step": "asked for its next step"}.get(last.kind, last.kind)
+    lines = [message.model_copy(update={"text": _short(message.text)}) for message in last.messages]
+    if last.text is not None:
+        lines.append(ChatLine(role="assistant", text=_short(last.text)))
+    refused = f"The answer was not used: {last.rejected or last.error or 'no answer came'}"
+    lines.append(ChatLine(role="verdict", text=refused if last.parsed is None else "The answer was taken."))
+    about = f"Robot {last.robot}, {question} in round {last.round}, {last.model}"
+    return Story(text=cause.text, about=about, conversation=tuple(lines))
+
+
+def _short(text: str) -> str:
+    half = LONGEST // 2
+    if len(text) <= LONGEST:
+        return text
+    return f"{text[:half]}\n[... {len(text) - 2 * half:,} letters left out ...]\n{text[-half:]}"
 
 
 def _foreign(config: RunConfig) -> str | None:

@@ -10,6 +10,7 @@ first-order delay; there is no drag and no noise.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from llm_flock.robots.base import Position
@@ -26,6 +27,9 @@ TILT_DELAY_S = 0.08
 MOST_TILT_DEG = 20.0
 MOST_SPEED_M_S = 1.1
 """Limits of what is asked for: `PID_VEL_ROLL_MAX`, and `PID_POS_VEL_X_MAX` with its overhead of 10 %."""
+
+LONGEST_S = 60.0
+"""A body that was not looked at for longer than this rests at its set-point [s]."""
 
 HOVER_THRUST, THRUST_SCALE = 36000.0, 1000.0
 """`PID_VEL_THRUST_BASE`, and the units of thrust in one of the velocity's controller."""
@@ -98,6 +102,14 @@ class Cascade:
         self.now += STEP_S
         self._settle()
 
+    def fly(self, now: float, set_point: Callable[[float], Position], floor_m: float) -> None:
+        """Fly on until now, after the set-point [m] at each time."""
+        if now - self.now > LONGEST_S:
+            self.place, self.now = set_point(now), now
+            self.__post_init__()
+        while self.behind(now):
+            self.step(set_point(self.now + STEP_S), floor_m)
+
     def ask(self, set_point: Position, place: Position, velocity: Position) -> Position:
         """What the controller asks of a body that something else moves, 100 times a second: acceleration [m/s^2]."""
         asked: list[float] = []
@@ -116,3 +128,8 @@ class Cascade:
     def _settle(self) -> None:
         x, y, z = (axis.place for axis in self._axes)
         self.place = (x, y, z)
+
+
+def pid(gain: float = 2.0) -> Callable[[Position, float], Cascade]:
+    """Makes a `PointMass` follow its set-point as the stock controller does, with this gain of the position [1/s]."""
+    return lambda place, now: Cascade(place=place, now=now, gain=gain)

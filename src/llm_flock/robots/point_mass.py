@@ -1,4 +1,4 @@
-"""A drone that follows its high-level commander, exactly or as a PID controller does, and can fail in flight.
+"""A drone that follows its high-level commander, exactly or as a controller does, and can fail in flight.
 
 Sans-IO: every call takes the time. `SimulatedRobot` flies it in the process, the stand-in behind a UDP socket.
 """
@@ -6,14 +6,13 @@ Sans-IO: every call takes the time. `SimulatedRobot` flies it in the process, th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from llm_flock.robots.base import Position
-from llm_flock.robots.cascade import STEP_S, Cascade
 from llm_flock.robots.segment import Segment
 
-Follows: TypeAlias = Literal["exactly", "pid"]
 Mode: TypeAlias = Literal["idle", "flying", "landing"]
 
 GRAVITY = 9.81
@@ -24,9 +23,6 @@ PULL = 4.0
 
 FALL_HEIGHT = 0.1
 """A landing that ends below this height ends on the ground [m]."""
-
-LONGEST_S = 60.0
-"""A body with a PID controller that nobody looked at for longer than this rests at its set-point [s]."""
 
 SETTLED_VARIANCE = 1e-5
 """Of each axis of the position, while the localisation works [m^2]."""
@@ -41,6 +37,24 @@ BUSY = 16
 """The firmware's answer while motors may not run (EBUSY)."""
 
 
+class Controller(Protocol):
+    """Flies a body at `place` [m] after its set-point."""
+
+    place: Position
+
+    def fly(self, now: float, set_point: Callable[[float], Position], floor_m: float) -> None:
+        """Fly on until now, after the set-point [m] at each time; the floor stops a fall."""
+        ...
+
+    def shift(self, offset: Position) -> None:
+        """Move what the body believes its place to be [m]."""
+        ...
+
+
+MakeController: TypeAlias = Callable[[Position, float], Controller]
+"""Makes the controller of a body from its place [m], where it is at rest, and the time [s]."""
+
+
 @dataclass(slots=True, kw_only=True)
 class PointMass:
     """One body. `estimate` is what the robot believes, `position` where it is.
@@ -49,8 +63,7 @@ class PointMass:
         home: position before take-off [m].
         auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
         drain_v_s: how fast the battery empties in flight [V/s].
-        follows: how it follows its set-point: without any distance, or as `Cascade` does. Change it with `follow`.
-        gain: of a `Cascade`'s position [1/s].
+        controlled: how it follows its set-point; None for without any distance. Change it with `follow`.
     """
 
     home: Position
@@ -58,8 +71,7 @@ class PointMass:
     auto_arm: bool = False
     battery_v: float = 4.0
     drain_v_s: float = 0.0
-    follows: Follows = "exactly"
-    gain: float = 2.0
+    controlled: MakeController | None = None
     mode: Mode = field(default="idle", init=False)
     armed: bool = field(default=False, init=False)
     locked: bool = field(default=False, init=False)
@@ -71,7 +83,7 @@ class PointMass:
     _error_at: float = field(default=0.0, init=False)
     _stalled: tuple[float, Position] | None = field(default=None, init=False)
     _drained: float | None = field(default=None, init=False)
-    _cascade: Cascade | None = field(default=None, init=False)
+    _controller: Controller | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._rest = self.home
@@ -99,39 +111,32 @@ class PointMass:
 
     def _catch_up(self, now: float) -> None:
         """Let the controller work until now."""
-        cascade, segment = self._cascade, self._segment
-        if cascade is None or segment is None:
-            return
-        if now - cascade.now > LONGEST_S:
-            self._cascade = Cascade(place=segment.at(now)[0], now=now, gain=cascade.gain)
-            return
-        floor_m = self.ground_m + self._offset[2]
-        while cascade.behind(now):
-            cascade.step(segment.at(cascade.now + STEP_S)[0], floor_m)
+        segment = self._segment
+        if self._controller is not None and segment is not None:
+            self._controller.fly(now, lambda at: segment.at(at)[0], self.ground_m + self._offset[2])
 
-    def follow(self, how: Follows, now: float, gain: float = 2.0) -> None:
+    def follow(self, controlled: MakeController | None, now: float) -> None:
         """Change how the body follows its set-point, in flight as well."""
-        if (how, gain) == (self.follows, self.gain):
-            return
         here = self.position(now)
-        self.follows, self.gain, self._cascade = how, gain, None
-        if self._segment is not None and how == "pid":
-            self._cascade = self._controlled(here, now)
-        elif self._segment is not None:
-            self._set_error(here, now)
+        self.controlled, self._controller = controlled, None
+        if self._segment is not None:
+            self._take_control(here, now)
+            if controlled is None:
+                self._set_error(here, now)
 
-    def _controlled(self, here: Position, now: float) -> Cascade:
-        """A controller that begins here, at rest, as the robot believes."""
-        x, y, z = (p + o for p, o in zip(here, self._offset, strict=True))
-        return Cascade(place=(x, y, z), now=now, gain=self.gain)
+    def _take_control(self, here: Position, now: float) -> None:
+        """Let the controller, if there is one, begin here, at rest, as the robot believes."""
+        if self.controlled is not None:
+            x, y, z = (p + o for p, o in zip(here, self._offset, strict=True))
+            self._controller = self.controlled((x, y, z), now)
 
     def position(self, now: float) -> Position:
         """Where the body is [m]."""
         self.advance(now)
         if self._segment is None:
             return (self._rest[0], self._rest[1], self._height(now))
-        if self._cascade is not None:
-            x, y, z = (b - o for b, o in zip(self._cascade.place, self._offset, strict=True))
+        if self._controller is not None:
+            x, y, z = (b - o for b, o in zip(self._controller.place, self._offset, strict=True))
             return (x, y, max(z, self.ground_m))
         believed, _, _ = self._segment.at(now)
         left = math.exp(-PULL * max(0.0, now - self._error_at))
@@ -217,8 +222,8 @@ class PointMass:
         here = self.position(now)
         self._segment, self.mode, self._fell = segment, mode, None
         self._set_error(here, now)
-        if self.follows == "pid" and self._cascade is None:
-            self._cascade = self._controlled(here, now)
+        if self._controller is None:
+            self._take_control(here, now)
 
     def _set_error(self, here: Position, now: float) -> None:
         """Keep the distance between the body and its set-point, to be flown off."""
@@ -231,7 +236,7 @@ class PointMass:
             return
         mode, self.mode = self.mode, "idle"
         self._rest = self.position(now)
-        self._cascade = None
+        self._controller = None
         if mode == "landing" and self._rest[2] < self.ground_m + FALL_HEIGHT:
             self._rest = (self._rest[0], self._rest[1], self.ground_m)
         self._segment = None
@@ -242,8 +247,8 @@ class PointMass:
         here = self.position(now)
         x, y, z = (a + b for a, b in zip(self._offset, offset, strict=True))
         self._offset = (x, y, z)
-        if self._cascade is not None:
-            self._cascade.shift(offset)
+        if self._controller is not None:
+            self._controller.shift(offset)
         if self._segment is not None:
             self._set_error(here, now)
 

@@ -117,8 +117,8 @@ def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
             return about + offset
 
 
-class SimulatedTeam:
-    """True positions of all bodies (`places`, shape (n, d) [units; world frame]), and their readings by every robot.
+class Readings:
+    """Positions of all robots (`places`, shape (n, d) [units; world frame]), and what each robot reads of them.
 
     Each reading adds a uniform vector in the ball of radius `noise` [units].
     """
@@ -130,7 +130,7 @@ class SimulatedTeam:
         self.place(positions.copy())
 
     def place(self, places: Points) -> None:
-        """Put all bodies somewhere, and compute the ranges, once per round."""
+        """Put all robots somewhere, and compute the ranges, once per round."""
         self.places = places
         self._distances: Pairwise = graph.distances(places)
         self._rows: list[Point] = [tuple(row) for row in places.tolist()]

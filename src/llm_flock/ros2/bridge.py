@@ -17,13 +17,20 @@ from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.ros2.drawing import ERROR, OK, WARN, TeamView, scaled, view_of
 from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes
-from llm_flock.ros2.orders import RATE, MissionGiver, check_frame, checked_position, mission_fields, places_fields
+from llm_flock.ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes, live
+from llm_flock.ros2.orders import (
+    POSE_RATE,
+    RATE,
+    MissionGiver,
+    check_frame,
+    checked_position,
+    mission_fields,
+    places_fields,
+)
 from llm_flock.ros2.sensors import SensedBodies
 from llm_flock.ros2.types import CLOCK, LATEST_NS, NS, POINTS, POSE, TEXT
 from llm_flock.ros2.wire import Attachment
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
-from llm_flock.runtime.network.connection import refusing
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.wire import WorldState
 from llm_flock.runtime.ros2_config import ROBOT
@@ -34,17 +41,8 @@ Show = Callable[[SwarmConfig, Observer], None]
 ROUTER = "tcp/127.0.0.1:7447"
 """Where rmw_zenohd listens unless told otherwise."""
 
-MARKERS_S = 0.5
-"""Time between two drawings, and two states of the protocol [s]."""
-
-DIAGNOSTICS_S = 1.0
-"""Time between two diagnostics [s]."""
-
 EARLY = 0.1
 """Share of a period by which a reading of the sensors may come early and still counts for it."""
-
-POSE_RATE = 500.0
-"""Poses a second that one robot's source may send."""
 
 
 def with_router(config: SwarmConfig) -> SwarmConfig:
@@ -186,16 +184,9 @@ class Bridge:
 
     async def live(self) -> None:
         """Show markers, state and diagnostics, until cancelled."""
-        diagnosed_s = 0.0
-        while True:
-            await asyncio.sleep(MARKERS_S)
-            with refusing(self.refused.counts):  # an error in the drawing ends no flight
-                now = time.monotonic()
-                diagnose = now - diagnosed_s >= DIAGNOSTICS_S
-                self._show_rest(diagnose=diagnose)
-                diagnosed_s = now if diagnose else diagnosed_s
+        await live(self._show_rest, self.refused.counts)
 
-    def _show_rest(self, *, diagnose: bool) -> None:
+    def _show_rest(self, diagnose: bool) -> None:
         stamp_ns = self.stamps.of(time.time())
         if (view := self.view()) is not None:
             self.nodes.show_markers(view, stamp_ns if self._stamp_ns is None else self._stamp_ns)

@@ -169,30 +169,21 @@ class MarkerDrawer:
     def draw(self, view: TeamView, stamp_ns: int) -> Any:
         """All markers of one moment; a list that is empty deletes its marker."""
         looks = [self._look(view, robot) for robot in range(len(view.positions))]
-        solid = [_colour(look) for look in looks]
         goals = [(goal, look) for goal, look in zip(view.goals, looks, strict=True) if goal is not None]
         ends = [view.positions[robot] for pair in view.links for robot in pair]
-        made = [
-            self._list("robots", _SPHERE_LIST, view.safe_m / 2, stamp_ns, view.positions, solid),
-            self._list(
-                "safe_distance",
-                _SPHERE_LIST,
-                view.safe_m,
-                stamp_ns,
-                view.positions,
-                [_colour(look, 0.2) for look in looks],
-            ),
-            self._list(
-                "goals",
-                _SPHERE_LIST,
-                view.safe_m / 4,
-                stamp_ns,
-                [goal for goal, _ in goals],
-                [_colour(look, 0.6) for _, look in goals],
-            ),
-            self._list("places", _SPHERE_LIST, view.safe_m / 3, stamp_ns, view.places, [], "#7F7F7F"),
-            self._list("links", _LINE_LIST, _LINK_M * view.safe_m, stamp_ns, ends, [], "#7F7F7F"),
+        # Name, kind, size over the safe distance, points, their colours and opacity.
+        drawn: list[tuple[str, int, float, Sequence[Position], Sequence[str], float]] = [
+            ("robots", _SPHERE_LIST, 1 / 2, view.positions, looks, 1.0),
+            ("safe_distance", _SPHERE_LIST, 1.0, view.positions, looks, 0.2),
+            ("goals", _SPHERE_LIST, 1 / 4, [goal for goal, _ in goals], [look for _, look in goals], 0.6),
+            ("places", _SPHERE_LIST, 1 / 3, view.places, [], 1.0),
+            ("links", _LINE_LIST, _LINK_M, ends, [], 1.0),
         ]
+        made: list[Any] = []
+        for name, kind, size, points, codes, alpha in drawn:
+            colours = [_colour(code, alpha) for code in codes]
+            plain = "#7F7F7F" if name in ("places", "links") else "#FFFFFF"
+            made.append(self._marker(name, 0, kind, size * view.safe_m, stamp_ns, points, colours, plain))
         for robot, (x, y, z) in enumerate(view.positions):
             above = (x, y, z + view.safe_m / 2)
             made.append(self._marker("ids", robot, _TEXT, view.safe_m / 2, stamp_ns, at=above, text=str(robot)))
@@ -206,19 +197,6 @@ class MarkerDrawer:
             return NO_PLAN
         return PALETTE[self._plans.setdefault(plan, len(self._plans)) % len(PALETTE)]
 
-    def _list(
-        self,
-        name: str,
-        kind: int,
-        size: float,
-        stamp_ns: int,
-        points: Sequence[Position],
-        colours: Sequence[Any],
-        colour: str = "#FFFFFF",
-    ) -> Any:
-        action = _ADD if points else _DELETE
-        return self._marker(name, 0, kind, size, stamp_ns, points=points, colours=colours, colour=colour, action=action)
-
     def _marker(
         self,
         name: str,
@@ -226,13 +204,12 @@ class MarkerDrawer:
         kind: int,
         size: float,
         stamp_ns: int,
-        *,
-        at: Position = (0.0, 0.0, 0.0),
         points: Sequence[Position] = (),
         colours: Sequence[Any] = (),
         colour: str = "#FFFFFF",
+        *,
+        at: Position = (0.0, 0.0, 0.0),
         text: str = "",
-        action: int = _ADD,
     ) -> Any:
         empty = np.zeros(0, dtype=np.uint8)
         return message_class("visualization_msgs/msg/Marker")(
@@ -240,7 +217,7 @@ class MarkerDrawer:
             ns=name,
             id=number,
             type=kind,
-            action=action,
+            action=_ADD if points or text else _DELETE,
             pose=_pose(at),
             scale=message_class("geometry_msgs/msg/Vector3")(x=size, y=size, z=size),
             color=_colour(colour, 0.6),

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
+import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from llm_flock.errors import MessageError
 from llm_flock.printable import one_line
-from llm_flock.ros2 import drawing
+from llm_flock.ros2 import drawing, types
 from llm_flock.ros2.drawing import LONGEST, OK, WARN, MarkerDrawer, PoseEncoder, Position, TeamView
 from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.types import CLOCK, DIAGNOSTICS, MARKERS, PATH, POSE, TEXT, TRANSFORMS, message_class, time
+from llm_flock.ros2.types import CLOCK, DIAGNOSTICS, MARKERS, PATH, POSE, TEXT, TRANSFORMS, message_class
+from llm_flock.runtime.network.connection import refusing
 from llm_flock.runtime.ros2_config import Ros2Config
 
 TEAM_NODE = "team"
@@ -19,6 +22,12 @@ TEAM_NODE = "team"
 
 TOGETHER = 8
 """Poses that leave together: one by one they cost more, all together the first ones wait for the last."""
+
+MARKERS_S = 0.5
+"""Time between two drawings, and two states of the protocol [s]."""
+
+DIAGNOSTICS_S = 1.0
+"""Time between two diagnostics [s]."""
 
 Finding = tuple[str, int, str, Mapping[str, object]]
 """One line of diagnostics: name, level, message and values."""
@@ -46,6 +55,18 @@ class Refused:
         values |= {f"last {reason}": one_line(said, LONGEST) for reason, said in sorted(last.items())}
         said = f"{new} messages refused" if new else "nothing refused of late"
         return name, WARN if new else OK, said, values
+
+
+async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
+    """Show what changes slowly until cancelled: calls `show` with whether diagnostics are due; counts its errors."""
+    diagnosed_s = 0.0
+    while True:
+        await asyncio.sleep(MARKERS_S)
+        with refusing(faults):  # an error in the drawing ends no flight
+            now = time.monotonic()
+            diagnose = now - diagnosed_s >= DIAGNOSTICS_S
+            show(diagnose)
+            diagnosed_s = now if diagnose else diagnosed_s
 
 
 class TeamNodes:
@@ -77,7 +98,7 @@ class TeamNodes:
     def show_clock(self, stamp_ns: int) -> None:
         """Publish the simulation's time, where it is this bridge that does so."""
         if self._clock is not None:
-            self._clock.publish(message_class(CLOCK)(clock=time(stamp_ns)))
+            self._clock.publish(message_class(CLOCK)(clock=types.time(stamp_ns)))
 
     def show_poses(self, positions: Sequence[Position], stamp_ns: int) -> None:
         """Publish where the robots are."""

@@ -36,8 +36,8 @@ MOST_TEXT = 1 << 16
 TAKERS = 3
 """Robots that are given an order: one is enough, if it lives."""
 
-RATE = 1.0
-"""Orders a second, in the long run, on each topic."""
+RATE, POSE_RATE = 1.0, 500.0
+"""Orders a second, in the long run, on each topic; and poses of one robot."""
 
 
 def mission_fields(text: str) -> dict[str, Any]:

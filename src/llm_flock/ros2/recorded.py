@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,7 +13,7 @@ from llm_flock.mission import input_error
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.record.schema import BodySample, Entry, MissionInfo, PlanInfo, RunInfo, State
 from llm_flock.ros2.drawing import Position, TeamView, ToWorld, scaled, view_of
-from llm_flock.runtime.flight.config import WorldConfig, mission_frame
+from llm_flock.runtime.mission_frame import WorldConfig
 
 
 def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int) -> tuple[ToWorld, float]:
@@ -32,7 +33,7 @@ def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int)
     low, high = (tuple(corner) for corner in mission.mission["arena"])
     if not len(low) == len(high) == dim:
         raise RecordError(f"corners of an arena with {len(low)} and {len(high)} coordinates, not {dim}")
-    return mission_frame(world, low, high).to_world, world.scale_m
+    return world.frame(low, high).to_world, world.scale_m
 
 
 class RecordedTeam:
@@ -83,16 +84,7 @@ class RecordedTeam:
         measured = self._measured
         if measured is None or len(measured) != len(view.positions):
             return view
-        return TeamView(
-            positions=measured,
-            waypoints=view.waypoints,
-            goals=view.goals,
-            phases=view.phases,
-            plan_ids=view.plan_ids,
-            places=view.places,
-            links=view.links,
-            safe_m=view.safe_m,
-        )
+        return replace(view, positions=measured)
 
     def state_json(self) -> dict[str, Any]:
         """The protocol's state."""

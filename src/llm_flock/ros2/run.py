@@ -10,20 +10,20 @@ from pathlib import Path
 
 from llm_flock.members import WORLD
 from llm_flock.record.schema import SummaryMessage
-from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter
+from llm_flock.record.writer import RecordSink
 from llm_flock.ros2 import drawing
 from llm_flock.ros2.bridge import Bridge, check_router, showing
 from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.nodes import TEAM_NODE
 from llm_flock.ros2.sensors import SensedBodies
 from llm_flock.ros2.types import POSE
-from llm_flock.runtime.entries import finite, run_info
+from llm_flock.runtime.entries import finite
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import judge_of, load_keys, open_link, receive, signed_by_operator
+from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.swarm import Swarm, SwarmResult, run_swarm, world_config
-from llm_flock.runtime.network.watch import look, run_watch
+from llm_flock.runtime.network.watch import look, observer_of, recording, run_watch
 from llm_flock.runtime.network.wire import Command, RobotReport, pack
 from llm_flock.runtime.trial import TrialProgress
 from llm_flock.transport.zenoh import ZenohLink
@@ -33,7 +33,6 @@ async def swarm_shown(
     config: SwarmConfig,
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
-    on_start: Callable[[Swarm], None] = lambda _: None,
     on_launch: Callable[[], object] = lambda: None,
 ) -> SwarmResult:
     """As `llm_flock.runtime.network.swarm.run_swarm`, shown in ROS 2 where a router is configured.
@@ -44,7 +43,6 @@ async def swarm_shown(
     async with showing(config) as show:
 
         def begin(swarm: Swarm) -> None:
-            on_start(swarm)
             if show is not None:
                 show(swarm.config, swarm.observer)
 
@@ -73,15 +71,13 @@ async def _run_sensors(
     config: SwarmConfig, record: Path | None, on_row: Callable[[TrialProgress], None] | None
 ) -> None:
     """In place of the world: the swarm's sensors and bodies are in ROS."""
-    network, keys = config.network, load_keys(config, WORLD)
+    network = config.network
     with ExitStack() as stack:
         graph = stack.enter_context(closing(Graph(check_router(config), config.ros2.ros_domain)))
         graph.check_free(config.ros2.namespace(config.network.swarm), TEAM_NODE)
-        writer = NullWriter() if record is None else stack.enter_context(RecordWriter(record))
-        writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
+        writer = stack.enter_context(recording(config, record))
         link = stack.enter_context(closing(open_link(world_config(config), WORLD)))
-        signed, judge = signed_by_operator(config, WORLD), judge_of(config, keys)
-        observer = Observer(config, writer, on_row, signed=signed, judge=judge)
+        observer = observer_of(config, WORLD, writer, on_row)
         reach = config.speed * (network.control_s + network.lag_s)
         n_robots = config.mission.n_robots
         bodies = SensedBodies(n_robots, speed=config.speed, reach=reach, lag_s=network.lag_s, clock=time.time)

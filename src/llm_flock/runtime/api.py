@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Unpack, cast
 
 from llm_flock.errors import FieldError, FlockError, InputError, RecordError
 from llm_flock.llm.own import split_choice
@@ -13,14 +13,14 @@ from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
 from llm_flock.record.writer import GivenUp, NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.robots.simulated import start_positions
+from llm_flock.robots.simulated import Readings, start_positions
 from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.loops import wait_for
 from llm_flock.runtime.notebook import notebook_progress
-from llm_flock.runtime.parameters import parameters, plain, takes
+from llm_flock.runtime.parameters import Parameters, plain
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.rules import assignment_rule, consensus_rule, own_rules
@@ -33,8 +33,7 @@ CHECKS: dict[str, Callable[[Any], Any]] = {"consensus": consensus_rule, "assignm
 """Fields that take objects, also beside a whole configuration."""
 
 
-@takes(parameters)
-def run(mission: Mission | None = None, **given: Any) -> RunResult:
+def run(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
     """Fly one mission, and wait for its end; works in scripts, notebooks and threads.
 
     Where an event loop is running already, as in a notebook, the run gets a thread of its own. There,
@@ -67,8 +66,7 @@ def run(mission: Mission | None = None, **given: Any) -> RunResult:
     return wait_for(_fly(mission, **given))
 
 
-@takes(parameters)
-async def run_async(mission: Mission | None = None, **given: Any) -> RunResult:
+async def run_async(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
     """Fly one mission: as `run`, within the running event loop.
 
     Raises:
@@ -114,7 +112,7 @@ async def _fly(
     given = config.trial
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
-    bodies = InstantBodies(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
+    bodies = InstantBodies(Readings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE)))
     planners = TeamPlanners(config, lane, own)
     code = own_rules((consensus, assignment))
     with ExitStack() as stack:

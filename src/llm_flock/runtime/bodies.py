@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
-from llm_flock.arrays import Point, Points
-from llm_flock.robots.simulated import Sensing, SimulatedTeam
+from llm_flock.arrays import Points
+from llm_flock.robots.simulated import Readings
 
 
 class Bodies(Protocol):
@@ -18,20 +17,8 @@ class Bodies(Protocol):
         ...
 
     @property
-    def in_radio_range(self) -> Sequence[tuple[int, ...]]:
-        """For each robot the others within radio range, ascending."""
-        ...
-
-    def connected(self, robots: Sequence[int]) -> bool:
-        """Whether the radio graph of these robots is connected."""
-        ...
-
-    def sense(self, robot: int) -> Sensing:
-        """One robot's sensor readings."""
-        ...
-
-    def others(self, robot: int) -> tuple[Point, ...]:
-        """Positions of all other robots, in ascending order of ids, whatever their range."""
+    def readings(self) -> Readings:
+        """What the robots read of each other now, and who is within range of whom."""
         ...
 
     async def fly(self, displacements: Points) -> None:
@@ -39,14 +26,17 @@ class Bodies(Protocol):
         ...
 
 
-class InstantBodies(SimulatedTeam):
+class InstantBodies:
     """Simulated bodies whose motions take no time."""
+
+    def __init__(self, readings: Readings) -> None:
+        self.readings = readings
 
     @property
     def positions(self) -> Points:
         """True positions, shape (n, d) [units]."""
-        return self.places
+        return self.readings.places
 
     async def fly(self, displacements: Points) -> None:
         """Move at once."""
-        self.move(displacements)
+        self.readings.move(displacements)

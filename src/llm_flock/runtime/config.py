@@ -13,7 +13,6 @@ from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from llm_flock import renamed
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.llm.frame import FrameName
 from llm_flock.metrics import deadline
@@ -25,7 +24,6 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.schedule import MOST_ROUNDS, Change, Schedule, build_schedule, load_points
-from llm_flock.text_files import read_text
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.validation import fields_of, input_error, unknown_section
 
@@ -47,14 +45,11 @@ DEEPEST = 32
 LONGEST_SHOWN = 256
 """Longest whole number that an error shows [bits]."""
 
-_DEEP_KEY = re.compile(rf"""(?:(?:(?<![\w-])[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{DEEPEST}}}""")
-"""A dotted key so deep that `tomllib` would take memory with the square of its depth."""
-
 
 class ConfigSection(BaseModel):
     """A part of the configuration: immutable, and without unknown fields."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
 def seconds(default: float, description: str, *, most: float | None = None) -> Any:
@@ -62,10 +57,17 @@ def seconds(default: float, description: str, *, most: float | None = None) -> A
     return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [s]")
 
 
+def metres(default: float, description: str) -> Any:
+    """A field for a positive length [m]."""
+    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
+
+
 class ProtocolConfig(ConfigSection):
     """Rules by which the robots agree on one plan and on distinct places."""
 
-    protocol: Literal["flock", "paper", "baseline"] = Field(default="flock", description="Preset for the options below")
+    protocol: Literal["flock", "paper", "baseline"] = Field(
+        default="flock", description="Preset for the rules, checks and fallback"
+    )
     consensus: str | None = Field(
         default=None, description="Plan consensus: none, influence, provenance, or package.module:Class [preset's]"
     )
@@ -211,10 +213,10 @@ class RunConfig(ConfigSection):
 
     mission: Mission = Field(default_factory=Mission)
     protocol: ProtocolConfig = Field(default_factory=ProtocolConfig)
-    model: ModelConfig = Field(default_factory=ModelConfig)
-    limits: LimitConfig = Field(default_factory=LimitConfig)
-    links: LinkFaults = Field(default_factory=LinkFaults)
-    trial: TrialConfig = Field(default_factory=TrialConfig)
+    model: ModelConfig = Field(default_factory=ModelConfig, title="Language models")
+    limits: LimitConfig = Field(default_factory=LimitConfig, title="Limits and budget")
+    links: LinkFaults = Field(default_factory=LinkFaults, title="Messages")
+    trial: TrialConfig = Field(default_factory=TrialConfig, title="Run")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -270,8 +272,8 @@ class RunConfig(ConfigSection):
                 raise unknown_section(name, cls)
             if not isinstance(section, Mapping):
                 raise InputError(name, section, f"a section: [{name}], and below it FIELD = VALUE")
-            data[name] = renamed.current(cast("Mapping[str, Any]", section))
-        for field, value in renamed.current(overrides).items():
+            data[name] = dict(cast("Mapping[str, Any]", section))
+        for field, value in overrides.items():
             if value is not None:
                 data.setdefault(cls.section_of(field), {})[field] = value
         mission = data.get("mission", {})
@@ -303,13 +305,10 @@ def read_toml(field: str, path: Path) -> dict[str, Any]:
         InputError: for `field`: the file cannot be read, or is not TOML; or for a value, see `check_values`.
     """
     try:
-        text = read_text(path)
-        if _DEEP_KEY.search(text) is not None:
-            raise InputError(field, str(path), f"keys of at most {DEEPEST} parts")
-        found = tomllib.loads(text)
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(field, str(path), f"a file that can be read ({error.strerror})") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise InputError(field, str(path), says=f"this is not TOML: {error}") from None
     check_values(field, found)
     return found

@@ -6,13 +6,14 @@ import math
 import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
+from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import MoveTo, Origin
-from llm_flock.record.schema import CallUsage, ChatLine, LlmEntry, MissionInfo, RunInfo, State
+from llm_flock.record.schema import CallUsage, ChatLine, LlmEntry, MetricsRow, MissionInfo, RunInfo, State
 from llm_flock.runtime import versions
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
@@ -70,6 +71,49 @@ def mission_info(mission: Mission, version: int, first_round: int) -> MissionInf
     """A mission as it is recorded; `version` counts the missions of a run from 0."""
     ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
     return MissionInfo(version=version, round=first_round, mission=mission.model_dump(mode="json"), ideal=ideal)
+
+
+class Totals(TypedDict):
+    """Counts from the start of a run, by their fields of `MetricsRow`."""
+
+    model_calls: int
+    tokens: int
+    cost_usd: float | None
+    messages_sent: int
+    bytes_sent: int
+    messages_rejected: dict[str, int]
+
+
+def metrics_row(
+    round_number: int,
+    *,
+    plan_ids: Sequence[str | None],
+    slots: Sequence[int | None],
+    at_goal: int,
+    error: tuple[float, float | None] | None,
+    separation: float,
+    on_segment: float | None,
+    connected: bool,
+    **totals: Unpack[Totals],
+) -> MetricsRow:
+    """The figures of one round, of robots with these plans and slots.
+
+    `error` is the mean distance to the ideal shape [units] and the mean squared one [units^2]. `separation` is the
+    smallest distance of two robots now, `on_segment` while they moved here [units].
+    """
+    mean, mean_squared = (None, None) if error is None else error
+    return MetricsRow(
+        round=round_number,
+        procrustes_mean=mean,
+        procrustes_mean_squared=mean_squared,
+        min_separation=finite(separation),
+        segment_separation=finite(on_segment),
+        plans_in_use=metrics.plans_in_use(plan_ids),
+        distinct_goals=metrics.distinct_goals(plan_ids, slots),
+        robots_at_goal=at_goal,
+        connected=connected,
+        **totals,
+    )
 
 
 def finite(value: float | None) -> float | None:

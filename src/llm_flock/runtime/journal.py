@@ -16,7 +16,7 @@ from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.record.schema import Entry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd
 from llm_flock.record.writer import NullWriter, RecordSink
 from llm_flock.runtime.bodies import Bodies
-from llm_flock.runtime.entries import finite, llm_entry, mission_info, state_entry
+from llm_flock.runtime.entries import llm_entry, metrics_row, mission_info, state_entry
 from llm_flock.runtime.episode import Episode, blocked_places
 from llm_flock.runtime.roster import Roster
 from llm_flock.transport.memory import Traffic
@@ -59,7 +59,7 @@ class Journal:
         self.episodes: list[Episode] = []
         self.robot_rounds = 0
         self.rejected_before: Counter[str] = Counter()
-        self.at_goal = 0
+        self.row: MetricsRow | None = None
         self.silent_rounds = 0
         self.last_failure: str | None = None
         self._calls_before = (0, 0)
@@ -185,12 +185,12 @@ class Journal:
             for robot, a in zip(roster.awake, agents, strict=True)
         ]
         episode = self.episode
-        self.at_goal = metrics.robots_at_goal(distances, episode.mission.spacing)
+        at_goal = metrics.robots_at_goal(distances, episode.mission.spacing)
         plan = episode.plan(agents)
         places = episode.mission.n_places if plan is None else len(plan)
         usable = places - len(blocked_places(agents))
         self.errors.append(None)
-        if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or self.at_goal == min(usable, len(agents)):
+        if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or at_goal == min(usable, len(agents)):
             self.measure_error(roster)
         error = self.errors[-1]
         fits = not self._replans or plan is None or episode.fits(plan, len(agents))
@@ -207,26 +207,23 @@ class Journal:
             residual=residual,
             usable=usable,
         )
-        if self._recording or self.trace is not None:
-            self._put(
-                MetricsRow(
-                    round=round_number,
-                    procrustes_mean=None if error is None else error[0],
-                    procrustes_mean_squared=None if error is None else error[1],
-                    min_separation=finite(separation),
-                    segment_separation=finite(on_segment),
-                    plans_in_use=metrics.plans_in_use(plan_ids),
-                    distinct_goals=metrics.distinct_goals(plan_ids, slots),
-                    robots_at_goal=self.at_goal,
-                    connected=team.connected(roster.awake),
-                    model_calls=self.calls,
-                    tokens=self.usage.total,
-                    cost_usd=self.cost_usd,
-                    messages_sent=traffic.sent,
-                    bytes_sent=traffic.bytes,
-                    messages_rejected=dict(self.rejected(roster)),
-                )
-            )
+        self.row = metrics_row(
+            round_number,
+            plan_ids=plan_ids,
+            slots=slots,
+            at_goal=at_goal,
+            error=error,
+            separation=separation,
+            on_segment=on_segment,
+            connected=team.readings.connected(roster.awake),
+            model_calls=self.calls,
+            tokens=self.usage.total,
+            cost_usd=self.cost_usd,
+            messages_sent=traffic.sent,
+            bytes_sent=traffic.bytes,
+            messages_rejected=dict(self.rejected(roster)),
+        )
+        self._put(self.row)
 
     def _measure_separation(self, round_number: int, positions: Points) -> tuple[float, float | None]:
         """Smallest distance of two robots now, and while they moved here (None at the start) [units]."""

@@ -7,23 +7,20 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from llm_flock.errors import InputError
-from llm_flock.llm.frame import LETTERS_MODEL, TRAINED, trained_for
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.geometry import GeometryPlanner, KnownPlans
 from llm_flock.llm.letter_planner import LetterPlanner
 from llm_flock.llm.letters import check_wish
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
-from llm_flock.llm.local.engine import slot_count
-from llm_flock.llm.local.weights import find_weights
 from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings
 from llm_flock.llm.own import OwnModel
 from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
-from llm_flock.llm.prompting import LETTERS, PromptSet
-from llm_flock.llm.providers import parse_base_urls, parse_model
+from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm.providers import ModelName, parse_base_urls, parse_model
 from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane, Pools
 from llm_flock.llm.simulated.prompt_reader import check_prompts
-from llm_flock.llm.taught_planner import TaughtPlanner, is_taught
+from llm_flock.llm.sources import habits_of, source_of
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
 from llm_flock.protocol.verification.steps import check_answer, fit_answer
@@ -72,8 +69,17 @@ class TeamPlanners:
                 rng=stream(seed, Stream.BACKOFF),
             )
 
-        # A question waits for the local engine before its time-out begins, in a queue that delays no other model.
-        self._limits, on_board = limits_of(limits.max_concurrent), limits_of(slot_count())
+        # A question waits for a plug-in's model before its time-out begins, in a queue that delays no other model.
+        self._limits = limits_of(limits.max_concurrent)
+        queues: dict[str, CallLimits] = {}
+
+        def limits_for(name: ModelName) -> CallLimits:
+            if name.kind != "plugin":
+                return self._limits
+            if name.provider not in queues:
+                queues[name.provider] = limits_of(source_of(name.provider).at_once)
+            return queues[name.provider]
+
         settings = parse_settings(
             n,
             temperature=model.temperature,
@@ -85,8 +91,7 @@ class TeamPlanners:
         wish = check_wish(model.wish or "")
 
         def prompts_of(text: str) -> PromptSet:
-            trained = LETTERS if text == LETTERS_MODEL else "brief" if trained_for(text) else "full"
-            words = model.prompts or trained
+            words = model.prompts or habits_of(text).prompts
             prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
             if wish and words in ("full", "brief"):
                 raise InputError(
@@ -113,7 +118,7 @@ class TeamPlanners:
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
-            knows = is_taught if text == TRAINED else None
+            knows = habits_of(text).plans
             asked: LanguageModel
             if name.kind == "geometry":
                 return GeometryPlanner(rng)
@@ -122,13 +127,13 @@ class TeamPlanners:
                     self._replays[text] = ReplayModel(Path(name.model))
                 replay = self._replays[text]
                 asked = Metered(replay, self._meter)
-                if TRAINED in replay.models:
+                if any(habits_of(model).plans for model in replay.models):
                     knows = replay.was_asked
             elif name.kind == "own":
                 asked = Limited(self._own_model(robot, text), self._limits)
             else:
                 remote = self._pool.model(text, rng=rng, settings=settings[robot])
-                asked = Limited(remote, on_board if name.kind == "local" else self._limits)
+                asked = Limited(remote, limits_for(name))
             prompts = self._prompts[text]
             kind = LetterPlanner if prompts.letters else LanguagePlanner
             planner = kind(
@@ -141,9 +146,9 @@ class TeamPlanners:
                 check_plan=check_plan if verify else None,
                 check_step=check_step if verify else None,
                 clips=clips,
-                frame=model.frame or ("own" if trained_for(text) else "world"),
+                frame=model.frame or habits_of(text).frame,
             )
-            return planner if knows is None else TaughtPlanner(planner, knows)
+            return planner if knows is None else KnownPlans(planner, knows)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of
@@ -198,9 +203,10 @@ class TeamPlanners:
 
     @property
     def weights(self) -> Mapping[str, str]:
-        """Digests of the files of local models, by name."""
-        names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "local"]
-        return {file: digest for name in names for file, digest in find_weights(name.model).versions().items()}
+        """Digests of the files of plug-ins' models, by name."""
+        names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "plugin"]
+        found = [source_of(name.provider).versions(name.model) for name in names]
+        return {file: digest for files in found for file, digest in files.items()}
 
     @property
     def exhausted(self) -> bool:

@@ -24,8 +24,6 @@ if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
     import polars
 
-    from llm_flock.viz.inline import Animation
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionOutcome:
@@ -237,7 +235,7 @@ class RunResult:
             raise InputError("trace", False, "true, for a result that draws itself and gives tables")
         return trace_record(self.config, self.trace, self.summary, self.unrepeatable)
 
-    def animate(self, *, fps: int = 12) -> Animation:
+    def animate(self, *, fps: int = 12) -> Any:
         """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
         return self.record().animate(fps=fps)
 
@@ -261,9 +259,7 @@ class RunResult:
 
     def _repr_html_(self) -> str | None:
         """The picture and the table that a notebook shows; None without a trace."""
-        from llm_flock.viz.inline import record_html
-
-        return None if self.trace is None else record_html(self.record())
+        return None if self.trace is None else self.record().html()
 
 
 def trace_record(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+from typing import Any
 
 from pydantic import Field, field_validator
 
@@ -34,6 +36,7 @@ class Ros2Config(ConfigSection):
     router: str | None = Field(
         default=None,
         max_length=256,
+        json_schema_extra={"flag": "ros2"},
         description="Appear in ROS 2 by its zenoh router (rmw_zenohd) at this endpoint, such as tcp/127.0.0.1:7447",
     )
     ros_domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID")
@@ -102,3 +105,14 @@ class Ros2Config(ConfigSection):
     def pose_topic(self, team: str) -> str:
         """Topic of a robot's sensed pose, with `{id}` for its number."""
         return self.ros_pose_topic or f"{self.namespace(team)}/robot_{ROBOT}/sensed_pose"
+
+
+def refuse_ros2(flags: Mapping[str, Any], says: str) -> None:
+    """Refuse flags of ROS 2. What a file says about ROS 2 may stay there.
+
+    Raises:
+        InputError: one was typed.
+    """
+    for field in Ros2Config.model_fields:
+        if flags.get(field) is not None:
+            raise InputError(field, flags[field], says=says)

@@ -5,8 +5,14 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable
 
+from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.signed.certificates import LIARS, Authenticator
+from llm_flock.protocol.membership.liveness import TIME_OUT
+from llm_flock.protocol.membership.replanning import Gaps
+from llm_flock.protocol.membership.team import TeamMembership
+from llm_flock.protocol.motion.safety import ShieldedSafety
+from llm_flock.protocol.parts import Membership, Parts, Safety, Verifier
+from llm_flock.protocol.verification.validator import Validator
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
@@ -22,38 +28,63 @@ def load_solvers() -> None:
         importlib.import_module(name)
 
 
-def make_agent(
-    config: RunConfig,
-    rules: Rules,
+def make_parts(
     robot: int,
+    mission: Mission,
+    rules: Rules,
     *,
-    own_clock: bool = False,
-    authenticator: Authenticator | None = None,
-    liars: int = LIARS,
+    shield: bool,
+    verify: bool,
+    membership: bool = True,
+    noise_bound: float = 0.0,
+    time_out: int = TIME_OUT,
+    gaps: Gaps = "report",
     apart: float | None = None,
-) -> Agent:
-    """A new agent; heartbeats come from lockstep rounds or its robot's `own_clock`, its keys from `authenticator`.
+) -> Parts:
+    """What one robot of a team without keys is made of; call once for each agent, as parts keep state.
 
-    With keys, `liars` robots of the team may lie together. Bodies pass each other if they are `apart` [units], the safe
-    distance if not given.
+    Bodies pass each other if they are `apart` [units], the safe distance if not given. With `gaps` of "replan", plans
+    for fewer robots are accepted. Without `membership` a robot knows its neighbours only.
     """
-    load_solvers()
+    consensus, assignment = rules
+    replans = gaps == "replan"
+    return Parts(
+        consensus=consensus,
+        assignment=assignment,
+        membership=TeamMembership(robot, mission, time_out=time_out, gaps=gaps) if membership else Membership(),
+        safety=ShieldedSafety(robot, mission, noise_bound, apart) if shield else Safety(),
+        verifier=Validator(shield_on=shield, any_size=replans) if verify else Verifier(any_size=replans),
+    )
+
+
+def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
+    """The parts of a robot as configured."""
     protocol = config.protocol
-    return Agent(
+    return make_parts(
         robot,
         config.mission,
-        *rules,
-        shield_on=bool(protocol.shield),
+        rules,
+        shield=bool(protocol.shield),
         verify=bool(protocol.verify),
-        fallback=protocol.fallback or "hold",
-        on_event=config.model.decide == "on-event",
         noise_bound=config.trial.noise,
         time_out=protocol.time_out,
         gaps=protocol.gaps,
-        own_clock=own_clock,
-        authenticator=authenticator,
-        liars=liars,
         apart=apart,
+    )
+
+
+def make_agent(config: RunConfig, robot: int, parts: Parts, *, own_clock: bool = False) -> Agent:
+    """A new agent of these parts; heartbeats come from lockstep rounds, or from its robot's `own_clock`."""
+    if own_clock:
+        load_solvers()
+    return Agent(
+        robot,
+        config.mission,
+        parts=parts,
+        fallback=config.protocol.fallback or "hold",
+        on_event=config.model.decide == "on-event",
+        noise_bound=config.trial.noise,
+        own_clock=own_clock,
     )
 
 
@@ -93,7 +124,7 @@ class Roster:
     def hears(self, team: Bodies, robot: int) -> tuple[int, ...]:
         """Awake robots within radio range of one that is awake; empty for a silent robot."""
         if not self._silent:
-            return team.in_radio_range[robot]
+            return team.readings.in_radio_range[robot]
         if robot in self._silent:
             return ()
-        return tuple(other for other in team.in_radio_range[robot] if other not in self._silent)
+        return tuple(other for other in team.readings.in_radio_range[robot] if other not in self._silent)

@@ -1,11 +1,12 @@
-"""Rules by name, and presets of rules; `package.module:Class` names a user's rule."""
+"""Rules by name, and presets of rules; a plug-in adds names, and `package.module:Class` names a user's rule."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
+from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
 from llm_flock.own_code import load_own
 from llm_flock.protocol.agreement.assignment import (
@@ -83,13 +84,21 @@ def own_rules(rules: Rules) -> list[str]:
     ]
 
 
-def _rule(field: str, name: Any, known: Mapping[str, Callable[[], Any]], methods: tuple[str, ...]) -> Any:
+def _rule(
+    field: Literal["consensus", "assignment"],
+    name: Any,
+    known: Mapping[str, Callable[[], Any]],
+    methods: tuple[str, ...],
+) -> Any:
     if not isinstance(name, str):
         return _checked(field, name, methods)
     if name in known:
         return known[name]()
+    installed = plugins.entries(field)
+    if name in installed:
+        return _checked(field, plugins.load(field, name)(), methods)
     if ":" not in name:
-        raise InputError(field, name, says=unknown("rule", name, (*known, "package.module:Class")))
+        raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
     allowed = "package.module:Class that can be imported"
     found = load_own(field, name, allowed)
     try:

@@ -33,7 +33,7 @@ Turn: TypeAlias = tuple[int, int]
 class Change(BaseModel):
     """A mission given to one robot at the start of a round; the others receive it from there."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     round: Annotated[int, Field(ge=1)]
     robot: Annotated[int, Field(ge=0)]

@@ -8,12 +8,11 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
 
-from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.own_code import shown
 from llm_flock.protocol import events
@@ -21,13 +20,13 @@ from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event
 from llm_flock.protocol.membership.liveness import patience
 from llm_flock.protocol.messages.order_time import order_time
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.record.schema import SummaryMessage
+from llm_flock.record.schema import MetricsRow, SummaryMessage
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, RunResult
-from llm_flock.runtime.roster import Roster, make_agent
+from llm_flock.runtime.roster import Roster, make_agent, parts_of
 from llm_flock.runtime.rules import Rules
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.runtime.summary import summarize
@@ -60,6 +59,22 @@ class TrialProgress:
     tokens: int
     cost_usd: float | None
 
+    @classmethod
+    def of(cls, row: MetricsRow, *, rounds: int, n_robots: int) -> Self:
+        """The figures of a round, in a team of this many robots that flies at most so many `rounds`, 0 if not known."""
+        return cls(
+            round=row.round,
+            rounds=rounds,
+            at_goal=row.robots_at_goal,
+            n_robots=n_robots,
+            plans_in_use=row.plans_in_use,
+            distinct_goals=row.distinct_goals,
+            error=row.procrustes_mean,
+            model_calls=row.model_calls,
+            tokens=row.tokens,
+            cost_usd=row.cost_usd,
+        )
+
 
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
@@ -82,7 +97,9 @@ class Trial:
         n_robots = config.mission.n_robots
         self.config = config
         self.schedule = config.schedule()
-        self.roster = Roster(lambda robot: make_agent(config, rules, robot), n_robots, self.schedule.asleep)
+        self.roster = Roster(
+            lambda robot: make_agent(config, robot, parts_of(config, rules, robot)), n_robots, self.schedule.asleep
+        )
         self.planners = planners
         self.bodies = bodies
         self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
@@ -213,8 +230,8 @@ class Trial:
         asking: dict[int, PlanQuestion] = {}
         everybody = self.config.model.observe == "all"
         for robot in self.roster.awake:
-            seen = self.bodies.sense(robot)
-            observed = self.bodies.others(robot) if everybody else tuple(seen.sensed.values())
+            seen = self.bodies.readings.sense(robot)
+            observed = self.bodies.readings.others(robot) if everybody else tuple(seen.sensed.values())
             began = events.RoundBegan(
                 round=number,
                 position=seen.position,
@@ -295,26 +312,9 @@ class Trial:
         return [effect for effect in effects if not isinstance(effect, Note)]
 
     def _report(self) -> None:
-        if self._on_round is None:
-            return
-        journal = self.journal
-        minds = self.roster.awake_agents()
-        plan_ids = [None if a.plan is None else a.plan.digest for a in minds]
-        error = journal.errors[-1]
-        self._on_round(
-            TrialProgress(
-                round=self.round,
-                rounds=self.rounds,
-                at_goal=journal.at_goal,
-                n_robots=len(minds),
-                plans_in_use=metrics.plans_in_use(plan_ids),
-                distinct_goals=metrics.distinct_goals(plan_ids, [a.claim.slot for a in minds]),
-                error=None if error is None else error[0],
-                model_calls=journal.calls,
-                tokens=journal.usage.total,
-                cost_usd=journal.cost_usd,
-            )
-        )
+        if self._on_round is not None and self.journal.row is not None:
+            robots = len(self.roster.awake)
+            self._on_round(TrialProgress.of(self.journal.row, rounds=self.rounds, n_robots=robots))
 
     def finish(self, record: str | None, flight: FlightFigures | None = None) -> RunResult:
         """The result so far, which is also written to the record. Call once, also after a cancelled `run`."""

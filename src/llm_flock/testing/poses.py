@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from llm_flock.robots.base import Position
-from llm_flock.robots.positions.datagram import datagram_of
-from llm_flock.robots.positions.pose import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
+from llm_flock.robots.positions.udp import datagram_of
 
 
 class PoseStream:

@@ -15,7 +15,7 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 class LinkFaults(BaseModel):
     """Faults of the links, drawn for each message on each link independently."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
     delay: int = Field(

@@ -8,7 +8,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from llm_flock.listening import ListeningPort
 from llm_flock.viewer.data import answer
 from llm_flock.viewer.library import Library, load
 from llm_flock.viewer.paths import title_of
@@ -16,14 +15,9 @@ from llm_flock.viewer.recording import Recording
 from llm_flock.viewer.server import Address
 
 if TYPE_CHECKING:
+    from llm_flock.foxglove.server import FoxgloveServer
     from llm_flock.llm.mission_words import MissionReader
-    from llm_flock.runtime.network.config import SwarmConfig
-    from llm_flock.viewer.launcher import Launcher
-    from llm_flock.viewer.swarm import SwarmSource
-
-MOST_ROBOTS = 250
-"""Team size for which Foxglove's queue is sized: the viewer's runs are not known yet."""
-
+    from llm_flock.runtime.watched import WatchedTeam
 
 MOST_WAIT_S = 1.0
 """Longest time for which the first page has the processor to itself, for its record and for what it shows [s]."""
@@ -34,12 +28,12 @@ def run_viewer(
     *,
     records: Sequence[Path],
     live: bool,
-    swarm: SwarmConfig | None,
+    swarm: WatchedTeam | None,
     runs: Path,
     models: Sequence[str],
     base_url: str | None,
     reader: MissionReader | None = None,
-    foxglove: ListeningPort | None = None,
+    foxglove: FoxgloveServer | None = None,
 ) -> None:
     """Serve the viewer until the process is stopped.
 
@@ -52,7 +46,7 @@ def run_viewer(
         models: models, other than simulated ones, that runs started from the page may ask.
         base_url: address that replaces the provider's own.
         reader: reads missions in words; without one the page takes none.
-        foxglove: where the newest run is served to Foxglove as well.
+        foxglove: takes the newest run as well.
     """
     library = Library()
     found = [library.add(title_of(path), path, live=live) for path in records]
@@ -78,10 +72,14 @@ def run_viewer(
     if swarm is not None:
         from llm_flock.viewer.swarm import SwarmSource
 
-        source = SwarmSource(swarm, library.add(f"swarm {swarm.network.swarm}"))
+        source = SwarmSource(swarm, library.add(swarm.name))
     launcher = Launcher(library, runs, models, base_url, reader)
     if foxglove is not None:
-        _serve_foxglove(foxglove, library, launcher, source)
+        from llm_flock.viewer.foxglove_feed import Feed
+
+        if source is not None:
+            source.also = foxglove
+        threading.Thread(target=Feed(library, foxglove).run, daemon=True).start()
     app = Starlette(routes=Routes(library, launcher, PageOrders(library, launcher, source)).routes())
     guarded = RequestGuard(app, hosts=address.hosts, token=address.token)
     server = uvicorn.Server(uvicorn.Config(guarded, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
@@ -89,18 +87,6 @@ def run_viewer(
         threading.Thread(target=source.watch, daemon=True).start()
     address.startup.stop()
     server.run(sockets=[address.sock])
-
-
-def _serve_foxglove(port: ListeningPort, library: Library, launcher: Launcher, swarm: SwarmSource | None) -> None:
-    """Serve the newest run to Foxglove until the process ends."""
-    from llm_flock.foxglove.server import FoxgloveServer
-    from llm_flock.viewer.foxglove_feed import Feed, ViewerOrders
-
-    orders = ViewerOrders(launcher, swarm).orders
-    server = FoxgloveServer(port, orders, MOST_ROBOTS)
-    if swarm is not None:
-        swarm.also = server
-    threading.Thread(target=Feed(library, server).run, daemon=True).start()
 
 
 def _batches(found: Sequence[Recording], *, live: bool) -> list[Sequence[Recording]]:

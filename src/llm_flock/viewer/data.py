@@ -11,6 +11,7 @@ from typing import Any, cast
 from pydantic_core import to_json
 
 from llm_flock.printable import printable
+from llm_flock.record.history import RunHistory
 from llm_flock.record.schema import ASLEEP, DEAD, State
 from llm_flock.record.words import sentence
 from llm_flock.viewer.events import in_words
@@ -66,17 +67,17 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         case "mind" | "events" | "prompt" if not run.ready:
             return b"null"
         case "mind":
-            return to_json(mind(run, number("robot"), number("round")))
+            return to_json(mind(run.history, number("robot"), number("round")))
         case "prompt":
-            return to_json(prompt(run, number("robot"), number("round"), number("call")))
+            return to_json(prompt(run.history, number("robot"), number("round"), number("call")))
         case "events":
-            return to_json(event_lines(run, number("round"), LONGEST_TOLD))
+            return to_json(event_lines(run.history, number("round"), LONGEST_TOLD))
         case "about":
             return to_json(about(run))
         case "news":
             return to_json(news(run, number("rounds"), number("plans"), number("missions")))
         case "frames":
-            return to_json(frames(run, number("first"), number("count", 1)))
+            return to_json(frames(run.history, number("first"), number("count", 1)))
         case _:
             return None
 
@@ -85,14 +86,15 @@ def about(run: Recording) -> dict[str, Any]:
     """What a page needs before the first round; while there is none, why."""
     if not run.ready:
         return {"ready": False, "failure": run.failure}
-    fields = run.missions[0].mission
+    history = run.history
+    fields = history.missions[0].mission
     return {
         "ready": True,
         "live": run.live,
         "about": run.description,
-        "simulated": run.simulated,
+        "simulated": history.info is not None and history.info.simulated,
         "export": run.path is not None,
-        "robots": run.n_robots,
+        "robots": history.n_robots,
         "space": len(fields["arena"][0]) > 2,
         **{name: fields[name] for name in ("safe_distance", "comm_range", "spacing")},
         "arena": [list(corner)[:2] for corner in fields["arena"]],
@@ -102,30 +104,31 @@ def about(run: Recording) -> dict[str, Any]:
 
 def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
     """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
-    last = run.rounds
-    rows = run.rows[rounds : last + 1]
+    history = run.history
+    last = history.rounds
+    rows = history.rows[rounds : last + 1]
     return {
         "last": last,
         "open": run.open,
         "failure": run.failure,
         "extent": run.extent,
-        "formation": box([*run.states[last].positions, *run.states[last].goals]) if last >= 0 else [],
-        "outcome": _printable(outcome(run)) if run.ready else None,
+        "formation": box([*history.states[last].positions, *history.states[last].goals]) if last >= 0 else [],
+        "outcome": _printable(outcome(history, over=not run.open)) if run.ready else None,
         "steer": None if run.steer is None else run.steer(),
-        "plans": [plan_look(number) for number in range(plans, len(run.plan_numbers))],
-        "missions": [{"round": m.round, "text": printable(shape_text(m.mission))} for m in run.missions[missions:]],
+        "plans": [plan_look(number) for number in range(plans, len(history.plan_numbers))],
+        "missions": [{"round": m.round, "text": printable(shape_text(m.mission))} for m in history.missions[missions:]],
         "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
         "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
     }
 
 
-def frames(run: Recording, first: int, count: int) -> list[dict[str, Any]]:
+def frames(run: RunHistory, first: int, count: int) -> list[dict[str, Any]]:
     """The robots in at most MOST_FRAMES rounds; fewer where the run has fewer."""
     end = min(first + min(count, MOST_FRAMES), run.rounds + 1)
     return [_frame(run, run.states[k]) for k in range(max(0, first), end)]
 
 
-def _frame(run: Recording, state: State) -> dict[str, Any]:
+def _frame(run: RunHistory, state: State) -> dict[str, Any]:
     return {
         "r": state.round,
         "x": [[round(part, DECIMALS) for part in row] for row in state.positions],
@@ -144,12 +147,12 @@ def _frame(run: Recording, state: State) -> dict[str, Any]:
     }
 
 
-def event_lines(run: Recording, number: int, most: int = MOST_WORDS) -> dict[str, Any]:
+def event_lines(run: RunHistory, number: int, most: int = MOST_WORDS) -> dict[str, Any]:
     """The events of a round, each its robot and a sentence of at most `most` letters without its subject.
 
     At most MOST_EVENTS of `total` are listed.
     """
-    listed = run.events(number)
+    listed = tuple(run.events.get(number, ()))
     lines = [[f"robot {event.robot}", sentence(in_words(event, run.plan_name), most)] for event in listed[:MOST_EVENTS]]
     return {"round": number, "total": len(listed), "lines": lines}
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from llm_flock.errors import FlockError, InputError
-from llm_flock.foxglove.services import Orders
+from llm_flock.errors import FlockError
 from llm_flock.record.schema import RoundEnd
 from llm_flock.record.stream import RecordStream
 from llm_flock.viewer.library import POLL_S, Library
@@ -15,9 +13,6 @@ from llm_flock.viewer.recording import Recording
 
 if TYPE_CHECKING:
     from llm_flock.foxglove.server import FoxgloveServer
-    from llm_flock.viewer.launcher import Launcher
-    from llm_flock.viewer.steered_run import SteeredRun
-    from llm_flock.viewer.swarm import SwarmSource
 
 PACE = 2.0
 """Rounds a second of a finished record."""
@@ -71,42 +66,3 @@ class Feed:
         end = time.monotonic() + seconds
         while time.monotonic() < end and self._library.newest is recording:
             time.sleep(POLL_S)
-
-
-class ViewerOrders:
-    """Orders to the newest run, if it was started from the page, or to the swarm that is watched."""
-
-    def __init__(self, launcher: Launcher, swarm: SwarmSource | None) -> None:
-        self._launcher = launcher
-        self._swarm = swarm
-        self._given: dict[str, Any] = {}
-
-    @property
-    def orders(self) -> Orders:
-        """What can be ordered."""
-        return Orders(mission=self._mission, kill=self._kill)
-
-    def _mission(self, fields: dict[str, Any]) -> int:
-        run = self._steered
-        if run is not None:
-            return run.change(fields)
-        if self._swarm is None:
-            raise InputError("mission", fields, "possible while a run flies that was started from the page")
-        from llm_flock.runtime.orders import check_shape
-
-        check_shape(fields.get("shape"))
-        fields = {**self._given, **fields}  # with keys an order holds the whole mission
-        taker = asyncio.run(self._swarm.change(fields))
-        self._given = fields
-        return taker
-
-    def _kill(self, robot: int) -> None:
-        run = self._steered
-        if run is None:
-            raise InputError("robot", robot, "one of a run that flies and was started from the page")
-        run.kill(robot)
-
-    @property
-    def _steered(self) -> SteeredRun | None:
-        run = next(iter(list(self._launcher.runs.values())[::-1]), None)
-        return None if run is None or run.over else run

@@ -5,12 +5,14 @@ Pages set all of it as text, so no answer of a model can become markup. It is pr
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 from llm_flock.printable import printable
-from llm_flock.record.schema import LlmEntry
-from llm_flock.record.words import verdict
-from llm_flock.viewer.recording import Recording
+from llm_flock.record.history import RunHistory
+from llm_flock.record.schema import SILENT, LlmEntry
+from llm_flock.record.words import begun, verdict
+from llm_flock.viewer.events import breaker_text
 
 MOST_CLAIMS = 30
 
@@ -29,7 +31,21 @@ _ORIGINS = {
 """What moved a robot in the round, in words."""
 
 
-def mind(run: Recording, robot: int, number: int) -> dict[str, Any] | None:
+class HeardClaim(NamedTuple):
+    """What a robot within radio range claims; a rival claims the same slot of the same plan as the listener.
+
+    `influence` is the share of the team that hears it, `distance` its distance from the listener [units].
+    """
+
+    robot: int
+    plan: str
+    slot: int | None
+    influence: float
+    distance: float
+    rival: bool
+
+
+def mind(run: RunHistory, robot: int, number: int) -> dict[str, Any] | None:
     """A robot's plan, its conversation with its model, and the claims it heard; None without such a robot or round."""
     if not (0 <= robot < run.n_robots and 0 <= number <= run.rounds):
         return None
@@ -43,16 +59,15 @@ def mind(run: Recording, robot: int, number: int) -> dict[str, Any] | None:
     ]
     if phase != USUAL:
         facts.append(phase)
-    sentences = run.breakers(number, robot)
-    calls = run.calls(number, robot)
-    found = run.claims_heard(robot, number)
+    calls = tuple(run.calls.get((number, robot), ()))
+    found = claims_heard(run, robot, number)
     return {
         "robot": robot,
         "round": number,
         "facts": printable(" · ".join(facts)),
-        "breakers": [printable(text[0].upper() + text[1:]) for text in sentences],
+        "breakers": [printable(begun(text)) for text in breakers(run, robot, number)],
         "calls": [_call(entry) for entry in calls],
-        "before": None if calls else run.last_call(number, robot),
+        "before": None if calls else next((k for k in range(number, -1, -1) if (k, robot) in run.calls), None),
         "provenance": printable(_provenance(run, robot, number)),
         "n_claims": len(found),
         "claims": [
@@ -68,12 +83,39 @@ def mind(run: Recording, robot: int, number: int) -> dict[str, Any] | None:
     }
 
 
-def prompt(run: Recording, robot: int, number: int, call: int) -> list[list[str]]:
+def prompt(run: RunHistory, robot: int, number: int, call: int) -> list[list[str]]:
     """Everything that a model saw in one call: role and text of each message. They are long: asked for when opened."""
-    calls = run.calls(number, robot)
+    calls = run.calls.get((number, robot), ())
     if not 0 <= call < len(calls):
         return []
     return [[printable(line.role), printable(line.text)] for line in calls[call].messages]
+
+
+def claims_heard(run: RunHistory, robot: int, number: int) -> list[HeardClaim]:
+    """The claims within a robot's radio range in a round, its own first, then the nearest."""
+    state = run.states[number]
+    reach = float(run.mission_at(number).mission["comm_range"])
+    own = state.plan_ids[robot], state.slots[robot]
+    found = [
+        HeardClaim(
+            robot=other,
+            plan=run.plan_name(state.plan_ids[other]),
+            slot=state.slots[other],
+            influence=state.influence[other],
+            distance=math.dist(state.positions[robot], state.positions[other]),
+            rival=other != robot and own[1] is not None and own == (state.plan_ids[other], state.slots[other]),
+        )
+        for other in range(len(state.positions))
+        if other == robot or state.phases[other] not in SILENT
+    ]
+    return sorted((c for c in found if c.distance <= reach), key=lambda c: (c.robot != robot, c.distance))
+
+
+def breakers(run: RunHistory, robot: int, number: int) -> list[str]:
+    """What a robot's open circuit breakers have seen by a round, a sentence each; empty while all are closed."""
+    known = [event for k in range(number + 1) for event in run.events.get(k, ()) if event.robot == robot]
+    newest = {event.detail.get("question"): event for event in known if event.kind == "breaker"}
+    return [breaker_text(event) for event in newest.values() if event.detail.get("state") == "open"]
 
 
 def _call(entry: LlmEntry) -> dict[str, Any]:
@@ -89,7 +131,7 @@ def _call(entry: LlmEntry) -> dict[str, Any]:
     }
 
 
-def _provenance(run: Recording, robot: int, number: int) -> str:
+def _provenance(run: RunHistory, robot: int, number: int) -> str:
     words = [
         f"robot {step.robot} {'proposed' if step.source is None else 'took'} it (round {step.round})"
         + (", made by geometry" if step.by == "geometry" else "")

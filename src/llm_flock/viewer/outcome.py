@@ -6,15 +6,12 @@ The first screen answers these three questions with it, before anybody has click
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
+from llm_flock.record.diagnosis import IN_SHAPE, Diagnosis, deaths_text, diagnose
+from llm_flock.record.history import RunHistory
 from llm_flock.record.schema import SILENT
-from llm_flock.record.words import counted, protocol_text, work_text
-from llm_flock.viewer.blame import Blame, blame, deaths_text
-from llm_flock.viewer.last_round import IN_SHAPE, begun
-
-if TYPE_CHECKING:
-    from llm_flock.viewer.recording import Recording
+from llm_flock.record.words import begun, counted, protocol_text, work_text
 
 HELD_ROUNDS = 3
 
@@ -37,7 +34,7 @@ class MissionPart(NamedTuple):
     formed: int | None
 
 
-def mission_parts(run: Recording) -> list[MissionPart]:
+def mission_parts(run: RunHistory) -> list[MissionPart]:
     """The missions in their order; `formed` is a round of the run, as its result says, or while it flies, its rows."""
     given = list(run.missions)
     said = (run.result or {}).get("missions")
@@ -57,7 +54,7 @@ def shape_text(mission: Mapping[str, Any]) -> str:
     return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
 
 
-def _formed(run: Recording, k: int, told: Sequence[object], last: int | None) -> int | None:
+def _formed(run: RunHistory, k: int, told: Sequence[object], last: int | None) -> int | None:
     if told and isinstance(told[k], dict):
         formed = cast("dict[str, Any]", told[k]).get("formed")
         return formed if isinstance(formed, int) else None
@@ -69,7 +66,7 @@ def _formed(run: Recording, k: int, told: Sequence[object], last: int | None) ->
     return _formed_by_rows(run, run.missions[k].round, run.rounds if last is None else min(last, run.rounds))
 
 
-def _formed_by_rows(run: Recording, first: int, last: int) -> int | None:
+def _formed_by_rows(run: RunHistory, first: int, last: int) -> int | None:
     """The first of three rounds in order after the team last changed, as measured: for a run that still flies."""
     held = 0
     since = run.disturbed if run.disturbed <= last else 0
@@ -84,12 +81,11 @@ def _formed_by_rows(run: Recording, first: int, last: int) -> int | None:
     return None
 
 
-def outcome(run: Recording) -> dict[str, Any]:
-    """What the banner of a page says: see `mission_parts` and `blame`; `tone` is good, bad or open."""
+def outcome(run: RunHistory, *, over: bool) -> dict[str, Any]:
+    """What the banner of a page says: see `mission_parts` and `diagnose`; `tone` is good, bad or open."""
     parts = mission_parts(run)
-    over = not run.open
     last = parts[-1]
-    found = blame(run) if over and last.formed is None else Blame("")
+    found = diagnose(run) if over and last.formed is None else Diagnosis()
     tone = "good" if last.formed is not None else "bad" if over else "open"
     return {
         "tone": tone,
@@ -97,7 +93,7 @@ def outcome(run: Recording) -> dict[str, Any]:
         "protocol": protocol_name(run),
         "why": found.why,
         "by": begun(_work(run)) if last.formed is not None else "",
-        "guilty": list(found.robots),
+        "robots": list(found.robots),
         "interesting": interesting(run, found),
         "missions": [
             {"first": part.first, "last": part.last, "text": part.text, "formed": part.formed} for part in parts
@@ -105,7 +101,7 @@ def outcome(run: Recording) -> dict[str, Any]:
     }
 
 
-def _headline(run: Recording, parts: Sequence[MissionPart], *, over: bool) -> str:
+def _headline(run: RunHistory, parts: Sequence[MissionPart], *, over: bool) -> str:
     last = parts[-1]
     name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
     if last.formed is not None:
@@ -116,25 +112,25 @@ def _headline(run: Recording, parts: Sequence[MissionPart], *, over: bool) -> st
     return begun(f"{name}not formed: {stop_text(run)}")
 
 
-def _helped(run: Recording) -> str:
+def _helped(run: RunHistory) -> str:
     """Whether the models did it alone; older records do not say."""
     if (run.result or {}).get("formed_by_models", True):
         return ""
     return ", by geometry without models" if run.without_models else ", with help for the models"
 
 
-def _gaps(run: Recording) -> str:
+def _gaps(run: RunHistory) -> str:
     gaps = (run.result or {}).get("gaps")
     return f", with {counted(gaps, 'place')} empty" if isinstance(gaps, int) and gaps > 0 else ""
 
 
-def _work(run: Recording) -> str:
+def _work(run: RunHistory) -> str:
     """Who died, and who did the work."""
     work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
     return " · ".join(part for part in (deaths_text(run), work) if part)
 
 
-def stop_text(run: Recording) -> str:
+def stop_text(run: RunHistory) -> str:
     """Why the run ended, in words."""
     if run.result is None:
         return "the record ends early"
@@ -146,12 +142,12 @@ def stop_text(run: Recording) -> str:
     return _STOPPED.get(stopped, stopped)
 
 
-def protocol_name(run: Recording) -> str:
+def protocol_name(run: RunHistory) -> str:
     """The name of the protocol, as everywhere; see `protocol_text`."""
     return "" if run.info is None else protocol_text(run.info.config)
 
 
-def interesting(run: Recording, found: Blame) -> dict[str, Any]:
+def interesting(run: RunHistory, found: Diagnosis) -> dict[str, Any]:
     """The robot that the mind panel opens with, and why: the first that is to blame for a run that did not form.
 
     Without one, the robot with the most refused and failed calls, help by geometry and open circuit breakers; without

@@ -62,10 +62,11 @@ def page(run: Recording) -> str:
     Raises:
         InputError: it has too many robots times rounds.
     """
-    size = run.n_robots * (run.rounds + 1)
+    history = run.history
+    size = history.n_robots * (history.rounds + 1)
     if size > MOST_ROBOT_ROUNDS:
-        most = MOST_ROBOT_ROUNDS // run.n_robots
-        raise InputError("rounds", run.rounds, f"at most {most} for a page of {run.n_robots} robots")
+        most = MOST_ROBOT_ROUNDS // history.n_robots
+        raise InputError("rounds", history.rounds, f"at most {most} for a page of {history.n_robots} robots")
     script, style = bundle(PLAYER), css()
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
@@ -86,13 +87,14 @@ def page(run: Recording) -> str:
 def _content(run: Recording) -> dict[str, Any]:
     """The run as a page asks for it. Conversations are left out: they are most of a record."""
     kept: list[dict[str, Any]] = []
-    for first in range(0, run.rounds + 1, MOST_FRAMES):
-        kept += frames(run, first, MOST_FRAMES)
+    history = run.history
+    for first in range(0, history.rounds + 1, MOST_FRAMES):
+        kept += frames(history, first, MOST_FRAMES)
     return {
         "about": {**about(run), "export": False},
         "news": {**news(run, 0, 0, 0), "open": False},
         "frames": kept,
-        "events": [event_lines(run, number) for number in range(run.rounds + 1)],
+        "events": [event_lines(history, number) for number in range(history.rounds + 1)],
     }
 
 

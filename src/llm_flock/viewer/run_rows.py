@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from llm_flock.printable import one_line
+from llm_flock.record.history import RunHistory
 from llm_flock.record.words import sentence
 from llm_flock.viewer.outcome import outcome, protocol_name
 from llm_flock.viewer.recording import Recording
@@ -39,32 +40,33 @@ def run_row(run: Recording) -> dict[str, Any]:
     }
     if not run.ready:
         return row
-    result = run.result or {}
-    found = outcome(run)
-    rounds, bound = run.rounds, _number(result.get("lower_bound_rounds"))
+    history = run.history
+    result = history.result or {}
+    found = outcome(history, over=not run.open)
+    rounds, bound = history.rounds, _number(result.get("lower_bound_rounds"))
     took = _number(result.get("rounds_to_formed"))
     calls = _number(result.get("model_calls"))
-    info = run.info
+    info = history.info
     return row | {
         "tone": found["tone"],
         "outcome": one_line(str(found["headline"])),
         "why": sentence(str(found["why"]).partition(". ")[0], 300) if found["why"] else "",
         "date": "" if info is None else one_line(info.created_at[:16].replace("T", " ")),
         "seed": None if info is None else info.seed,
-        "protocol": one_line(protocol_name(run)),
+        "protocol": one_line(protocol_name(history)),
         "model": "" if info is None else one_line(str(info.config.get("model", {}).get("model", ""))),
         "mission": one_line(", then ".join(part["text"] for part in found["missions"])),
         "rounds": rounds,
         "took": took,
         "bound": bound,
         "ratio": round(took / bound, 3) if took is not None and bound else None,
-        "calls": run.rows[rounds].model_calls if calls is None else calls,
+        "calls": history.rows[rounds].model_calls if calls is None else calls,
         "figures": [[label, _number(result.get(name))] for name, label in FIGURES],
-        "thumbnail": _thumbnail(run),
+        "thumbnail": _thumbnail(history),
     }
 
 
-def _thumbnail(run: Recording) -> list[list[Any]]:
+def _thumbnail(run: RunHistory) -> list[list[Any]]:
     """Places from 0 to 1 within the team's own width, and a colour, of each robot in the last round."""
     state = run.states[run.rounds]
     columns, lines = [row[0] for row in state.positions], [row[1] for row in state.positions]

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from llm_flock.errors import FieldError, FlockError, InputError, unknown
-from llm_flock.llm.local.weights import is_packaged
+from llm_flock.llm.sources import habits_of
 from llm_flock.protocol.events import Note
 from llm_flock.record.schema import DEAD
 from llm_flock.robots.simulated import draw_start
@@ -63,7 +63,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     model = given.get("model")
     # A list of models by robot ("0=...,1=...") is not split here: it must be allowed as a whole.
     if model is not None and model not in models and not _free(str(model)):
-        allowed = "simulated:PROFILE, geometry or local:smollm2, or a model that `llm-flock view --model` named"
+        allowed = "simulated:PROFILE, geometry or a packaged model, or a model that `llm-flock view --model` named"
         raise InputError("model", model, allowed)
     config = build_config({}, **given)
     if _free(config.model.model):
@@ -75,9 +75,8 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
 
 def _free(model: str) -> bool:
     """Whether a page may use a model: it costs nothing, uses no network, and reads no file outside the package."""
-    provider, _, name = model.partition(":")
-    packaged = provider == "local" and is_packaged(name)
-    return "=" not in model and (model == "geometry" or provider == "simulated" or packaged)
+    free = model == "geometry" or model.startswith("simulated:") or habits_of(model).contained
+    return free and "=" not in model
 
 
 def check_pace(pace: float) -> None:
@@ -140,7 +139,7 @@ class SteeredRun:
     @property
     def dead(self) -> frozenset[int]:
         """Robots that are dead, or will be with the next round."""
-        states = self.recording.states
+        states = self.recording.history.states
         phases = states[-1].phases if states else ()
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 

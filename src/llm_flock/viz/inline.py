@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, require
@@ -29,21 +29,6 @@ class Animation:
     fps: int
     gif: bytes = field(repr=False)
 
-    @classmethod
-    def of(cls, record: RunRecord, *, fps: int = 12) -> Self:
-        """Draw a record; takes about as long as a tenth of a second a round.
-
-        Raises:
-            InputError: a rate below 1.
-            ExtraMissing: the extra `figures` is not installed.
-        """
-        require("figures", "animate()")
-        if fps < 1:
-            raise InputError("fps", fps, "at least 1 frame per second")
-        from llm_flock.viz.animation import gif
-
-        return cls(record=record, fps=fps, gif=gif(record, fps))
-
     def save(self, path: str | Path) -> None:
         """Write the animation; the file's ending decides: .gif, .mp4 or .webm.
 
@@ -56,6 +41,21 @@ class Animation:
 
     def _repr_html_(self) -> str:
         return _image(self.gif, "gif", f"Animation of {_title(self.record)}")
+
+
+def animation(record: RunRecord, *, fps: int = 12) -> Animation:
+    """Draw a record; takes about as long as a tenth of a second a round.
+
+    Raises:
+        InputError: a rate below 1.
+        ExtraMissing: the extra `figures` is not installed.
+    """
+    require("figures", "animate()")
+    if fps < 1:
+        raise InputError("fps", fps, "at least 1 frame per second")
+    from llm_flock.viz.animation import gif
+
+    return Animation(record=record, fps=fps, gif=gif(record, fps))
 
 
 def record_html(record: RunRecord) -> str:
@@ -104,6 +104,7 @@ def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
     rows = [
         ("protocol", protocol_text(record.run.config)),
         ("formed", formed),
+        ("why not", record.diagnosis().why),
         ("rounds", str(record.rounds)),
         ("plans in use", str(last.plans_in_use)),
         ("distinct goals", str(last.distinct_goals)),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from llm_flock.printable import one_line
 from llm_flock.record.palette import NO_PLAN, PALETTE
-from llm_flock.record.words import protocol_text
+from llm_flock.record.words import letters, protocol_text
 
 if TYPE_CHECKING:
     from llm_flock.record.reader import RunRecord
@@ -120,16 +120,6 @@ def plan_look(number: int) -> PlanLook:
     fill = PALETTE[number % len(PALETTE)]
     rim = LINES[number // len(PALETTE) % len(LINES)]
     return PlanLook(name=letters(number), fill=fill, line=line_colour(fill), ink=ink_on(fill), rim=rim)
-
-
-def letters(number: int) -> str:
-    """0, 1, ... as A .. Z, AA, AB, ..."""
-    name = ""
-    number += 1
-    while number:
-        number, rest = divmod(number - 1, 26)
-        name = chr(ord("A") + rest) + name
-    return name
 
 
 def ink_on(fill: str) -> str:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rounds import round_began
+from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -32,6 +33,8 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.motion.right_of_way import STALLED
+from llm_flock.protocol.motion.safety import ShieldedSafety
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import clip_waypoint
@@ -45,7 +48,7 @@ WAY = tuple((GOAL[0], GOAL[1] + left) for left in (12.0, 6.0, 0.0))
 
 
 def make(*, verify: bool = True, shield_on: bool = True) -> Agent:
-    return Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=shield_on, verify=verify, on_event=True)
+    return whole_agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=shield_on, verify=verify, on_event=True)
 
 
 def begin(agent: Agent, position: Point, sensed: dict[int, Point] | None = None) -> list[Effect]:
@@ -126,7 +129,7 @@ def test_a_robot_that_lost_its_goal_starts_afresh() -> None:
 
 
 def test_in_every_round_by_default() -> None:
-    agent = Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=True)
+    agent = whole_agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=True)
     for _ in range(3):
         (ask,) = begin(agent, START)
         assert isinstance(ask, AskStep) and ask.question.horizon == 1
@@ -186,8 +189,8 @@ def test_the_shield_measures_arrival_by_the_spacing_of_the_mission_in_force() ->
     here, body = (goal[0] - 0.8, *goal[1:]), (goal[0] - 0.8 + MISSION.safe_distance, *goal[1:])
     scene = Observation(round=1, position=here, sensed={1: body}, observed=(body,))
     for mission, blocked in ((MISSION, True), (MISSION.change(spacing=20.0), False)):
-        validator = Validator(verify=False, shield_on=True)
-        pilot = Pilot(0, MISSION, validator, shield_on=True, noise_bound=0.0, on_event=False, fallback="hold")
+        parts = Parts(safety=ShieldedSafety(0, MISSION, 0.0))
+        pilot = Pilot(0, MISSION, parts, noise_bound=0.0, on_event=False, fallback="hold")
         effects: list[Effect] = []
         for _ in range(STALLED + 1):
             pilot.decide(scene, mission, PLAN, 0, None)
@@ -200,8 +203,8 @@ def test_a_step_that_ends_beside_a_corner_is_flown_to_the_corner() -> None:
     """From beside it the way on may not be free, and a model that rounds would answer the same for ever."""
     disc = Obstacle(center=(50.0, 50.0), radius=6.0)
     mission = MISSION.change(obstacles=(disc,), shape="text:any")
-    validator = Validator(verify=True, shield_on=True)
-    pilot = Pilot(0, mission, validator, shield_on=True, noise_bound=0.0, on_event=False, fallback="breaker")
+    parts = Parts(safety=ShieldedSafety(0, mission, 0.0), verifier=Validator(shield_on=True))
+    pilot = Pilot(0, mission, parts, noise_bound=0.0, on_event=False, fallback="breaker")
     plan = Plan.of([(58.0, 44.0), *PLAN.points[1:]])
     scene = Observation(round=1, position=(50.0, 59.5), sensed={}, observed=())
     (ask,) = pilot.decide(scene, mission, plan, 0, None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from whole_agent import whole_agent
+
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.auction import AuctionAssignment
@@ -39,7 +41,7 @@ HERE = (48.0, 50.0)
 
 
 def make(robot: int = 0) -> Agent:
-    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=True, own_clock=True)
+    return whole_agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=True, own_clock=True)
 
 
 def seen(at: tuple[float, float] = HERE, **others: tuple[float, float]) -> Sensed:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from one_agent import BETTER, MISSION, PLAN, foreign, make, notes, origin, planned
+from whole_agent import whole_agent
 
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import IndexAssignment
 from llm_flock.protocol.agreement.consensus import NoConsensus
 from llm_flock.protocol.events import (
@@ -29,7 +29,7 @@ from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 
 def test_baseline_keeps_the_index_of_its_own_model() -> None:
-    agent = Agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=False)
+    agent = whole_agent(0, MISSION, NoConsensus(), IndexAssignment(), shield_on=False)
     planned(agent)
     agent.handle(Received(foreign(1, BETTER, origin(1))))
     agent.handle(CommRoundEnded())

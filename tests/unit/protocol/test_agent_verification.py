@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from one_agent import MISSION, PLAN, began, foreign, make, origin
+from whole_agent import whole_agent
 
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.auction import AuctionAssignment
@@ -31,7 +32,7 @@ CRUDE = Plan.of([[50.3, 44.2], [44.7, 52.9], [55.0, 53.2]])
 
 
 def checking(robot: int = 0, *, shield_on: bool = True) -> Agent:
-    return Agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on, verify=True)
+    return whole_agent(robot, MISSION, ProvenanceConsensus(), AuctionAssignment(), shield_on=shield_on, verify=True)
 
 
 def deciding(agent: Agent, plan: Plan = IDEAL) -> Agent:

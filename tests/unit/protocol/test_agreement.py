@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 from driven_agent import LINE, PLAN, DrivenAgent, make, says
+from whole_agent import whole_agent
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.agreement.auction import BOUND_ROUNDS, AuctionAssignment
 from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
@@ -189,7 +189,9 @@ class Counting:
 
 def counting() -> tuple[Counting, DrivenAgent]:
     rule = Counting()
-    return rule, DrivenAgent(Agent(0, LINE, ProvenanceConsensus(), rule, shield_on=True, verify=False, time_out=2))
+    return rule, DrivenAgent(
+        whole_agent(0, LINE, ProvenanceConsensus(), rule, shield_on=True, verify=False, time_out=2)
+    )
 
 
 def asked_by(driven: DrivenAgent, rule: Counting, *payloads: bytes) -> int:

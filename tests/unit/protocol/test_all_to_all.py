@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
+from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol.agreement.auction import AuctionAssignment, gain
 from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
@@ -286,12 +286,12 @@ def test_places_given_to_robots_in_touch_are_exchanged_along_the_formation() -> 
 
 def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:
     mission = Mission(shape="circle", n_robots=N, spacing=6.0)
-    agent = Agent(0, mission, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
+    agent = whole_agent(0, mission, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     agent.handle(RoundBegan(round=1, position=(48.0, 50.0), neighbors=1, sensed={1: (50.0, 50.0)}, observed=()))
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
     message = Message(sender=1, sequence=0, neighbors=1, mission=MissionStamp(0, mission.digest), positions=heard)
     agent.handle(Received(encode(message)))
-    assert {robot: agent._agreement.all_to_all.known[robot] for robot in heard} == heard
+    assert {robot: agent._membership.all_to_all.known[robot] for robot in heard} == heard
     elsewhere = msgspec.structs.replace(message, mission=MissionStamp(0, "0" * 16), positions={3: (0, (9.0, 9.0), ())})
     agent.handle(Received(encode(elsewhere)))
-    assert 3 not in agent._agreement.all_to_all.known
+    assert 3 not in agent._membership.all_to_all.known

@@ -9,10 +9,10 @@ from dataclasses import replace
 import pytest
 from driven_agent import says
 from rounds import round_began
+from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol.breaker import Fallback
@@ -84,7 +84,7 @@ class Robot:
         on_event: bool = False,
         shield_on: bool = True,
     ) -> None:
-        self.agent = Agent(
+        self.agent = whole_agent(
             0,
             mission,
             ProvenanceConsensus(),

@@ -41,7 +41,7 @@ from llm_flock.protocol.verification.validator import Validator
 N = 5
 MISSION = Mission(shape="circle", n_robots=N)
 NO_ANSWER = NoAnswer(cause="answer", reason="none")
-VALIDATOR = Validator(verify=True, shield_on=True)
+VALIDATOR = Validator(shield_on=True)
 STAMP = MissionStamp(0, MISSION.digest)
 
 
@@ -218,7 +218,7 @@ def test_a_message_with_a_forged_proof_is_dropped_and_shows_guilt(team: SignedTe
     assert judged(plan_of(liar, 3), validator=VALIDATOR) is None
     late = plan_of(liar, 3, epoch=1)
     assert judged(late, validator=VALIDATOR) == "many_plans"
-    assert judged(late, validator=Validator(verify=True, shield_on=True, any_size=True)) is None
+    assert judged(late, validator=Validator(shield_on=True, any_size=True)) is None
 
 
 def test_claims_are_signed_about_the_origin_in_force(team: SignedTeam, liar: Liar) -> None:

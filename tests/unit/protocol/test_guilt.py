@@ -23,7 +23,7 @@ N = 5
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
 LATER = MISSION.change(spacing=6.0)
 ORDERED_AT = 10**12
-VALIDATOR = Validator(verify=True, shield_on=True)
+VALIDATOR = Validator(shield_on=True)
 
 SHOWN = {
     "claims every place": {None, "uncertified"},  # the latter without the words that freed it

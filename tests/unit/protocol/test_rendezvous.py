@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
@@ -81,7 +82,7 @@ def test_an_obstacle_on_the_circle_keeps_the_places_where_they_are() -> None:
 
 
 def test_a_robot_that_misses_most_of_a_large_team_goes_there() -> None:
-    agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
+    agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[0]
     agent.handle(RoundBegan(round=1, position=here, sensed={}, observed=(), neighbors=0))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
@@ -204,7 +205,7 @@ def target(effects: list[Effect]) -> Point | None:
 
 
 def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
-    agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
+    agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = meeting_places(SQUARE, PLAN, owned(1)).points[5]
     effects = list[Effect]()
     for number in range(1, ROUNDS + 1):
@@ -217,7 +218,7 @@ def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
 
 
 def test_it_leaves_when_a_joint_assignment_has_placed_all_robots_that_it_hears() -> None:
-    agent = Agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
+    agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[5]
     for number in range(1, ROUNDS + 1):
         flown(agent, number, here)
@@ -229,7 +230,7 @@ def test_it_leaves_when_a_joint_assignment_has_placed_all_robots_that_it_hears()
 def test_where_there_is_no_circle_it_searches_on() -> None:
     there = meeting_places(SQUARE, PLAN, owned(1)).points[3]
     walled = SQUARE.model_copy(update={"obstacles": (Obstacle(center=there, radius=1.0),)})
-    agent = Agent(0, walled, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
+    agent = whole_agent(0, walled, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     effects = list[Effect]()
     for number in range(1, ROUNDS + 2):
         effects = flown(agent, number, PLAN.points[5])

@@ -17,8 +17,8 @@ from llm_flock.protocol.messages.message import HIGHEST, Course
 from llm_flock.protocol.motion.leg import Leg, leg_to
 from llm_flock.protocol.motion.pilot import Observation, Pilot
 from llm_flock.protocol.motion.right_of_way import BETWEEN, KEPT, PATIENCE, RISES, RightOfWay, outside, rank
-from llm_flock.protocol.motion.safety import Safety
-from llm_flock.protocol.verification.validator import Validator
+from llm_flock.protocol.motion.safety import ShieldedSafety
+from llm_flock.protocol.parts import Parts, Safety
 
 MISSION = Mission(shape="text:any", n_robots=4)
 
@@ -109,7 +109,7 @@ def test_bodies_not_in_step_are_given_wider_ways_and_block_from_farther_away() -
     here, stop = (50.0, 50.0), (80.0, 50.0)
     beside, leg = (53.8, 52.6), Leg(goal=(51.5, 49.0), stop=(51.5, 49.0), left=1.8)
     for apart, blocked in ((None, False), (5.3, True)):
-        safety = Safety(0, MISSION, 0.0, apart)
+        safety = ShieldedSafety(0, MISSION, 0.0, apart)
         steps = [safety.step(here, {1: beside}, leg.stop, leg, 0.5) for _ in range(5)]
         assert {step.waypoint for step in steps} == {leg.stop}, "the cell keeps them apart, and is the same"
         assert (safety.course is not None) == blocked
@@ -145,7 +145,7 @@ def test_only_ways_of_higher_rank_of_robots_in_sight_count() -> None:
 
 
 def test_a_robot_in_the_way_steps_aside_and_passes_the_right_on() -> None:
-    safety, here = Safety(1, MISSION, 0.0), (50.0, 50.0)
+    safety, here = ShieldedSafety(1, MISSION, 0.0), (50.0, 50.0)
     sensed = {0: (46.0, 50.0)}
     leg = Leg(goal=(20.0, 50.0), stop=(20.0, 50.0), left=30.0)
     step = safety.step(here, sensed, (44.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
@@ -158,17 +158,18 @@ def test_a_robot_in_the_way_steps_aside_and_passes_the_right_on() -> None:
 
 def test_a_robot_at_its_place_steps_aside_too_and_one_beside_the_way_waits() -> None:
     here, sensed = (50.0, 50.0), {0: (46.0, 50.0)}
-    held = Safety(1, MISSION, 0.0).stay(here, sensed, {0: course((64.0, 50.0))})
+    held = ShieldedSafety(1, MISSION, 0.0).stay(here, sensed, {0: course((64.0, 50.0))})
     assert held.origin is Origin.YIELD and math.dist(held.waypoint, here) > 1.0
     beside, across = (50.0, 54.0), Leg(goal=(50.0, 40.0), stop=(50.0, 40.0), left=14.0)
-    step = Safety(1, MISSION, 0.0).step(beside, sensed, (50.0, 48.0), across, 0.5, courses={0: course((64.0, 50.0))})
+    safety, courses = ShieldedSafety(1, MISSION, 0.0), {0: course((64.0, 50.0))}
+    step = safety.step(beside, sensed, (50.0, 48.0), across, 0.5, courses=courses)
     assert step.origin is Origin.YIELD and 52.8 <= step.waypoint[1] < 54.0
 
 
 def test_one_whose_own_way_leads_out_flies_on_and_passes_the_right_on() -> None:
     here, sensed = (50.0, 50.0), {0: (46.0, 50.0)}
     for goal, flies_on in (((50.0, 80.0), True), ((60.0, 50.0), False), ((30.0, 60.0), False)):
-        safety = Safety(1, MISSION, 0.0)
+        safety = ShieldedSafety(1, MISSION, 0.0)
         leg = Leg(goal=goal, stop=goal, left=math.dist(here, goal))
         wish = tuple(x + 6.0 * (y - x) / leg.left for x, y in zip(here, goal, strict=True))
         step = safety.step(here, sensed, wish, leg, 0.5, courses={0: course((64.0, 50.0))})
@@ -183,7 +184,7 @@ def test_one_in_a_bay_does_not_come_out_in_front_of_who_comes() -> None:
     asked = {0: course((42.0, 49.6), level=1)}
     for goal, comes_out in (((80.0, 50.0), False), ((20.0, 50.0), True)):
         leg = leg_to(mission, here, goal)
-        step = Safety(1, mission, 0.0).step(here, sensed, leg.stop, leg, 0.5, courses=asked)
+        step = ShieldedSafety(1, mission, 0.0).step(here, sensed, leg.stop, leg, 0.5, courses=asked)
         assert leg.stop[1] < 50.6 and (step.origin is not Origin.YIELD) is comes_out
         assert (step.waypoint[1] < here[1]) is comes_out
 
@@ -192,7 +193,7 @@ def test_nowhere_to_go() -> None:
     """Walls all round: the robot flies on as its shield lets it."""
     cell = box(40, 40, 60, 48.4), box(40, 51.6, 60, 60), box(40, 48, 47, 52), box(53, 48, 60, 52)
     mission = Mission(shape="text:any", n_robots=2, obstacles=cell)
-    safety = Safety(1, mission, 0.0)
+    safety = ShieldedSafety(1, mission, 0.0)
     step = safety.stay((50.0, 50.0), {0: (46.0, 50.0)}, {0: course((64.0, 50.0))})
     assert step.origin is Origin.HOLD and safety.course is None
     leg = Leg(goal=(49.0, 50.0), stop=(49.0, 50.0), left=1.0)
@@ -240,8 +241,8 @@ def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
 
 @pytest.mark.parametrize("shield_on", [True, False])
 def test_a_new_mission_makes_a_pilot_heed_everybody_again(shield_on: bool) -> None:
-    validator = Validator(verify=True, shield_on=shield_on)
-    pilot = Pilot(1, MISSION, validator, shield_on=shield_on, noise_bound=0.0, on_event=False, fallback="hold")
+    parts = Parts(safety=ShieldedSafety(1, MISSION, 0.0) if shield_on else Safety())
+    pilot = Pilot(1, MISSION, parts, noise_bound=0.0, on_event=False, fallback="hold")
     courses = {0: course((64.0, 50.0))}
     scene = Observation(round=1, position=(50.0, 50.0), sensed={0: (46.0, 50.0)}, observed=(), courses=courses)
 
@@ -276,8 +277,8 @@ def test_with_uncertain_positions_ways_lead_wider_round_obstacles_and_bodies() -
     off = [NARROW[1].nearest(corner)[0].distance for corner in corners]
     assert off[0] < SAFE / 2 * 1.5 and off[1] - off[0] > noise * 3.0
     assert leg_to(MISSION, here, goal, noise=noise).stop == goal
-    right = Safety(0, mission, noise)._right
-    assert right.apart == pytest.approx(SAFE + 2 * noise * 3.0) and Safety(0, mission, 0.0)._right.apart == SAFE
+    right = ShieldedSafety(0, mission, noise)._right
+    assert right.apart == pytest.approx(SAFE + 2 * noise * 3.0) and ShieldedSafety(0, mission, 0.0)._right.apart == SAFE
 
 
 @pytest.mark.no_cover

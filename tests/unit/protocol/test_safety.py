@@ -10,7 +10,7 @@ from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.motion.leg import Leg
-from llm_flock.protocol.motion.safety import Safety
+from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.motion.shield import spread_coincident
 
 
@@ -91,7 +91,7 @@ def test_a_robot_that_obstacles_alone_slow_down_asks_for_nothing() -> None:
     disc = Obstacle(center=(50.0, 50.0), radius=6.0)
     mission = Mission(shape="text:any", n_robots=2, obstacles=(disc,))
     leg = Leg(goal=(60.0, 57.6), stop=(60.0, 57.6), left=20.0)
-    safety = Safety(0, mission, 0.0)
+    safety = ShieldedSafety(0, mission, 0.0)
     step = safety.step((40.0, 57.6), {}, (45.7, 57.6), leg, 0.5)
     assert safety.course is None and step.waypoint[0] > 41.0
     aside, ahead = (42.0, 50.0), ((43.0, 57.6),)
@@ -129,7 +129,7 @@ def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
 
 
 def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
-    safety = Safety(0, Mission(), 0.0)
+    safety = ShieldedSafety(0, Mission(), 0.0)
     assert safety.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
     flight = safety.stay((50.0, 50.0), {1: (51.0, 50.0)})
     assert flight.origin is Origin.SHIELD and flight.waypoint[0] <= 49.0
@@ -139,7 +139,7 @@ def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
 
 
 def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
-    safety = Safety(0, Mission(), 0.0)
+    safety = ShieldedSafety(0, Mission(), 0.0)
     leg = Leg(goal=(104.0, 50.0), stop=(104.0, 50.0), left=6.0)
     step = safety.step((98.0, 50.0), {}, (104.0, 50.0), leg, 0.5)
     assert step.origin is Origin.SHIELD and step.waypoint == pytest.approx((100.0, 50.0))
@@ -149,7 +149,7 @@ def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
 
 
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
-    safety = Safety(0, Mission(), 0.1)
+    safety = ShieldedSafety(0, Mission(), 0.1)
     assert safety.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
     assert safety.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
 

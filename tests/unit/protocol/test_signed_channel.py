@@ -15,6 +15,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.messaging import MOST_BAD_PLANS
 from llm_flock.protocol.events import Broadcast, CommRoundBegan, CommRoundEnded, MissionGiven, Planned, RoundBegan
+from llm_flock.protocol.membership.team import with_visits
 from llm_flock.protocol.messages.channel import Authorization, _decoded
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import BLOCKED, MOST_EPOCHS, MOST_LOOKS, NO_OWNER, Message, MissionStamp, Offer
@@ -151,7 +152,7 @@ def test_visits_are_counted_up_to_what_others_accept(team: SignedTeam) -> None:
     table = list(agreement.claim.table)
     table[slot] = (0, float(MOST_LOOKS), NO_OWNER)
     agreement.claim = msgspec.structs.replace(agreement.claim, table=tuple(table))
-    agreement.count_search([slot])
+    agreement.claim = with_visits(agreement.claim, [slot])
     assert (agreement.claim.table or ())[slot] == (0, float(MOST_LOOKS), NO_OWNER)
 
 
@@ -230,7 +231,7 @@ def test_heartbeats_of_refused_messages_are_not_kept_and_few_of_others(team: Sig
 
 
 def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:
-    before = team.agents[0]._liveness.beats
+    before = team.agents[0]._membership.liveness.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
     lie, proofs = unwrap(liar.says(beats=high), 5)
@@ -238,7 +239,7 @@ def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: Signed
     assert team.tell(0, wrap(lie, msgspec.structs.replace(proofs, beats=forged)), team.liar) == ["uncertified"]
     team.begin()
     team.comm_round()
-    after = team.agents[0]._liveness.beats
+    after = team.agents[0]._membership.liveness.beats
     assert after[4] == before[4]
     assert max(after) < 100
     team.fly(2)
@@ -296,7 +297,7 @@ def test_a_signed_heartbeat_is_passed_on_by_others(team: SignedTeam, liar: Liar)
         team.comm_round()
     team.end()
     team.fly(2)
-    assert [agent._liveness.beats[4] for agent in team.agents] == [9] * 4
+    assert [agent._membership.liveness.beats[4] for agent in team.agents] == [9] * 4
 
 
 # ---------------------------------------------------------------- missions

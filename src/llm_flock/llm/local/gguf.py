@@ -6,7 +6,6 @@ Format: GGUF version 2 and 3 as llama.cpp writes them, little-endian.
 from __future__ import annotations
 
 import mmap
-import stat
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -115,8 +114,6 @@ def read_header(path: Path) -> Header:
         found = path.stat()
     except OSError as error:
         raise InputError("model", str(path), f"a file that is there ({error.strerror})") from None
-    if stat.S_ISFIFO(found.st_mode):  # opening it waits for a writer
-        raise InputError("model", str(path), "a file")
     try:
         return _header(path, found.st_mtime_ns)
     except OSError as error:

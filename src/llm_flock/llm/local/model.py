@@ -35,11 +35,15 @@ def _longest(call: Call) -> int:
 
 
 class EngineLeases:
-    """The engines that one pool of models uses, from the first question until `aclose`."""
+    """The engines that one pool of models uses, from the first question until `aclose`: a `ModelHost`."""
 
     def __init__(self, engines: Engines = ENGINES) -> None:
         self._engines = engines
         self._leased: dict[Weights, asyncio.Task[Engine]] = {}
+
+    def model(self, text: str, settings: CallSettings | None) -> LocalModel:
+        """See `ModelHost`."""
+        return LocalModel(text, self, settings)
 
     async def engine(self, weights: Weights, call: Call) -> Engine:
         """The engine for these files, loaded if need be; the first question determines the context."""

@@ -7,52 +7,25 @@ of the formation, so the places of a plan stand still in it.
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Literal
-
-from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol.agreement.assignment import AssignmentInput, AssignmentRule, Claim
-from llm_flock.protocol.agreement.auction import changed
-from llm_flock.protocol.agreement.consensus import ConsensusRule, PlanKey, Standing, plan_key
+from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol.agreement.consensus import PlanKey, Standing, plan_key
+from llm_flock.protocol.breaker import fallback_notes
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
-from llm_flock.protocol.membership.in_touch import InTouch
-from llm_flock.protocol.membership.liveness import Liveness
-from llm_flock.protocol.membership.occupancy import observe, still_bodies
-from llm_flock.protocol.membership.replanning import Replanning
-from llm_flock.protocol.messages.message import (
-    BLOCKED,
-    MOST_EPOCHS,
-    MOST_LOOKS,
-    NO_OWNER,
-    Message,
-    MissionStamp,
-    Provenance,
-)
+from llm_flock.protocol.messages.message import BLOCKED, MOST_EPOCHS, Message, MissionStamp, Provenance
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
-from llm_flock.protocol.verification.validator import Validator, fallback_notes
 
 
 class Agreement:
     """Mission, plan and claim of one robot, and the decisions about them."""
 
-    def __init__(
-        self,
-        robot: int,
-        mission: Mission,
-        consensus: ConsensusRule,
-        assignment: AssignmentRule,
-        *,
-        validator: Validator,
-        liveness: Liveness,
-        replanning: Replanning,
-        all_to_all: AllToAll,
-        in_touch: InTouch,
-    ) -> None:
+    def __init__(self, robot: int, mission: Mission, parts: Parts) -> None:
         self.mission = mission
         self.stamp = MissionStamp(0, mission.digest)
         self.plan: Plan | None = None
@@ -61,10 +34,8 @@ class Agreement:
         self.neighbors = 0
         self.position: Point = ()
         self._robot = robot
-        self.validator, self.liveness = validator, liveness
-        self.all_to_all, self.in_touch = all_to_all, in_touch
-        self._consensus, self._assignment, self._replanning = consensus, assignment, replanning
-        self._unplaced: set[int] = set()
+        self._consensus, self._assignment = parts.consensus, parts.assignment
+        self._membership, self._verifier = parts.membership, parts.verifier
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
         self._last_epoch = -1
@@ -86,29 +57,11 @@ class Agreement:
         self.neighbors = neighbors
         self._occupancy_due = True
         self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
-        self.all_to_all.begin_round()
-        self.in_touch.begin_round()
-        self._unplaced.clear()
 
     @property
     def bodies(self) -> tuple[Point, ...]:
         """Bodies in sight whose heartbeats have stopped [units; frame of the mission]."""
-        return still_bodies(self.mission, self._sensed, self.liveness.silent)
-
-    @property
-    def placed(self) -> bool:
-        """Whether a joint assignment gave slots to this robot and all others heard in this round."""
-        return given_all_to_all(self.claim.table, self.claim.slot) and not self._unplaced
-
-    def count_search(self, slots: Sequence[int]) -> None:
-        """Write into the bid table that these vacant slots were visited and no robot was met there."""
-        table = self.claim.table
-        if table is None or not slots:
-            return
-        visited = {
-            a: (table[a][0], min(table[a][1] + 1.0, MOST_LOOKS), NO_OWNER) for a in slots if table[a][2] == NO_OWNER
-        }
-        self.claim = replace(self.claim, table=changed(table, visited))
+        return self._membership.still(self.mission, self._sensed)
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         """Pursue another mission: plan and claim of the one before are void."""
@@ -116,14 +69,12 @@ class Agreement:
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
         self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
-        self._replanning.reset()
-        self.all_to_all.begin()
-        self.in_touch.begin()
+        self._membership.begin_mission()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
     def lack_plan(self, failure: NoAnswer) -> Note:
         """The own planner has no plan to propose."""
-        self._refused_answer = failure if self.validator.verify else None
+        self._refused_answer = failure if self._verifier.verify else None
         return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
 
     @property
@@ -182,35 +133,32 @@ class Agreement:
         """Go on with the highest plan that it has followed and that is not void, as it stood then."""
         known = [known for robot, known in self._followed.items() if robot not in self._void]
         self.plan, self.provenance, self.claim = max(known, key=self._key, default=(None, None, Claim(slot=None)))
-        self._replanning.reset()
+        self._membership.begin_plan()
         self.listens = self.plan is None  # to the next exchange: others may have a plan that counts
         after = None if self.plan is None else self.plan.digest
         return Note("void_plan", {"plan": plan.digest, "proposer": proposer, "after": after, "slot": self.claim.slot})
 
     def _key(self, followed: tuple[Plan, Provenance, Claim]) -> PlanKey:
         plan, origin, _ = followed
-        return plan_key(plan, origin, self.validator.plan_class(self.mission, plan))
+        return plan_key(plan, origin, self._verifier.plan_class(self.mission, plan))
 
     def _follow(self, plan: Plan, origin: Provenance, *, adopted: bool, heard: list[Message]) -> None:
         self._remember()
         self.plan, self.provenance, self.claim = plan, origin, Claim(slot=None)
-        self._replanning.reset()
+        self._membership.begin_plan()
         self.claim = self._assignment.take(self._assignment_input(plan, adopted=adopted, heard=heard))
 
     def _assignment_input(self, plan: Plan, *, adopted: bool, heard: list[Message]) -> AssignmentInput:
         occupancy = None
         if self._occupancy_due:
-            occupancy = observe(
+            occupancy = self._membership.occupancy(
                 self.mission,
                 plan,
                 self.position,
                 self._sensed,
-                self.liveness,
                 hears_others=bool(heard),
                 knows_blocked=self._knows_blocked,
             )
-        silent = self.liveness.silent
-        joint = None if silent else self.all_to_all.complete(plan)
         return AssignmentInput(
             robot=self._robot,
             position=self.position,
@@ -224,7 +172,7 @@ class Agreement:
             origin=self.provenance,
             roadmap=self.mission.roadmap if self.mission.velocity is None else None,
             occupancy=occupancy,
-            positions=joint or self.in_touch.positions(self.mission, plan, self.claim.table, silent),
+            positions=self._membership.positions(self.mission, plan, self.claim),
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
@@ -239,11 +187,11 @@ class Agreement:
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
         standing = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed)
-        arguments = (*standing, self.in_touch.known, *heard)
-        due = self._occupancy_due or self.all_to_all.collecting
+        arguments = (*standing, self._membership.known, *heard)
+        due = self._occupancy_due or self._membership.collecting
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
-        own_class = self.validator.plan_class(self.mission, self.plan)
+        own_class = self._verifier.plan_class(self.mission, self.plan)
         own = Standing(plan=self.plan, provenance=self.provenance, neighbors=self.neighbors, plan_class=own_class)
         before = self.claim
         source = self._consensus.choose(own, heard)
@@ -254,9 +202,7 @@ class Agreement:
         self._occupancy_due = False
         notes = [*withdrawn, *adopted]
         self._settled = () if due or notes or self.claim is not before else arguments
-        if self.all_to_all.large:
-            self._unplaced -= {m.sender for m in heard}
-            self._unplaced |= {m.sender for m in heard if m.plan != self.plan or not given_all_to_all(m.table, m.slot)}
+        self._membership.hear_claims(heard, self.plan)
         if self.claim.slot != before.slot:
             notes.append(Note("claimed", {"slot": self.claim.slot, "before": before.slot}))
         return notes

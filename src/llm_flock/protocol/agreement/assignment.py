@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
 from llm_flock.arrays import Point
-from llm_flock.obstacles import Roadmap
-from llm_flock.protocol.membership.occupancy import Occupancy
+from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
     NO_MISSION,
     BidEntry,
@@ -23,6 +22,9 @@ from llm_flock.protocol.messages.message import (
     TeamPositions,
 )
 from llm_flock.protocol.plan import Plan
+
+if TYPE_CHECKING:
+    from llm_flock.obstacles import Roadmap  # only missions with obstacles need it
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,6 +43,25 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
     bids: tuple[float, ...] | None = None
     offer: Offer | None = None
     bound: int = 0
+
+
+NONE = frozenset[int]()
+
+
+class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot can say about the slots of a plan.
+
+    Attributes:
+        silent: robots whose heartbeats have stopped; their slots are free.
+        blocked: slots that no robot can take, because a body that does not move stands there.
+        clear: slots that certainly have no such body.
+        alive: number of robots that were heard of and are not silent, with this one.
+    """
+
+    silent: frozenset[int] = NONE
+    blocked: frozenset[int] = NONE
+    clear: frozenset[int] = NONE
+    alive: int = MAX_ROBOTS
 
 
 class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):

@@ -13,12 +13,12 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.agreement import Agreement
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.events import MissionGiven, Note
-from llm_flock.protocol.membership.all_to_all import given_all_to_all
 from llm_flock.protocol.messages.channel import Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
 from llm_flock.protocol.messages.message import Course, Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
 from llm_flock.protocol.messages.order_time import time_text
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 
 REMEMBERED_PAYLOADS = 256
@@ -38,8 +38,10 @@ REMEMBERED_REFUSALS = 1024
 class Messaging:
     """One robot's side of the radio."""
 
-    def __init__(self, robot: int, agreement: Agreement, channel: Channel) -> None:
-        self._robot, self._agreement, self._channel = robot, agreement, channel
+    def __init__(self, robot: int, agreement: Agreement, parts: Parts) -> None:
+        self._robot, self._agreement = robot, agreement
+        self._channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
+        self._membership, self._verifier = parts.membership, parts.verifier
         self.courses: dict[int, Course] = {}  # ways that others ask to be left free, by sender
         self._heard_ago: dict[int, int] = {}
         self._dissemination = Dissemination()
@@ -72,18 +74,9 @@ class Messaging:
     def broadcast(self, course: Course | None = None) -> bytes:
         """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
-        positions = None
-        tabled = claim.table is not None or claim.slot is None  # a rule without tables places nobody together
-        if tabled and agreement.all_to_all.collecting:
-            positions = agreement.all_to_all.report(
-                agreement.mission,
-                agreement.plan,
-                agreement.position,
-                settled=given_all_to_all(claim.table, claim.slot),
-                greeting=self._dissemination.greets,
-            )
-        elif tabled and agreement.in_touch.collecting:
-            positions = agreement.in_touch.report(agreement.position, claim.table, greeting=self._dissemination.greets)
+        positions = self._membership.report(
+            agreement.mission, agreement.plan, claim, agreement.position, greeting=self._dissemination.greets
+        )
         standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim, course
         payload = self._dissemination.unchanged(*standing)
         if payload is None or positions is not None:
@@ -104,7 +97,7 @@ class Messaging:
             table_digest=self._dissemination.digest(claim.table),
             offer=claim.offer,
             course=course,
-            beats=agreement.liveness.beats if self._dissemination.greets else None,
+            beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
         )
         return self._dissemination.compose(whole, agreement.mission)
@@ -127,8 +120,7 @@ class Messaging:
             self._dissemination.hear(message)
             return notes
         if message.positions is not None:
-            self._agreement.all_to_all.hear(message.positions)
-            self._agreement.in_touch.hear(message.positions)
+            self._membership.hear_positions(message.positions)
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
@@ -148,18 +140,18 @@ class Messaging:
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
-        message, mission, validator = inbound.message, self._agreement.mission, self._agreement.validator
+        message, mission, verifier = inbound.message, self._agreement.mission, self._verifier
         if message.plan is not None and self._bad_plans[message.sender] >= MOST_BAD_PLANS:
             often = f"robot {message.sender} sends one bad plan after another"
             return [self._reject(MessageError("many_plans", often))]
-        objection = validator.objection(mission, message.plan)
+        objection = verifier.objection(mission, message.plan)
         if objection is not None and message.plan is not None:
             self._dissemination.hear(message)
             self._bad_plans[message.sender] += 1
             return self._reject_plan(message.plan, objection)
         plan = self._dissemination.resolve_plan(message, self._agreement.plan)
         if plan is not None:
-            message = replace(message, plan=plan, plan_class=validator.plan_class(mission, plan))
+            message = replace(message, plan=plan, plan_class=verifier.plan_class(mission, plan))
             if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:
                 self._repeated[payload] = message
         self._keep(message)
@@ -216,7 +208,7 @@ class Messaging:
         Call once before a decision: it counts the heartbeats of all messages.
         """
         heard = self._channel.hold([self._newest[sender] for sender in sorted(self._newest)])
-        self._agreement.liveness.hear(self._beats)
+        self._membership.hear_beats(self._beats)
         for message in heard:
             self._heard_ago.pop(message.sender, None)
             self.courses.pop(message.sender, None)

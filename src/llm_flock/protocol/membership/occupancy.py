@@ -6,39 +6,19 @@ import math
 from collections.abc import Collection, Mapping
 from functools import lru_cache
 
-import msgspec
-
 from llm_flock import graph
 from llm_flock.arrays import Point
-from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.mission import Mission
+from llm_flock.protocol.agreement.assignment import NONE, Occupancy
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.plans import blocked_within
-
-NONE = frozenset[int]()
 
 
 @lru_cache(maxsize=1024)
 def in_radio_contact(plan: Plan, comm_range: float) -> bool:
     """Whether robots on all places of a plan are connected by radio."""
     return graph.is_connected(graph.distances(plan.array) <= comm_range)
-
-
-class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot can say about the slots of a plan.
-
-    Attributes:
-        silent: robots whose heartbeats have stopped; their slots are free.
-        blocked: slots that no robot can take, because a body that does not move stands there.
-        clear: slots that certainly have no such body.
-        alive: number of robots that were heard of and are not silent, with this one.
-    """
-
-    silent: frozenset[int] = NONE
-    blocked: frozenset[int] = NONE
-    clear: frozenset[int] = NONE
-    alive: int = MAX_ROBOTS
 
 
 def still_bodies(mission: Mission, sensed: Mapping[int, Point], silent: Collection[int]) -> tuple[Point, ...]:

@@ -11,18 +11,17 @@ import msgspec
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
-from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback
+from llm_flock.protocol.breaker import BreakerState, CircuitBreaker, Fallback, fallback_notes
 from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
 from llm_flock.protocol.motion.leg import Leg, leg_to
 from llm_flock.protocol.motion.pace import Pace
-from llm_flock.protocol.motion.safety import NOTHING, Safety
+from llm_flock.protocol.parts import NO_COURSES, Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import shortened
-from llm_flock.protocol.verification.validator import Validator, fallback_notes
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True):
@@ -45,7 +44,7 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     observed: tuple[Point, ...]
     drift: Point = ()
     ahead: Point = ()
-    courses: Mapping[int, Course] = NOTHING
+    courses: Mapping[int, Course] = NO_COURSES
     still: tuple[Point, ...] = ()
     period: int | None = None
 
@@ -73,13 +72,11 @@ class Pilot:
         self,
         robot: int,
         mission: Mission,
-        validator: Validator,
+        parts: Parts,
         *,
-        shield_on: bool,
         noise_bound: float,
         on_event: bool,
         fallback: Fallback,
-        apart: float | None = None,
     ) -> None:
         self.on_path = False
         self.breaker = CircuitBreaker("step", enabled=fallback != "hold")
@@ -88,8 +85,7 @@ class Pilot:
         self._tolerance = AT_GOAL * mission.spacing
         self._noise = noise_bound
         self._robot = robot
-        self._validator = validator
-        self._safety = Safety(robot, mission, noise_bound, apart) if shield_on else None
+        self._safety, self._verifier = parts.safety, parts.verifier
         self._horizon = HORIZON if on_event else 1
         self._committed: CommittedPath | None = None
         self._question: StepQuestion | None = None
@@ -150,7 +146,7 @@ class Pilot:
 
     def _usable(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
         """The answer, clipped if that suffices, or the reason why it cannot be used."""
-        fit = answer if isinstance(answer, NoAnswer) else self._validator.fit(question, answer)
+        fit = answer if isinstance(answer, NoAnswer) else self._verifier.fit(question, answer)
         slow = None if isinstance(fit, NoAnswer) else self._pace.too_slow(question, fit.waypoint)
         return fit if slow is None else NoAnswer(cause="slow", reason=slow)
 
@@ -179,20 +175,17 @@ class Pilot:
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
         held = Note("held", {"cause": cause, "reason": reason})
-        if self._safety is None:
-            return [held, MoveTo(waypoint=scene.position, proposed=asked, origin=Origin.HOLD)]
         flight = self._safety.stay(scene.position, scene.sensed, scene.courses, scene.period)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
     @property
     def course(self) -> Course | None:
         """The way that this robot asks others to leave free, in its last step."""
-        return None if self._safety is None else self._safety.course
+        return self._safety.course
 
     def begin_mission(self) -> None:
         """Heed everybody who asks for a way again: a mission has been given."""
-        if self._safety is not None:
-            self._safety.begin_mission()
+        self._safety.begin_mission()
 
     def look(self, scene: Observation) -> None:
         """Replace the observation while the planner's answer is pending."""
@@ -216,7 +209,7 @@ class Pilot:
         trigger = committed.trigger(self._relative(question, scene), sensed)
         if trigger is not None:
             return trigger
-        fit = self._validator.waypoint(question, _shifted(committed.answer, scene.ahead))
+        fit = self._verifier.waypoint(question, _shifted(committed.answer, scene.ahead))
         if isinstance(fit, NoAnswer):
             return Trigger.UNFIT
         slow = self._fallback != "hold" and self._pace.too_slow(question, fit) is not None
@@ -226,7 +219,7 @@ class Pilot:
         self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation, asked: Point | None
     ) -> list[Effect]:
         """The move for the planner's waypoint, which was `asked` before it was clipped."""
-        fit = self._validator.waypoint(question, answer)
+        fit = self._verifier.waypoint(question, answer)
         if isinstance(fit, NoAnswer):
             return self.hold(scene, fit.cause, fit.reason, asked)
         corner = question.corner
@@ -246,26 +239,21 @@ class Pilot:
 
     def _fly(self, wish: Point, scene: Observation, asked: Point | None, origin: Origin) -> list[Effect]:
         """The safe move for a waypoint of this origin."""
-        notes: list[Effect] = []
-        flown = wish
-        if self._safety is not None:
-            assert self._leg is not None, "a robot flies to a goal"
-            flight = self._safety.step(
-                scene.position,
-                scene.sensed,
-                wish,
-                self._leg,
-                self._tolerance,
-                scene.drift,
-                scene.courses,
-                scene.still,
-                scene.period,
-            )
-            flown = flight.waypoint
-            notes.extend(flight.notes)
-            if flight.origin is Origin.YIELD or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
-                origin = flight.origin
-        return [*notes, MoveTo(waypoint=flown, proposed=asked, origin=origin)]
+        assert self._leg is not None, "a robot flies to a goal"
+        flight = self._safety.step(
+            scene.position,
+            scene.sensed,
+            wish,
+            self._leg,
+            self._tolerance,
+            scene.drift,
+            scene.courses,
+            scene.still,
+            scene.period,
+        )
+        if flight.origin is Origin.YIELD or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
+            origin = flight.origin
+        return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=origin)]
 
 
 def _shifted(answer: StepAnswer, by: Point, share: float = 1.0) -> StepAnswer:

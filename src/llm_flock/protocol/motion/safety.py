@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
-from types import MappingProxyType
-
-import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
@@ -17,25 +14,16 @@ from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import STEP, Leg, map_of
 from llm_flock.protocol.motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
 from llm_flock.protocol.motion.surroundings import static_half_spaces
+from llm_flock.protocol.parts import NO_COURSES, SafeStep, Safety
 
 SHORTER = (0.5, 0.25, 0.125, 0.0625)
 """Shares of a step that are tried where the whole one slides off the way."""
-
-NOTHING: Mapping[int, Course] = MappingProxyType({})
 
 SEPARATION_TOLERANCE = 1e-6
 """Pairs that keep the safe distance to within this count as separated [units]."""
 
 
-class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
-    """A safe waypoint, its origin, and notes for the record."""
-
-    waypoint: Point
-    origin: Origin
-    notes: tuple[Note, ...] = ()
-
-
-class Safety:
+class ShieldedSafety(Safety):
     """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
 
     Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
@@ -64,7 +52,7 @@ class Safety:
         self,
         position: Point,
         sensed: Mapping[int, Point],
-        courses: Mapping[int, Course] = NOTHING,
+        courses: Mapping[int, Course] = NO_COURSES,
         period: int | None = None,
     ) -> SafeStep:
         """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
@@ -85,7 +73,7 @@ class Safety:
         leg: Leg,
         tolerance: float,
         drift: Point = (),
-        courses: Mapping[int, Course] = NOTHING,
+        courses: Mapping[int, Course] = NO_COURSES,
         still: Sequence[Point] = (),
         period: int | None = None,
     ) -> SafeStep:

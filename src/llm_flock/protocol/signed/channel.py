@@ -14,10 +14,10 @@ import numpy as np
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
 from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.message import MOST_EPOCHS, Message, MissionStamp, Provenance, without_plan
+from llm_flock.protocol.parts import Membership
 from llm_flock.protocol.signed.certificates import (
     OPERATOR,
     Authenticator,
@@ -41,8 +41,8 @@ REMEMBERED_ORIGINS = 1024
 class SignedChannel(Channel):
     """The channel of a team with keys.
 
-    `evidence` has the signatures on claims, and `liveness` tells which heartbeats are news: only those are checked. If
-    the team `replans`, a plan of a later epoch may replace a faultless one.
+    `evidence` has the signatures on claims, and `membership` tells which heartbeats are news: only those are checked.
+    If the team `replans`, a plan of a later epoch may replace a faultless one.
     """
 
     def __init__(
@@ -51,14 +51,14 @@ class SignedChannel(Channel):
         mission: Mission,
         authenticator: Authenticator,
         evidence: Evidence,
-        liveness: Liveness,
+        membership: Membership,
         *,
         replans: bool,
     ) -> None:
         super().__init__(robot, mission)
         self._authenticator = authenticator
         self._evidence = evidence
-        self._liveness = liveness
+        self._membership = membership
         self._most_epochs = MOST_EPOCHS if replans else 0
         self._equivocations = Equivocations(authenticator)
         self._origins: dict[tuple[Provenance, str], bytes] = {}
@@ -168,10 +168,11 @@ class SignedChannel(Channel):
         Raises:
             MessageError: with reason `uncertified` for the first that is signed by nobody.
         """
-        if message.beats is None:
+        known_beats = self._membership.beats
+        if message.beats is None or not known_beats:
             return None
         signatures, found = dict(enumerate(proofs.beats or ())), dict[int, tuple[int, bytes]]()
-        for j, (count, known) in enumerate(zip(message.beats, self._liveness.beats, strict=True)):
+        for j, (count, known) in enumerate(zip(message.beats, known_beats, strict=True)):
             signature = signatures.get(j, b"")
             if count > known and signature:
                 if not self._evidence.signed_by(j, beat_statement(j, count), signature):

@@ -14,7 +14,8 @@ import msgspec
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol.membership.liveness import TIME_OUT, Liveness
+from llm_flock.protocol import parts
+from llm_flock.protocol.membership.team import TeamMembership
 from llm_flock.protocol.messages.channel import Inbound
 from llm_flock.protocol.messages.message import UNSAID, Message
 from llm_flock.protocol.signed.certificates import (
@@ -28,7 +29,6 @@ from llm_flock.protocol.signed.certificates import (
 )
 from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.evidence import Evidence
-from llm_flock.protocol.verification.validator import Validator
 
 OUTSIDER = -1
 """Id of somebody who judges and is no robot."""
@@ -53,7 +53,7 @@ def guilt(
     payload: bytes,
     sender: int,
     missions: Sequence[Mission],
-    validator: Validator,
+    validator: parts.Verifier,
     verifier: Verifier,
     liars: int = LIARS,
 ) -> str | None:
@@ -65,8 +65,8 @@ def guilt(
     """
     mission, authenticator = missions[0], _Outsider(verifier)
     evidence = Evidence(OUTSIDER, authenticator, liars)
-    liveness = Liveness(0, mission.n_robots, TIME_OUT)
-    channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, liveness, replans=validator.any_size)
+    membership = TeamMembership(0, mission)
+    channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, membership, replans=validator.any_size)
     try:
         inbound = channel.open(payload, sender)
         _check_order(channel, inbound)

@@ -7,32 +7,33 @@ from dataclasses import replace
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
-from llm_flock.protocol.events import Note
+from llm_flock.protocol.parts import Verifier
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan, check_proposal, enlarged, plan_class
 from llm_flock.protocol.verification.steps import check_answer, check_step, clip_waypoint, fit_answer
 
 
-class Validator:
-    """Checks plans and steps; without `verify` it accepts everything.
+class Validator(Verifier):
+    """Checks plans and steps.
 
     With `shield_on` the shield takes care of waypoints that only lack separation. With `any_size` a plan may have fewer
     places than the mission, as plans for a smaller team do.
     """
 
-    def __init__(self, *, verify: bool, shield_on: bool, any_size: bool = False) -> None:
-        self.verify = verify
-        self.any_size = any_size
+    verify: bool = True
+
+    def __init__(self, *, shield_on: bool, any_size: bool = False) -> None:
+        super().__init__(any_size=any_size)
         self._shield_on = shield_on
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
         """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
-        return check_plan(self._standard(mission, plan), plan) if self.verify and plan is not None else None
+        return check_plan(self._standard(mission, plan), plan) if plan is not None else None
 
     def plan_class(self, mission: Mission, plan: Plan | None) -> int:
-        """The plan's class in the total order of plans; 0 for every plan with verification off."""
-        if plan is None or not self.verify:
+        """The plan's class in the total order of plans."""
+        if plan is None:
             return 0
         return int(plan_class(self._standard(mission, plan), plan))
 
@@ -43,7 +44,7 @@ class Validator:
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
         """The planner's answer, or a failure with the reason to refuse its plan. Call with every answer."""
-        if not isinstance(answer, PlanAnswer) or not self.verify:
+        if not isinstance(answer, PlanAnswer):
             return answer
         objection = check_proposal(question.mission, answer.plan, question.still, question.position)
         return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
@@ -53,8 +54,6 @@ class Validator:
 
         Call before it is proposed.
         """
-        if not self.verify:
-            return answer
         plan = enlarged(question.mission, answer.plan)
         if plan is answer.plan or check_proposal(question.mission, plan, question.still, question.position) is not None:
             return answer
@@ -71,8 +70,6 @@ class Validator:
     def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
         """The planner's waypoint, clipped if that suffices; otherwise the reason to hold. Call with every answer."""
         asked = answer.waypoint
-        if not self.verify:
-            return answer.waypoint if isinstance(answer, StepAnswer) else answer
         fit = None if asked is None else clip_waypoint(question.mission, question, asked, shield_on=self._shield_on)
         if fit is not None:
             return fit
@@ -87,10 +84,3 @@ def resized(mission: Mission, places: int) -> Mission | None:
         return mission.resized(places)
     except InputError:
         return None
-
-
-def fallback_notes(question: str, by: str, failure: NoAnswer | None) -> list[Note]:
-    """A note that geometry or a neighbour's plan replaced a planner's answer; empty if the planner did not fail."""
-    if failure is None:
-        return []
-    return [Note("fallback", {"question": question, "by": by, "cause": failure.cause, "reason": failure.reason})]

@@ -17,6 +17,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
+import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Collection, Mapping
@@ -26,10 +28,8 @@ from urllib.parse import urlsplit
 
 from llm_flock.extras import require
 from llm_flock.robots.base import RobotError
-from llm_flock.robots.crazyflie.closing import NoLink, shut
 from llm_flock.robots.crazyflie.parameters import PORT as PARAMETER_PORT
 from llm_flock.robots.crazyflie.parameters import Parameters
-from llm_flock.robots.crazyflie.tables import default_folder, keep_whole
 from llm_flock.robots.crazyflie.threads import Worker, in_thread, new_thread
 
 SILENCE_S, MOST_SILENCE_S = 1.0, 4.0
@@ -48,6 +48,9 @@ HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
 NETWORK = ("udp://", "tcp://")
 
+JOIN_S = 1.5
+"""Longest wait for a thread of cflib's to end: it looks once a second [s]."""
+
 
 def host_and_port(uri: str) -> tuple[str, int] | None:
     """Both of an address; None if it has not both, or a port that can be none."""
@@ -56,6 +59,13 @@ def host_and_port(uri: str) -> tuple[str, int] | None:
         return (parts.hostname, parts.port) if parts.hostname and parts.port else None
     except ValueError:
         return None
+
+
+def default_folder() -> Path:
+    """Where drones' tables are kept, as fetching them takes long: in this user's cache (XDG base directories)."""
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    base = Path(given) if given.startswith("/") else Path.home() / ".cache"
+    return base / "llm-flock" / "crazyflie"
 
 
 def library() -> Any:
@@ -86,6 +96,22 @@ def in_reach() -> tuple[str, ...]:
 
 class Unusable(RobotError):
     """The firmware lacks something that a flight needs: trying again does not help."""
+
+
+class NoLink:
+    """Takes the place of cflib's driver in a link that was closed or lost."""
+
+    needs_resending = False
+
+    def send_packet(self, _packet: object) -> None:
+        """Drop it."""
+
+    def receive_packet(self, wait: float = 0.0) -> None:
+        """Nothing comes."""
+        time.sleep(min(0.05, max(0.0, wait)))
+
+    def close(self) -> None:
+        """It is closed."""
 
 
 class CrazyflieLink:
@@ -360,3 +386,31 @@ class CrazyflieLink:
 
 def _nothing(*_: object) -> None:
     """Replaces a set-point without thrust."""
+
+
+def shut(cf: Any) -> None:
+    """Close a link of cflib's, with everything that it started."""
+    link, cf.link = cf.link, NoLink()
+    cf.incoming.stop()
+    if link is not None:
+        link.close()
+    with cf._send_lock:  # noqa: SLF001
+        for timer in cf._answer_patterns.values():  # noqa: SLF001  # they would send again
+            timer.cancel()
+        cf._answer_patterns.clear()  # noqa: SLF001
+    if cf.incoming.is_alive():
+        cf.incoming.join(JOIN_S)
+    cf.disconnected.call(cf.link_uri)  # ends cflib's threads for parameters and statistics
+
+
+def keep_whole(cf: Any, folder: Path) -> None:
+    """Let a `Crazyflie` of cflib write each table whole: others read the file while drones that connect write it."""
+    cache = cf._toc_cache  # noqa: SLF001
+
+    def insert(checksum: int, table: object) -> None:
+        with tempfile.TemporaryDirectory(dir=folder) as draft:
+            type(cache)(rw_cache=draft).insert(checksum, table)
+            file = f"{checksum:08X}.json"
+            (Path(draft) / file).replace(folder / file)
+
+    cache.insert = insert

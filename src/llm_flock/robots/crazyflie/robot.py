@@ -13,11 +13,12 @@ from typing import Any
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Commanded, Equipment, MotionLimits, Position, RobotError, RobotState
 from llm_flock.robots.crazyflie.controllers import READ, equipment
-from llm_flock.robots.crazyflie.lighthouse import LIGHTHOUSE_LOG, LIGHTHOUSE_PERIOD_MS
 from llm_flock.robots.crazyflie.link import NETWORK, SCHEMES, CrazyflieLink, Unusable, host_and_port
 from llm_flock.robots.crazyflie.telemetry import (
     ARMED,
     FLYING,
+    LIGHTHOUSE_LOG,
+    LIGHTHOUSE_PERIOD_MS,
     LOCKED,
     NEEDED,
     POSITION_LOG,
@@ -29,7 +30,7 @@ from llm_flock.robots.crazyflie.telemetry import (
     fault_of,
     says,
 )
-from llm_flock.robots.positions.pose import Pose
+from llm_flock.robots.pose import Pose
 from llm_flock.robots.segment import HOLD_S, Segment, stopping_point
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4

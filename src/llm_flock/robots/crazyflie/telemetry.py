@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from llm_flock.robots.base import Position
-from llm_flock.robots.crazyflie.lighthouse import lighthouse_in_words
 
 POSITION_LOG: Mapping[str, str] = MappingProxyType(
     {
@@ -67,6 +66,18 @@ def says(info: int) -> str:
     return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
 
 
+LIGHTHOUSE_LOG: Mapping[str, str] = MappingProxyType(
+    {"lighthouse.status": "uint8_t", "lighthouse.bsReceive": "uint16_t", "lighthouse.bsActive": "uint16_t"}
+)
+"""Variables of the log block of a Lighthouse deck (`lighthouse_core.c` of the firmware): a status, and two bit fields
+with one bit for each base station. Firmware built without Lighthouse does not have them."""
+
+LIGHTHOUSE_PERIOD_MS = 500
+
+STATUS = ("no base station is received", "geometry or calibration is missing", "in use")
+"""What each value of `lighthouse.status` means."""
+
+
 class Telemetry:
     """The newest values that were logged. Written by one thread, read by any."""
 
@@ -111,3 +122,18 @@ class Telemetry:
         if len(samples) < SETTLED_SAMPLES or now - self._variance_stamp_s > SETTLED_SAMPLES * VARIANCE_PERIOD_MS / 1e3:
             return False
         return all(max(axis) - min(axis) < SETTLED_RANGE for axis in zip(*samples, strict=True))
+
+
+def lighthouse_in_words(values: Mapping[str, float]) -> str:
+    """What is seen, by a packet of `LIGHTHOUSE_LOG`."""
+    status = int(values["lighthouse.status"])
+    if status == 0:
+        return f"Lighthouse: {STATUS[0]}"
+    received, active = (_stations(int(values[f"lighthouse.{name}"])) for name in ("bsReceive", "bsActive"))
+    said = STATUS[status] if status < len(STATUS) else f"status {status}"
+    return f"Lighthouse: {said}; receives {received}, uses {active}"
+
+
+def _stations(bits: int) -> str:
+    """Base stations by their channels, which count from 1."""
+    return ", ".join(str(k + 1) for k in range(16) if bits >> k & 1) or "none"

@@ -4,8 +4,7 @@ A source (`PoseSource`) hands over frames of poses, a gate (`PoseGate`) lets thr
 feed (`PoseFeed`) sends the newest accepted pose to each drone at a bounded rate.
 """
 
-from llm_flock.robots.positions.feed import PoseFeed
+from llm_flock.robots.positions.feed import PoseFeed, TakesPoses
 from llm_flock.robots.positions.gate import GateLimits, PoseGate
-from llm_flock.robots.positions.pose import Pose, PoseFrame, PoseSource, TakesPoses, TellsSenders
 
-__all__ = ["GateLimits", "Pose", "PoseFeed", "PoseFrame", "PoseGate", "PoseSource", "TakesPoses", "TellsSenders"]
+__all__ = ["GateLimits", "PoseFeed", "PoseGate", "TakesPoses"]

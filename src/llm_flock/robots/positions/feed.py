@@ -8,11 +8,33 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from types import TracebackType
-from typing import Self
+from typing import Protocol, Self, runtime_checkable
 
 from llm_flock.robots.base import RobotError
+from llm_flock.robots.pose import Pose, PoseFrame, PoseSource
 from llm_flock.robots.positions.gate import PoseGate
-from llm_flock.robots.positions.pose import Pose, PoseFrame, PoseSource, TakesPoses, TellsSenders
+
+
+@runtime_checkable
+class TellsSenders(Protocol):
+    """A source that follows one sender, and hears when there is another one."""
+
+    def senders(self, now: float) -> tuple[str, ...]:
+        """Who was heard in the last second, in words: the one that is followed first, then the others."""
+        ...
+
+
+@runtime_checkable
+class TakesPoses(Protocol):
+    """A robot whose estimator takes poses from outside."""
+
+    async def take_pose(self, pose: Pose) -> None:
+        """Send a pose to the robot, which confirms nothing.
+
+        Raises:
+            RobotError: the link is not open, or does not take the packet.
+        """
+        ...
 
 
 class PoseFeed:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Position
-from llm_flock.robots.positions.pose import Pose, PoseFrame
+from llm_flock.robots.pose import Pose, PoseFrame
 
 CLOCKS_DRIFT = 1e-3
 """Largest difference in speed of the sender's clock and this one's."""

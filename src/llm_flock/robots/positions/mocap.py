@@ -21,9 +21,8 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from llm_flock.extras import require
-from llm_flock.robots.positions.datagram import MOST_M, MOST_POSES, datagram_of
-from llm_flock.robots.positions.pose import Pose, PoseFrame
-from llm_flock.robots.positions.udp import UdpPoses
+from llm_flock.robots.pose import Pose, PoseFrame
+from llm_flock.robots.positions.udp import MOST_M, MOST_POSES, UdpPoses, datagram_of
 
 SYSTEMS = ("vicon", "optitrack", "qualisys", "vrpn", "mock")
 """Systems that the wheels of motioncapture 1.1 know; `mock` is the library's own, which sees nothing."""

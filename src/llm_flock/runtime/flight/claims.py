@@ -18,8 +18,9 @@ from urllib.parse import quote
 from llm_flock.errors import InputError
 from llm_flock.file_lock import lock_file
 from llm_flock.robots.addresses import one_spelling
-from llm_flock.robots.crazyflie.tables import default_folder
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.robots.crazyflie.link import default_folder
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.sections import DroneConfig
 
 logger = logging.getLogger(__name__)
 

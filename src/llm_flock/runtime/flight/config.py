@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import math
 from itertools import product
-from typing import Annotated, Any, Literal, Self
+from typing import Self
 
 from pydantic import Field, model_validator
 
-from llm_flock.arrays import Point
 from llm_flock.errors import InputError
+from llm_flock.obstacles import clearance
+from llm_flock.robots.addresses import one_spelling
 from llm_flock.robots.base import PEAK_SPEED, MotionLimits, Position
-from llm_flock.runtime.config import ConfigSection, RunConfig, seconds
-from llm_flock.runtime.flight.drones import ROUNDING_M, check_drones, check_starts
-from llm_flock.runtime.flight.frame import MissionFrame
-from llm_flock.runtime.positions_config import PositionsConfig
+from llm_flock.robots.crazyflie.radios import plan_radios, traffic_of
+from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.flight.sections import FleetConfig, PositionsConfig, SafetyConfig
+from llm_flock.runtime.mission_frame import MissionFrame, WorldConfig
 from llm_flock.runtime.ros2_config import Ros2Config
-
-Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 
 NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
@@ -28,173 +27,11 @@ DOWN_M = 0.12
 HEIGHT_TRACKING_M = 0.15
 """Default of `height_tracking_m` in the plane: a Crazyflie's stock controller overshoots a take-off by 8 cm [m]."""
 
+ROUNDING_M = 1e-6
+"""Tolerance of limits on lengths and times [m, s]."""
 
-def _length(default: float, description: str) -> Any:
-    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
-
-
-def _seconds(default: float, description: str) -> Any:
-    return seconds(default, description, most=3600)
-
-
-class WorldConfig(ConfigSection):
-    """Place of the mission in the world frame of the localisation system, z up."""
-
-    scale_m: float = _length(0.1, "Length of one mission unit")
-    stretch: float = Field(
-        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
-    )
-    yaw_deg: float = Field(
-        default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
-    )
-    origin_m: tuple[Metres, Metres] = Field(
-        default=(0.0, 0.0), description="Middle of the arena in the world, x and y [m]"
-    )
-    altitude_m: float = _length(1.0, "Height of a mission in the plane, or of the middle of the arena: z")
-    floor_m: Metres = Field(default=0.0, description="Height of the floor: z [m]")
-    geofence: tuple[tuple[Metres, Metres, Metres], tuple[Metres, Metres, Metres]] = Field(
-        default=((-6.0, -6.0, -0.5), (6.0, 6.0, 2.5)),
-        description="Lower and upper corner of the box that no drone may leave, in the world [m]",
-    )
-
-
-class DroneConfig(ConfigSection):
-    """One robot of the fleet."""
-
-    name: str = Field(min_length=1, max_length=64, description="Name in reports")
-    uri: str | None = Field(default=None, description="Address: radio://..., udp://... or serial://...")
-    system_id: int | None = Field(default=None, ge=1, le=254, description="MAVLink: system id of the autopilot [1]")
-    start: tuple[Metres, ...] | None = Field(
-        default=None, min_length=2, max_length=3, description="Position before take-off: x, y and z [m]"
-    )
-    parameters: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = Field(
-        default_factory=dict, description="Firmware parameters to set on connecting, by group.name"
-    )
-    ready_battery_v: float | None = Field(
-        default=None, ge=0, le=100, description="Preflight: lowest battery voltage of this drone [V]"
-    )
-    low_battery_v: float | None = Field(
-        default=None, ge=0, le=100, description="In flight: land below this battery voltage of this drone [V]"
-    )
-
-
-class FleetConfig(ConfigSection):
-    """The drones: robot 0 of the mission is the first, and so on."""
-
-    robot: str = Field(
-        default="simulated", description="Driver: simulated, crazyflie, mavlink, physics, or package.module:function"
-    )
-    drones: tuple[DroneConfig, ...] = Field(default=(), description="Drones, in the order of the mission's robots")
-    crazyflies: str | None = Field(
-        default=None, description="Read the drones from Crazyswarm2's crazyflies.yaml, instead of a list"
-    )
-    controller: Literal["pid", "mellinger", "indi", "brescianini", "lee"] | None = Field(
-        default=None, description="Crazyflies: controller to set on connecting; none leaves the firmware's (PID)"
-    )
-    estimator: Literal["kalman", "ukf"] | None = Field(
-        default=None, description="Crazyflies: estimator to set on connecting; none leaves the firmware's"
-    )
-    cache: str | None = Field(
-        default=None, description="Folder for the drones' tables, which speed up later connections; none: your cache"
-    )
-    local_frames: Literal["start", "common"] = Field(
-        default="start",
-        description="MAVLink: the autopilots count positions from where each drone starts, or from the world's zero",
-    )
-    origin_lat_lon_alt: tuple[float, float, float] | None = Field(
-        default=None,
-        description="MAVLink with GPS: place of the world's zero on the Earth [degrees, degrees, m above sea level]",
-    )
-    take_off_group: int = Field(default=1, ge=1, le=1000, description="Number of drones that take off at once")
-    connect_s: float = _seconds(60.0, "Longest wait for the connections before take-off")
-    stop_watchdog: bool = Field(
-        default=False,
-        description="Crazyflies: cut the motors of a drone that no radio reached for a second. It falls, "
-        "and has to be restarted after every flight",
-    )
-    deadman: bool = Field(default=True, description="Start a process that lands the drones if this one dies or hangs")
-    deadman_s: float = _seconds(1.5, "Let the deadman take over after this silence of the flight process")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _check_empty(cls, given: Any) -> Any:
-        # A list that a file leaves empty is an oversight; no list at all asks for drawn starts.
-        if isinstance(given, dict) and given.get("drones") == [] and given.get("crazyflies") is None:  # pyright: ignore[reportUnknownMemberType]
-            raise InputError("drones", "[]", "one for each of the mission's robots, or no list: then starts are drawn")
-        return given  # pyright: ignore[reportUnknownVariableType]
-
-    @property
-    def watched(self) -> bool:
-        """Whether to start a deadman.
-
-        Drones simulated in the flight process end with it anyway; those with the stop watchdog have fallen before it
-        could call them.
-        """
-        return self.deadman and not self.stop_watchdog and self.robot not in ("simulated", "physics")
-
-
-class SafetyConfig(ConfigSection):
-    """Distances to keep, conditions to monitor, and times to react."""
-
-    min_separation_m: float = _length(0.2, "Smallest distance between two drones side by side, centre to centre")
-    downwash_m: float = _length(0.6, "Smallest distance between two drones above each other")
-    tracking_m: float = _length(0.05, "Largest distance between a drone and its set-point, as late as the team is")
-    height_tracking_m: float | None = Field(
-        default=None,
-        gt=0,
-        le=1000,
-        allow_inf_nan=False,
-        description="The same for heights; none: 0.15 in the plane (or tracking_m, if larger), tracking_m in space [m]",
-    )
-    lag_s: float | None = Field(
-        default=None,
-        ge=0,
-        le=60,
-        allow_inf_nan=False,
-        description="Longest delay of the team behind its set-points; none: by the drones' controllers [s]",
-    )
-    max_speed_m_s: float = Field(
-        default=1.0, gt=0, le=20, allow_inf_nan=False, description="Highest speed of a set-point [m/s]"
-    )
-    round_s: float = _seconds(3.0, "Duration of each motion, from rest to rest")
-    settle_s: float = _seconds(1.0, "Longest wait after a motion for the drones to arrive")
-    take_off_s: float = _seconds(2.5, "Duration of a take-off")
-    land_s: float = _seconds(3.0, "Duration of a landing")
-    start_tolerance_m: float = _length(0.15, "Preflight: largest distance from the given start position")
-    ready_battery_v: float = Field(default=3.8, ge=0, le=100, description="Preflight: lowest battery voltage [V]")
-    ready_link: float = Field(default=0.7, ge=0, le=1, description="Preflight: smallest share of acknowledged packets")
-    low_battery_v: float = Field(
-        default=3.2, ge=0, le=100, description="In flight: land below this battery voltage [V]"
-    )
-    low_battery_s: float = _seconds(1.0, "Time for which the battery must stay low before that")
-    stall_s: float = _seconds(0.5, "Largest age of a position estimate")
-    jump_m: float = _length(0.3, "Largest jump of a position estimate, beyond what a drone can fly")
-    off_course_s: float = _seconds(0.5, "Longest time that a drone may be farther than tracking_m from its set-point")
-    cut_outside_m: float = _length(1.0, "Cut the motors of a drone that is this far outside the geofence")
-    silent_rounds: int = Field(
-        default=3,
-        ge=1,
-        le=1000,
-        description="With fallback hold: land after this many rounds without an answer",
-    )
-    think_s: float = _seconds(20.0, "Longest wait for a model while the drones hover")
-    max_flight_s: float = _seconds(240.0, "Land after this time in the air")
-    at_end: Literal["land", "return"] = Field(
-        default="land", description="After the mission: land on the spot, or return to above the starts and land there"
-    )
-    reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
-
-
-def mission_frame(world: WorldConfig, low: Point, high: Point) -> MissionFrame:
-    """A mission in the world, by the corners of its arena [units]."""
-    return MissionFrame(
-        anchor=tuple((a + b) / 2 for a, b in zip(low, high, strict=True)),
-        scale_m=world.scale_m,
-        stretch=world.stretch if len(low) == 3 else 1.0,
-        yaw=math.radians(world.yaw_deg),
-        origin=world.origin_m,
-        altitude_m=world.altitude_m,
-    )
+ON_FLOOR_M = 0.3
+"""Largest distance of the estimate from the floor for a drone on it [m]."""
 
 
 class FlightConfig(RunConfig):
@@ -205,10 +42,10 @@ class FlightConfig(RunConfig):
     """
 
     world: WorldConfig = Field(default_factory=WorldConfig)
-    fleet: FleetConfig = Field(default_factory=FleetConfig)
+    fleet: FleetConfig = Field(default_factory=FleetConfig, title="Drones")
     safety: SafetyConfig = Field(default_factory=SafetyConfig)
-    positions: PositionsConfig = Field(default_factory=PositionsConfig)
-    ros2: Ros2Config = Field(default_factory=Ros2Config)
+    positions: PositionsConfig = Field(default_factory=PositionsConfig, title="Positions from outside")
+    ros2: Ros2Config = Field(default_factory=Ros2Config, title="ROS 2")
 
     @model_validator(mode="after")
     def _check_flight(self) -> Self:
@@ -223,11 +60,11 @@ class FlightConfig(RunConfig):
         if not self.protocol.shield:
             raise InputError("shield", self.protocol.shield, says="has to be on in a flight, whatever the protocol")
         self._check_positions()
-        check_drones(self)
+        _check_drones(self)
         self._check_distances()
         self._check_speed()
         self._check_fence()
-        check_starts(self)
+        _check_starts(self)
         return self
 
     def _check_positions(self) -> None:
@@ -342,10 +179,101 @@ class FlightConfig(RunConfig):
     @property
     def frame(self) -> MissionFrame:
         """The mission in the world."""
-        return mission_frame(self.world, *self.mission.arena)
+        return self.world.frame(*self.mission.arena)
 
     @property
     def driver_limits(self) -> MotionLimits:
         """Limits that the drivers enforce by themselves, as a last gate behind the checks of the flight."""
         low, high = self.world.geofence
         return MotionLimits(low=low, high=high, max_speed_m_s=1.001 * self.safety.max_speed_m_s)
+
+
+def _check_drones(config: FlightConfig) -> None:
+    """Drones are one for each robot, told apart by their names and addresses, and may fly longer than they take off.
+
+    Raises:
+        InputError: they are not.
+    """
+    drones, n = config.fleet.drones, config.mission.n_robots
+    if drones and config.fleet.crazyflies is not None:
+        raise InputError("drones", f"{len(drones)} drones", "either drones, or crazyflies")
+    if drones and len(drones) != n:
+        raise InputError("drones", f"{len(drones)} drones", f"one for each of the mission's {n} robots")
+    shared = config.fleet.robot == "mavlink"  # several autopilots may answer at one address
+    for field in ("name",) if shared else ("name", "uri"):
+        given = [value for drone in drones if (value := getattr(drone, field)) is not None]
+        twice = next((value for value in given if given.count(value) > 1), None)
+        if twice is not None:
+            raise InputError("drones", twice, says=f"two drones have this {field}")
+    called = [(drone.name, drone.uri) for drone in drones if drone.uri is not None]
+    for fault in plan_radios(called, traffic_of(round_s=config.safety.round_s)).faults:
+        raise InputError("drones", None, says=fault)
+    spelt: dict[str, tuple[str, str]] = {}
+    for name, uri in called:
+        first, as_it = spelt.setdefault(one_spelling(uri), (name, uri))
+        if uri != as_it:
+            raise InputError("drones", name, says=f"{uri} is the address of {first}, {as_it}, in other words")
+    links = [(drone.uri, drone.system_id or 1) for drone in drones if shared]
+    for uri, number in links:
+        if links.count((uri, number)) > 1:
+            raise InputError("system_id", number, f"one that no other drone at {uri} has")
+    for drone in drones:
+        for name in drone.parameters:
+            if not all(part and not any(map(str.isspace, part)) for part in name.partition(".")[::2]):
+                raise InputError("parameters", name, f"names such as stabilizer.controller for {drone.name}")
+    _check_batteries(config)
+
+
+def _check_batteries(config: FlightConfig) -> None:
+    """A battery that is good enough for a take-off is not too low in the air."""
+    safety = config.safety
+    limits = [("", safety.ready_battery_v, safety.low_battery_v)]
+    for drone in config.fleet.drones:
+        ready = safety.ready_battery_v if drone.ready_battery_v is None else drone.ready_battery_v
+        low = safety.low_battery_v if drone.low_battery_v is None else drone.low_battery_v
+        limits.append((f" of {drone.name}", ready, low))
+    for whose, ready, low in limits:
+        if low > ready:
+            says = f"at most ready_battery_v{whose}, {ready:g} V: a drone would land as soon as it is up"
+            raise InputError("low_battery_v", low, says)
+
+
+def _check_starts(config: FlightConfig) -> None:
+    """Starts are on the floor and apart, and drones may fly above them: they take off from there, and return to there.
+
+    Raises:
+        InputError: they are not, or may not.
+    """
+    least, floor_m = config.safe_distance_m, config.world.floor_m
+    starts = [(drone.name, drone.start) for drone in config.fleet.drones if drone.start is not None]
+    for k, (one, here) in enumerate(starts):
+        for two, there in starts[:k]:
+            apart = math.dist(here[:2], there[:2])
+            if apart < least - ROUNDING_M:
+                allowed = f"starts at least {least:g} m apart, the safe distance (here {apart:.3f} m)"
+                raise InputError("drones", f"{two} and {one}", allowed)
+        who = "{} at ({:g}, {:g}) m".format(one, *here)
+        if (wrong := wrong_place(config, *here[:2])) is not None:
+            raise InputError("drones", who, f"a start {good_place(config)} (here {wrong})")
+        if len(here) == 3 and abs(here[2] - floor_m) > ON_FLOOR_M:
+            allowed = f"a start within {ON_FLOOR_M:g} m of the floor at z = {floor_m:g} m (here {here[2]:g} m)"
+            raise InputError("drones", who, allowed)
+
+
+def wrong_place(config: FlightConfig, x_m: float, y_m: float) -> str | None:
+    """Why no drone may fly above a place on the floor, in words; None where it may."""
+    mission, place = config.mission, config.frame.to_mission((x_m, y_m, config.world.altitude_m))
+    slack = ROUNDING_M / config.world.scale_m
+    low, high = mission.arena
+    if not all(a - slack <= v <= b + slack for a, v, b in zip(low, place, high, strict=True)):
+        return "outside the arena"
+    free = clearance(place, mission.obstacles)
+    if free >= mission.body_radius - slack:
+        return None
+    return "in an obstacle" if free <= 0 else f"{free * config.world.scale_m:.2f} m from an obstacle"
+
+
+def good_place(config: FlightConfig) -> str:
+    """What `wrong_place` asks for, in words."""
+    clear = f", at least {config.safe_distance_m / 2:.3g} m from its obstacles" if config.mission.obstacles else ""
+    return f"in the mission's arena{clear}"

@@ -21,7 +21,6 @@ from typing import TextIO
 from llm_flock.errors import InputError
 from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import Robot, RobotError
-from llm_flock.robots.positions import PoseSource
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet
 from llm_flock.runtime.flight.heartbeat import Heartbeat
@@ -29,6 +28,7 @@ from llm_flock.runtime.flight.landing import CALL_S, CONNECT_S, LANDED, LOST, ST
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.positions import feeding
 from llm_flock.runtime.flight.preflight import connect
+from llm_flock.runtime.flight.shown import ros2_bridge
 from llm_flock.runtime.flight.team import FlyingTeam
 
 LOOK_S = 0.02
@@ -102,13 +102,7 @@ async def _land(config: FlightConfig, robots: Sequence[Robot]) -> dict[str, str]
     return {robots[robot].name: end for robot, end in landing.ends.items()}
 
 
-SourceOf = Callable[[FlightConfig], PoseSource | None]
-"""Makes the source of a flight's poses; None where the configuration names one that this layer knows, or none."""
-
-
-def take_over(
-    config: FlightConfig, aloft: Sequence[int], parent: int, source_of: SourceOf = lambda _: None
-) -> dict[str, str]:
+def take_over(config: FlightConfig, aloft: Sequence[int], parent: int) -> dict[str, str]:
     """End the flight process if it still runs, and land the drones in the air; returns how each ended, by name."""
     if os.getppid() == parent:  # it hangs, and may hold the radio
         os.kill(parent, signal.SIGKILL)
@@ -117,7 +111,7 @@ def take_over(
 
     say = _say_while_heard
     say(f"the flight process is gone; calling {', '.join(robot.name for robot in robots)}")
-    ends = asyncio.run(_land_with_poses(config, robots, say, source_of))
+    ends = asyncio.run(_land_with_poses(config, robots, say))
     for name, end in ends.items():
         say(f"{name}: {end}")
     return ends
@@ -139,13 +133,11 @@ def _to_nowhere(handle: int) -> None:
     os.close(nowhere)
 
 
-async def _land_with_poses(
-    config: FlightConfig, robots: Sequence[Robot], say: Callable[[str], None], source_of: SourceOf = lambda _: None
-) -> dict[str, str]:
+async def _land_with_poses(config: FlightConfig, robots: Sequence[Robot], say: Callable[[str], None]) -> dict[str, str]:
     """Land drones, with positions from outside if they need them and the source can be opened here."""
     async with contextlib.AsyncExitStack() as stack:
         try:
-            feed = await stack.enter_async_context(feeding(config, robots, source_of(config)))
+            feed = await stack.enter_async_context(feeding(config, robots))
             if feed is not None:
                 feed.gate.flying = True
         except InputError as error:
@@ -153,7 +145,7 @@ async def _land_with_poses(
         return await land_all(config, robots, say)
 
 
-def main(source_of: SourceOf = lambda _: None) -> int:
+def main() -> int:
     """Run the deadman: reads the configuration from the first line of standard input, then heartbeats."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)  # what ends the flight process must not end this one
@@ -162,13 +154,15 @@ def main(source_of: SourceOf = lambda _: None) -> int:
     if not first:
         return 0
     config = FlightConfig.model_validate(json.loads(first))
+    if config.positions.pose_source == "ros2":
+        ros2_bridge().prepare()
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     _to_nowhere(1)  # it leads to the flight process, which reads nothing more
     listener = HeartbeatListener(sys.stdin)
     if listener.wait_for_end(config.fleet.deadman_s) or not listener.last.aloft:
         return 0
-    ends = take_over(config, listener.last.aloft, parent, source_of)
+    ends = take_over(config, listener.last.aloft, parent)
     return 0 if all(end in (LANDED, STOPPED) for end in ends.values()) else 1
 
 

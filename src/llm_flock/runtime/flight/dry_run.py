@@ -12,11 +12,13 @@ from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.record.writer import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
+from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.bodies import InstantBodies
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, driver_of, with_drones
 from llm_flock.runtime.flight.homing import fly_home, homes_of
 from llm_flock.runtime.flight.landing import Descent, plan_landing
+from llm_flock.runtime.flight.sections import DroneConfig
 from llm_flock.runtime.flight.setpoints import SetPointCheck
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
@@ -76,7 +78,7 @@ class DryRunTeam(InstantBodies):
     """Simulated bodies that keep the commands that real ones would get."""
 
     def __init__(self, config: FlightConfig, aims: Points) -> None:
-        super().__init__(config.mission, aims, 0.0, np.random.default_rng(0))
+        super().__init__(Readings(config.mission, aims, 0.0, np.random.default_rng(0)))
         self._config = config
         self._check = SetPointCheck(config)
         self.steps: list[PlannedMotion] = []
@@ -124,8 +126,8 @@ async def dry_run(config: FlightConfig) -> DryRun:
     away_m: dict[int, float] = {}
     if config.safety.at_end == "return":
         homes = homes_of(config, aims)
-        for robot in await fly_home(config, team, team.fly, homes):
-            away_m[robot] = math.dist(team.places[robot], homes[robot]) * config.world.scale_m
+        for robot in await fly_home(config, team.readings, team.fly, homes):
+            away_m[robot] = math.dist(team.positions[robot], homes[robot]) * config.world.scale_m
     groups = plan_landing(config, dict(enumerate(team.set_points())), [])
     safety, ups = config.safety, math.ceil(len(aims) / config.fleet.take_off_group)
     return DryRun(

@@ -1,4 +1,4 @@
-"""Builds the drones of a flight: their driver, addresses and starts."""
+"""Builds the drones of a flight: their driver, a plug-in of the kind `robots`, addresses and starts."""
 
 from __future__ import annotations
 
@@ -6,11 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
 
+from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
 from llm_flock.own_code import load_own
 from llm_flock.robots.base import Position, Robot
 from llm_flock.robots.simulated import draw_start
-from llm_flock.runtime.flight.config import DroneConfig, FlightConfig
+from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.flight.sections import DroneConfig
 from llm_flock.runtime.seeds import Stream, stream
 
 Driver: TypeAlias = Callable[[FlightConfig, Sequence[DroneConfig]], Sequence[Robot]]
@@ -85,7 +87,8 @@ def start_of(config: FlightConfig, drone: DroneConfig) -> Position:
     return (drone.start[0], drone.start[1], config.world.floor_m if len(drone.start) < 3 else drone.start[2])
 
 
-def _simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+def simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+    """Point masses in this process; see `Driver`."""
     from llm_flock.robots.point_mass import PointMass
     from llm_flock.robots.simulated_robot import SimulatedRobot
 
@@ -94,7 +97,8 @@ def _simulated(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[
     return [SimulatedRobot(d.name, body.home, limits=limits, body=body) for d, body in zip(wanted, bodies, strict=True)]
 
 
-def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+def crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+    """Crazyflies, by radio or by a simulator's address; see `Driver`."""
     from llm_flock.robots.crazyflie import CrazyflieRobot
     from llm_flock.robots.crazyflie import controllers as known
     from llm_flock.robots.crazyflie.robot import LINK_TIMEOUT_S
@@ -123,7 +127,8 @@ def _crazyflie(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[
     return robots
 
 
-def _mavlink(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+def mavlink(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+    """Copters with PX4 or ArduPilot; see `Driver`."""
     from llm_flock.robots.mavlink import Geodetic, LocalFrame, MavlinkRobot, Ports
 
     fleet, ports = config.fleet, Ports()
@@ -155,7 +160,8 @@ def _mavlink(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Ro
     return robots
 
 
-def _physics(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+def physics(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Robot]:
+    """Quadrotors in simulated physics, in this process; see `Driver`."""
     from llm_flock.robots.physics import PhysicsWorld
 
     if config.world.floor_m != 0.0:
@@ -165,22 +171,16 @@ def _physics(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Ro
     return [world.robot(k, drone.name, config.driver_limits) for k, drone in enumerate(wanted)]
 
 
-_DRIVERS: dict[str, Driver] = {
-    "simulated": _simulated,
-    "crazyflie": _crazyflie,
-    "mavlink": _mavlink,
-    "physics": _physics,
-}
-
-
 def driver_of(name: str) -> Driver:
-    """The driver of this name.
+    """The driver of this name: a plug-in, or a function of one's own as package.module:function.
 
     Raises:
         InputError: there is none.
     """
-    if name in _DRIVERS:
-        return _DRIVERS[name]
-    if ":" not in name:
-        raise InputError("robot", name, says=unknown("driver", name, (*_DRIVERS, "package.module:function")))
-    return cast("Driver", load_own("robot", name, "a function that can be imported"))
+    if ":" in name:
+        return cast("Driver", load_own("robot", name, "a function that can be imported"))
+    try:
+        return cast("Driver", plugins.load("robots", name))
+    except KeyError:
+        known = (*plugins.entries("robots"), "package.module:function")
+        raise InputError("robot", name, says=unknown("driver", name, known)) from None

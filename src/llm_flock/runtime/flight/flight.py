@@ -13,7 +13,8 @@ from llm_flock.errors import RecordError
 from llm_flock.protocol.planning import Planner
 from llm_flock.record.writer import RecordSink
 from llm_flock.robots.base import Robot, RobotError
-from llm_flock.robots.positions import PoseFeed, PoseSource
+from llm_flock.robots.pose import PoseSource
+from llm_flock.robots.positions import PoseFeed
 from llm_flock.runtime.api import open_outputs
 from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.flight.claims import claimed
@@ -24,8 +25,7 @@ from llm_flock.runtime.flight.landing import FELL, LANDED, STOPPED, Landing
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import Trouble, TroubleKind
 from llm_flock.runtime.flight.positions import checks_of, feeding, watching
-from llm_flock.runtime.flight.preflight import Check, PreflightReport, preflight
-from llm_flock.runtime.flight.radios import radio_checks
+from llm_flock.runtime.flight.preflight import Check, PreflightReport, preflight, radio_checks
 from llm_flock.runtime.flight.supervisor import FlightEnded, FlightSupervisor
 from llm_flock.runtime.flight.takeoff import TakeOffFailed, take_off
 from llm_flock.runtime.flight.team import FlyingTeam, NotArrived, SetPointRefused
@@ -204,7 +204,7 @@ class Flight:
             return TimedPlanner(planner, safety.think_s, silent, lambda: supervisor.trip(trouble))
 
         planners.wrap(timed)
-        rules, start = config.protocol.rules(), team.places
+        rules, start = config.protocol.rules(), team.readings.places
         trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
         if self._broken_record is not None:
@@ -233,7 +233,7 @@ class Flight:
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         """Take off and flock, until the mission or the flight ends; then return, if that is asked for."""
-        homes = homes_of(self._config, team.places)
+        homes = homes_of(self._config, team.readings.places)
         try:
             self._enter(TAKING_OFF)
             await supervisor.while_safe(take_off(self._config, team, log))
@@ -274,7 +274,7 @@ class Flight:
     async def _return(self, team: FlyingTeam, homes: Points, log: FlightLog) -> None:
         self._enter("returning")
         log.note("returning")
-        away = await fly_home(self._config, team, team.fly_together, homes)
+        away = await fly_home(self._config, team.readings, team.fly_together, homes)
         names = [team.names[robot] for robot in away]
         log.note("returned", not_home=names)
         if names:

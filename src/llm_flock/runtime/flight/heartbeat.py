@@ -22,9 +22,6 @@ logger = logging.getLogger(__name__)
 HEARTBEATS_PER_TIMEOUT = 5
 """Heartbeats in the silence after which the deadman takes over."""
 
-DEADMAN, WITH_ROS = "llm_flock.runtime.flight.deadman", "llm_flock.ros2.deadman"
-"""Modules to run as the deadman: ROS 2 belongs to a layer above this one."""
-
 READY_S = 60.0
 """Longest start of the deadman, which first imports everything that it may need [s]."""
 
@@ -81,9 +78,8 @@ class HeartbeatSender:
         return self
 
     def _open(self) -> subprocess.Popen[bytes]:
-        module = WITH_ROS if self._config.positions.pose_source == "ros2" else DEADMAN
         process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            [sys.executable, "-m", "llm_flock.runtime.flight.deadman"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=tuple(self._kept),

@@ -14,8 +14,8 @@ import numpy as np
 from llm_flock.arrays import Point, Points
 from llm_flock.mission import Mission
 from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.safety import Safety
-from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.protocol.motion.safety import ShieldedSafety
+from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.flight.config import FlightConfig
 
 STEPS, STEPS_EACH = 20, 4
@@ -44,7 +44,7 @@ class WayHome:
     def __init__(self, mission: Mission, homes: Points, near: float) -> None:
         self._mission, self._near = mission, near
         self._homes: list[Point] = [tuple(row) for row in homes.tolist()]
-        self._safety = [Safety(robot, mission, 0.0) for robot in range(len(homes))]
+        self._safety = [ShieldedSafety(robot, mission, 0.0) for robot in range(len(homes))]
 
     def far(self, places: Points) -> list[int]:
         """Drones that are not at home yet."""
@@ -58,7 +58,7 @@ class WayHome:
         longest = float(np.linalg.norm(places - np.array(self._homes), axis=1).max())
         return STEPS + STEPS_EACH * (math.ceil(longest / self._mission.max_step) + len(self._homes))
 
-    def step(self, team: SimulatedTeam) -> Points:
+    def step(self, team: Readings) -> Points:
         """How each drone moves next, shape (n, d) [units]."""
         told = {robot: mind.course for robot, mind in enumerate(self._safety)}
         after: list[Point] = []
@@ -74,7 +74,7 @@ class WayHome:
 
 
 async def fly_home(
-    config: FlightConfig, team: SimulatedTeam, move: Callable[[Points], Awaitable[None]], homes: Points
+    config: FlightConfig, team: Readings, move: Callable[[Points], Awaitable[None]], homes: Points
 ) -> Sequence[int]:
     """Fly all drones home by joint motions that `move` flies; returns those that did not get there, to be landed.
 

@@ -11,13 +11,15 @@ from typing import Protocol, runtime_checkable
 
 from llm_flock.errors import InputError
 from llm_flock.robots.base import Robot, RobotState
-from llm_flock.robots.positions import GateLimits, PoseFeed, PoseGate, PoseSource, TakesPoses
+from llm_flock.robots.pose import PoseSource
+from llm_flock.robots.positions import GateLimits, PoseFeed, PoseGate, TakesPoses
 from llm_flock.robots.positions.mocap import MocapPoses
 from llm_flock.robots.positions.udp import UdpPoses
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.monitors import PERIOD_S, Trouble, TroubleKind
 from llm_flock.runtime.flight.preflight import Check
+from llm_flock.runtime.flight.shown import ros2_bridge
 from llm_flock.runtime.flight.team import FlyingTeam
 
 OUTSIDE = "position from outside"
@@ -50,7 +52,7 @@ def pose_source(config: FlightConfig) -> PoseSource | None:
     """The source of a flight's poses; None if the drones know where they are.
 
     Raises:
-        InputError: it is ROS 2, which this layer does not know: whoever flies opens it.
+        ExtraMissing: it is ROS 2, which is not installed.
     """
     positions, names = config.positions, [drone.name for drone in config.fleet.drones]
     if positions.pose_source == "udp":
@@ -59,7 +61,7 @@ def pose_source(config: FlightConfig) -> PoseSource | None:
         assert positions.mocap_system is not None and positions.mocap_host is not None
         return MocapPoses(positions.mocap_system, positions.mocap_host, names)
     if positions.pose_source == "ros2":
-        raise InputError("pose_source", "ros2", says="is opened by `llm-flock fly` only")
+        return ros2_bridge().poses_of(config.ros2, names)
     return None
 
 

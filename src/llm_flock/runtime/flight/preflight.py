@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from llm_flock.robots.base import Equipment, Robot, RobotError, RobotState, SelfChecked
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.drones import ON_FLOOR_M, good_place, wrong_place
+from llm_flock.robots.crazyflie.radios import MOST_SHARE, RadioPlan, plan_radios, traffic_of
+from llm_flock.runtime.flight.config import ON_FLOOR_M, FlightConfig, good_place, wrong_place
 
 SETTLE_S = 3.0
 """Longest time from the connections until all checks pass: batteries are read, links rated [s]."""
@@ -36,6 +36,9 @@ CHECKS = (
     "watched",
 )
 """Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
+
+RADIO = "radio"
+"""Name of the line of a radio."""
 
 NAMES = ("connected", *CHECKS, "apart", "in step")
 """Names of all checks, in order."""
@@ -223,3 +226,26 @@ def _in_step(config: FlightConfig, names: Sequence[str], states: Sequence[RobotS
     return Check(
         "in step", "team", gap_m <= most, said, f"at most tracking_m, {most:g} m: the same controller and gains"
     )
+
+
+def radio_plan(config: FlightConfig) -> RadioPlan:
+    """What the radios of a flight have to carry; without loads where no drone is called by radio."""
+    drones = [(drone.name, drone.uri) for drone in config.fleet.drones if drone.uri is not None]
+    pose_hz = config.positions.pose_rate_hz if config.positions.outside else 0.0
+    return plan_radios(drones, traffic_of(round_s=config.safety.round_s, pose_hz=pose_hz))
+
+
+def radio_checks(config: FlightConfig) -> list[Check]:
+    """One line for each radio. A load that is too large is only warned of: the capacity is a model's."""
+    if config.fleet.robot != "crazyflie":
+        return []
+    return [
+        Check(
+            RADIO,
+            f"radio {load.dongle}",
+            True,
+            f"WARNING: {load}" if load.share > MOST_SHARE else str(load),
+            f"at most {MOST_SHARE:.0%}",
+        )
+        for load in radio_plan(config).loads
+    ]

@@ -13,7 +13,7 @@ import numpy as np
 from llm_flock.arrays import Points
 from llm_flock.robots.base import Position, Robot, RobotError, RobotState
 from llm_flock.robots.segment import Segment
-from llm_flock.robots.simulated import SimulatedTeam
+from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.lag import distance_m, lag_bound_s
 from llm_flock.runtime.flight.log import FlightLog
@@ -47,12 +47,12 @@ async def answering(robot: Robot, what: str, within_s: float) -> AsyncGenerator[
         raise RobotError(robot.name, f"did not {what} within {within_s:g} s") from error
 
 
-class FlyingTeam(SimulatedTeam):
+class FlyingTeam:
     """The bodies of a flight: connected drones, by id of the mission's robots.
 
-    Agents get set-points (`places`), not measurements: a drone begins each motion at its last set-point, whatever its
-    estimate, so the shield's guarantee holds for set-points at every moment. Drones follow some time later, the same
-    time for all, each within the tracking error of its own set-point then. The record gets measurements.
+    Agents read set-points (`readings`), not measurements: a drone begins each motion at its last set-point, whatever
+    its estimate, so the shield's guarantee holds for set-points at every moment. Drones follow some time later, the
+    same time for all, each within the tracking error of its own set-point then. The record gets measurements.
 
     Attributes:
         motions: the current motion of each drone.
@@ -77,7 +77,7 @@ class FlyingTeam(SimulatedTeam):
         self.motions: list[Segment] = [resting(place) for place in places]
         above = [(x, y, config.world.altitude_m) for x, y, _ in places]  # where the mission begins
         aims = np.array([self._frame.to_mission(place) for place in above])
-        super().__init__(config.mission, aims, 0.0, np.random.default_rng(0))
+        self.readings = Readings(config.mission, aims, 0.0, np.random.default_rng(0))
 
     def states(self) -> list[RobotState]:
         """The newest state of every drone."""
@@ -96,9 +96,9 @@ class FlyingTeam(SimulatedTeam):
     def rest(self, robot: int, position: Position) -> None:
         """Keep a drone's set-point here. Call for every drone before the first motion."""
         self.motions[robot] = resting(position)
-        aims = self.places.copy()
+        aims = self.readings.places.copy()
         aims[robot] = self._frame.to_mission(position)
-        self.place(aims)
+        self.readings.place(aims)
 
     @property
     def positions(self) -> Points:
@@ -124,7 +124,7 @@ class FlyingTeam(SimulatedTeam):
     async def _fly(self, displacements: Points) -> None:
         safety = self._config.safety
         before = [motion.target for motion in self.motions]
-        aims = self.places + displacements
+        aims = self.readings.places + displacements
         after = [self._frame.to_world(tuple(row)) for row in aims.tolist()]
         faults = self._check.faults(before, after, safety.round_s)
         if faults:
@@ -134,7 +134,7 @@ class FlyingTeam(SimulatedTeam):
             if math.dist(asked, end) > CLIPPED_M:
                 self._log.note("clipped", robot, asked=list(asked), sent=list(end))
                 aims[robot] = self._frame.to_mission(end)
-        self.place(aims)
+        self.readings.place(aims)
         await asyncio.sleep(max(0.0, self.motions[0].began_s + safety.round_s - time.monotonic()))
         await self._settle()
 

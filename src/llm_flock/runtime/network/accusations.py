@@ -14,6 +14,7 @@ from typing import Any
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
+from llm_flock.protocol import parts
 from llm_flock.protocol.events import Note
 from llm_flock.protocol.signed.certificates import Verifier
 from llm_flock.protocol.signed.guilt import guilt
@@ -49,9 +50,10 @@ class Judge:
         protocol = config.protocol
         self._verifier, self._liars = verifier, config.network.liars
         self._contexts = contexts(config)
-        self._validator = Validator(
-            verify=bool(protocol.verify), shield_on=bool(protocol.shield), any_size=protocol.gaps == "replan"
-        )
+        any_size = protocol.gaps == "replan"
+        self._validator = parts.Verifier(any_size=any_size)
+        if protocol.verify:
+            self._validator = Validator(shield_on=bool(protocol.shield), any_size=any_size)
 
     def topic(self, robot: int) -> str:
         """The topic that a robot's seals on its messages cover."""

@@ -82,7 +82,7 @@ class SwarmConfig(RunConfig):
     """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
     network: NetworkConfig = Field(default_factory=NetworkConfig)
-    ros2: Ros2Config = Field(default_factory=Ros2Config)
+    ros2: Ros2Config = Field(default_factory=Ros2Config, title="ROS 2")
 
     @model_validator(mode="after")
     def _check_swarm(self) -> Self:
@@ -144,9 +144,9 @@ def endpoints(text: str) -> list[str]:
 
 
 def check_models(config: SwarmConfig) -> None:
-    """Refuse several local models in a swarm on one machine: each process would load an engine on the same cores."""
+    """Refuse several models on board in a swarm on one machine: each process would load an engine on the same cores."""
     n = config.mission.n_robots
-    on_board = [name for name in parse_models(config.model.model, n) if parse_model(name).kind == "local"]
+    on_board = [name for name in parse_models(config.model.model, n) if parse_model(name).kind == "plugin"]
     if len(on_board) > 1:
         allowed = "one robot's at most in a swarm on one machine; `run` has one engine for all robots, and `robot` "
         raise InputError("model", on_board[0], allowed + "starts one robot on a computer of its own")

@@ -16,14 +16,15 @@ from llm_flock.extras import require
 from llm_flock.members import OPERATOR, WORLD, member_name, members
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
-from llm_flock.protocol.signed.certificates import Verifier, mission_statement
-from llm_flock.runtime.network.accusations import Judge, contexts
+from llm_flock.protocol.signed.certificates import mission_statement
+from llm_flock.runtime.network.accusations import contexts
 from llm_flock.runtime.network.config import SwarmConfig, endpoints
 from llm_flock.runtime.network.wire import MissionOrder, T, unpack
-from llm_flock.transport.seal import PlainSeal, Seal
 from llm_flock.transport.zenoh import (
     MAX_SEALED_BYTES,
     ROOT,
+    PlainSeal,
+    Seal,
     ZenohLink,
     access_control,
     open_session,
@@ -145,11 +146,6 @@ def receive(
             handler(source, unpack(message, payload))
 
     link.listen(kind, number, take)
-
-
-def judge_of(config: SwarmConfig, keys: Verifier | None) -> Judge | None:
-    """What tells whether a message shows that its sender lies; None in a team without keys."""
-    return None if keys is None else Judge(keys, config)
 
 
 def signed_by_operator(config: SwarmConfig, member: int) -> Callable[[MissionStamp, bytes], bool] | None:

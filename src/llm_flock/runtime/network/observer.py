@@ -21,15 +21,15 @@ from llm_flock.arrays import Point, Points
 from llm_flock.errors import FlockError, MessageError
 from llm_flock.llm.models import parse_models
 from llm_flock.mission import Mission
+from llm_flock.protocol.events import Origin
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RoundEnd, State
+from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
 from llm_flock.record.writer import RecordSink
-from llm_flock.runtime.entries import finite, mission_info
+from llm_flock.runtime.entries import metrics_row, mission_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.self_reports import SelfReports, rejected, sent
-from llm_flock.runtime.network.state_row import state_row
 from llm_flock.runtime.network.wire import RobotReport, WorldState
 from llm_flock.runtime.trial import TrialProgress, commonest
 from llm_flock.validation import input_error
@@ -240,9 +240,24 @@ class Observer:
         return self._state(np.array([body.position for body in self._world.bodies]))
 
     def _state(self, positions: Points) -> State:
-        reports = {robot: self.reports[robot] for robot in self.robots}
-        goals = {robot: self.goal_of(report) for robot, report in reports.items()}
-        return state_row(max(self._row, 0), positions, reports, goals, self._seen)
+        """Every robot, for bodies at positions of shape (n, d) [units]; one that was never seen sleeps."""
+        row, living, robots = max(self._row, 0), self.robots, range(len(positions))
+        reports = [self.reports[robot] if robot in living else None for robot in robots]
+        goals = [None if report is None else self.goal_of(report) for report in reports]
+        start = Origin.START.value if row == 0 else Origin.HOLD.value
+        gone = [DEAD if robot in self._seen else ASLEEP for robot in robots]
+        return State(
+            round=row,
+            positions=positions.tolist(),
+            goals=[None if goal is None else list(goal) for goal in goals],
+            slots=[None if r is None else r.slot for r in reports],
+            plan_ids=[None if r is None else r.plan_id for r in reports],
+            influence=[0.0 if r is None else r.neighbors / len(positions) for r in reports],
+            waypoints=[None if r is None or r.waypoint is None else list(r.waypoint) for r in reports],
+            origins=[start if r is None else r.origin for r in reports],
+            open_breakers=[[] if r is None else list(r.breakers) for r in reports],
+            phases=[none if r is None else r.phase for r, none in zip(reports, gone, strict=True)],
+        )
 
     @property
     def robots(self) -> list[int]:
@@ -337,16 +352,14 @@ class Observer:
         self._sink.write(self._state(positions))
         near = graph.distances(positions) <= self.mission.comm_range
         messages, volume = sent(self.reports.values())
-        plan_ids = [self.reports[robot].plan_id for robot in robots]
-        row = MetricsRow(
-            round=self._row,
-            procrustes_mean=error,
-            procrustes_mean_squared=None,
-            min_separation=finite(metrics.min_separation(positions)),
-            segment_separation=finite(self._row_closest),
-            plans_in_use=metrics.plans_in_use(plan_ids),
-            distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
-            robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+        row = metrics_row(
+            self._row,
+            plan_ids=[self.reports[robot].plan_id for robot in robots],
+            slots=[self.reports[robot].slot for robot in robots],
+            at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+            error=None if error is None else (error, None),
+            separation=metrics.min_separation(positions),
+            on_segment=self._row_closest,
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
             model_calls=self.said.calls,
             tokens=self.said.tokens,
@@ -359,17 +372,4 @@ class Observer:
         self._row_closest = math.inf
         self._sink.write(RoundEnd(round=self._row))
         if self._on_row is not None:
-            self._on_row(
-                TrialProgress(
-                    round=self._row,
-                    rounds=0,
-                    at_goal=row.robots_at_goal,
-                    n_robots=len(robots),
-                    plans_in_use=row.plans_in_use,
-                    distinct_goals=row.distinct_goals,
-                    error=error,
-                    model_calls=row.model_calls,
-                    tokens=row.tokens,
-                    cost_usd=None,
-                )
-            )
+            self._on_row(TrialProgress.of(row, rounds=0, n_robots=len(robots)))

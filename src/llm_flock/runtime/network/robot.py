@@ -10,16 +10,17 @@ from typing import Any, cast
 
 from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
+from llm_flock.protocol.signed.parts import signed_parts
 from llm_flock.runtime.entries import llm_entry
-from llm_flock.runtime.network.accusations import Accuser
+from llm_flock.runtime.network.accusations import Accuser, Judge
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import REPORT_S, judge_of, load_keys, open_link, receive, refusing
+from llm_flock.runtime.network.connection import REPORT_S, load_keys, open_link, receive, refusing
 from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stopped
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock.runtime.planners import TeamPlanners
-from llm_flock.runtime.roster import make_agent
+from llm_flock.runtime.roster import make_agent, parts_of
 from llm_flock.runtime.seeds import Stream, stream
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.zenoh import ZenohLink
@@ -64,18 +65,11 @@ class RobotProcess:
         )
         self.body = BodyControl(config)
         keys = load_keys(config, robot)
-        rules = config.protocol.rules()
-        agent = make_agent(
-            config,
-            rules,
-            robot,
-            own_clock=True,
-            authenticator=keys,
-            liars=network.liars,
-            apart=config.passing_distance,
-        )
-        judge = judge_of(config, keys)
-        self._accuser = None if judge is None else Accuser(judge)
+        parts = parts_of(config, config.protocol.rules(), robot, apart=config.passing_distance)
+        if keys is not None:
+            parts = signed_parts(parts, robot, mission, keys, liars=network.liars)
+        agent = make_agent(config, robot, parts, own_clock=True)
+        self._accuser = None if keys is None else Accuser(Judge(keys, config))
         self.agent_loop = AgentLoop(
             config, agent, self.planners[robot], self.radio, self.body, self._broadcast, self._accuser
         )

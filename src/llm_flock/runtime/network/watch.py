@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable, Generator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
@@ -14,9 +14,9 @@ from llm_flock.protocol.messages.order_time import OperatorClock
 from llm_flock.record.schema import SummaryMessage
 from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
 from llm_flock.runtime.entries import finite, run_info
+from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import (
-    judge_of,
     load_keys,
     mission_order,
     open_link,
@@ -45,13 +45,34 @@ FREE_PORT = "tcp/127.0.0.1:0"
 """Where processes listen that are no part of the swarm."""
 
 
+def observer_of(
+    config: SwarmConfig, member: int, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+) -> Observer:
+    """An observer that checks signatures with the keys of this member, if the swarm uses any."""
+    keys = load_keys(config, member)
+    judge = None if keys is None else Judge(keys, config)
+    return Observer(config, sink, on_row, signed=signed_by_operator(config, member), judge=judge)
+
+
+@contextmanager
+def recording(config: SwarmConfig, record: Path | None, sink: RecordSink | None = None) -> Generator[RecordSink]:
+    """What writes the record of a swarm there, and to a sink, from its first entry on.
+
+    Raises:
+        InputError: the record exists already.
+    """
+    with nullcontext(NullWriter()) if record is None else RecordWriter(record) as file:
+        writer = file if sink is None else Tee(file, sink)
+        writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
+        yield writer
+
+
 @contextmanager
 def observing(
     config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
 ) -> Generator[Observer]:
     """An observer that is connected to a swarm; call in a running event loop."""
-    signed, judge = signed_by_operator(config, WATCHER), judge_of(config, load_keys(config, WATCHER))
-    observer = Observer(config, sink, on_row, signed=signed, judge=judge)
+    observer = observer_of(config, WATCHER, sink, on_row)
     with closing(open_link(config, WATCHER, FREE_PORT)) as link:
         receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
         receive(link, "report", RobotReport, observer.report)
@@ -81,9 +102,7 @@ async def run_watch(
         InputError: the record exists already.
     """
     with ExitStack() as stack:
-        file: RecordSink = NullWriter() if record is None else stack.enter_context(RecordWriter(record))
-        writer = file if sink is None else Tee(file, sink)
-        writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
+        writer = stack.enter_context(recording(config, record, sink))
         observer = stack.enter_context(observing(config, writer, on_row))
         if show is not None:
             show(config, observer)

@@ -34,7 +34,6 @@ Count = Annotated[int, msgspec.Meta(ge=0, lt=2**53)]
 Word = Annotated[str, msgspec.Meta(max_length=64)]
 Slot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 
-
 Slots = Annotated[tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MOST_WORDS)]
@@ -115,14 +114,10 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     mission: tuple[Annotated[int, msgspec.Meta(ge=0, lt=LATEST)], Word]  # time of the order, digest of the mission
     order: Signature  # of the operator, on that time and digest; empty for the first mission, and without keys
     plan_id: Word | None  # digest of the plan it follows
-    points: (
-        Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)] | None
-    )  # that plan's places, in the first report that names it
+    points: Places | None  # that plan's places, in the first report that names it
     proposer: Slot | None  # robot that proposed it
     slot: Slot | None  # index of its place in the plan
-    blocked: Annotated[
-        tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)
-    ]  # slots that it knows to be out of every robot's reach
+    blocked: Slots  # slots that it knows to be out of every robot's reach
     waypoint: Place | None  # where it is flying to
     origin: Word  # what chose that waypoint
     neighbors: Count  # |N_i|
@@ -132,13 +127,9 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     sent: Count  # protocol messages broadcast so far
     bytes: Count  # broadcast so far, beacons included
     rejected: Counts  # messages refused so far, by reason
-    breakers: Annotated[
-        tuple[Word, ...], msgspec.Meta(max_length=MOST_WORDS)
-    ]  # kinds of questions that its model is not asked
+    breakers: Words  # kinds of questions that its model is not asked
     hopeless: str | None  # why its model's last plan was refused, while it has none and its model is not asked
-    latencies_s: Annotated[
-        tuple[Amount, ...], msgspec.Meta(max_length=MOST_EVENTS)
-    ]  # one-way, of beacons heard since the last report
+    latencies_s: Amounts  # one-way, of beacons heard since the last report
     shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
 
 

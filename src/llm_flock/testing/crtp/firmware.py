@@ -13,6 +13,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from llm_flock.robots.cascade import pid
 from llm_flock.robots.point_mass import BUSY, PointMass
 from llm_flock.testing.crtp.external import ExternalPosition
 
@@ -149,6 +150,7 @@ class Firmware:
             LOGGING: contents(self._variables, [LOGGED[name] for name in self._variables]),
         }
         self._blocks: dict[int, _Block] = {}
+        self._gain: float | None = None  # of the controller that the body has
         self._flew: float | None = None
         self._low_level: float | None = None
         self._watchdog: float | None = None
@@ -232,10 +234,10 @@ class Firmware:
         """Let the body follow its set-point as its controller does."""
         number = int(self.parameters["stabilizer.controller"].value)
         gain = {PID: "posCtlPid.xKp", INDI: "posCtrlIndi.K_xi_x"}.get(number)
-        if gain is None:
-            self.body.follow("exactly", now)
-        else:
-            self.body.follow("pid", now, self.parameters[gain].value)
+        value = None if gain is None else self.parameters[gain].value
+        if value != self._gain:
+            self._gain = value
+            self.body.follow(None if value is None else pid(value), now)
 
     def _settings(self, data: bytes, now: float) -> bytes:
         command = data[0]

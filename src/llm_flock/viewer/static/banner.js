@@ -97,7 +97,7 @@ export class Banner {
     if (!found) return [];
     if (this.run.failure) return [h("span", { text: this.run.failure })];
     if (!found.why) return found.by ? [h("span", { class: "flock-hint", text: found.by })] : [];
-    const robots = found.guilty.slice(0, 4).map((robot) =>
+    const robots = found.robots.slice(0, 4).map((robot) =>
       h("button", { type: "button", class: "flock-link", text: `Show robot ${robot}`, onclick: () => this.choose(robot) }));
     return [h("span", { text: `Why: ${found.why} ` }), ...robots];
   }

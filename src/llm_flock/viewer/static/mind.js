@@ -57,7 +57,7 @@ export class Minds {
         [`${k}:${robot}`, sizes.length > 1 ? `${this.names[k]}: ${robot}` : String(robot)]));
       for (const list of this.lists) fill(list, [["", "none"], ...robots], list.value);
     }
-    const k = Math.max(0, this.runs.findIndex((run) => run.outcome && run.outcome.guilty.length));
+    const k = Math.max(0, this.runs.findIndex((run) => run.outcome && run.outcome.robots.length));
     const found = this.runs[k].outcome;
     if (!this.opened && found && !this.runs.some((run) => run.open && !(run.about && run.about.live))) {
       this.opened = true;

@@ -1,0 +1,110 @@
+"""Commands that plug-ins extend: each plug-in of a kind is a function whose keyword parameters become flags."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from llm_flock import plugins
+from llm_flock.errors import InputError
+from llm_flock.plugins import Kind
+
+KEYWORD = "extensions"
+"""The parameter in which an extended command gets its `Extension`s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Extension:
+    """A plug-in with the flags that were given for it.
+
+    Attributes:
+        flags: values by parameter name; the first one switches the plug-in on, if it has any.
+    """
+
+    name: str
+    function: Callable[..., Any]
+    flags: dict[str, Any]
+
+    @property
+    def on(self) -> bool:
+        """Whether its first flag was given."""
+        return bool(next(iter(self.flags.values()), None))
+
+    def refuse_idle_flags(self) -> None:
+        """Refuse flags without the first one.
+
+        Raises:
+            InputError: one was given.
+        """
+        defaults = {p.name: p.default for p in _flags(self.function)}
+        switch = next(iter(self.flags))
+        for field, value in self.flags.items():
+            if not self.on and value != defaults[field]:
+                raise InputError(field, value, says=f"has no effect without --{switch.replace('_', '-')}")
+
+    def __call__(self, *args: Any) -> Any:
+        """Call the plug-in with its flags."""
+        return self.function(*args, **self.flags)
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of `llm-flock doctor`.
+
+    Attributes:
+        part: what it belongs to: base, extra, key or reach.
+        name: what was looked for.
+        ok: whether it is there.
+        detail: what was found, or what to do.
+    """
+
+    part: str
+    name: str
+    ok: bool
+    detail: str
+
+
+def extended(kind: Kind) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Let the plug-ins of a kind extend a command, which takes them as the keyword parameter `extensions`."""
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        vars(command)["extended_by"] = kind
+        return command
+
+    return decorate
+
+
+def with_extensions(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the flags of the plug-ins that extend it. Call when it is looked up: plug-ins are loaded."""
+    kind: Kind | None = vars(command).get("extended_by")
+    if kind is None:
+        return command
+    functions = dict(plugins.load_all(kind))
+    added = {name: _flags(function) for name, function in functions.items()}
+
+    def call(**given: Any) -> None:
+        extensions = [
+            Extension(name=name, function=functions[name], flags={p.name: given.pop(p.name) for p in parameters})
+            for name, parameters in added.items()
+        ]
+        command(**given, **{KEYWORD: extensions})
+
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != KEYWORD]
+    flags = [p for parameters in added.values() for p in parameters]
+    var = [p for p in own if p.kind is p.VAR_KEYWORD]
+    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p not in var] + flags
+    vars(call)["__signature__"] = inspect.Signature([*parameters, *var])
+    call.__annotations__ = {p.name: p.annotation for p in parameters}
+    call.__doc__ = command.__doc__
+    if "config_flags" in vars(command):
+        vars(call)["config_flags"] = vars(command)["config_flags"]
+    return call
+
+
+def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:
+    """The keyword parameters of a plug-in, with evaluated annotations; those of its other parameters may be strings."""
+    scope = vars(inspect.getmodule(function))
+    found = inspect.signature(function).parameters.values()
+    return [p.replace(annotation=eval(p.annotation, scope)) for p in found if p.kind is p.KEYWORD_ONLY]
