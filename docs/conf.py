@@ -58,6 +58,15 @@ def _after_napoleon(app, what, name, obj, options, lines):
     lines[:] = [line.replace(_COLON, ":") for line in lines]
 
 
+def _before_build(app):
+    """Autodoc evaluates the types of a struct's fields, and one of them is imported for type checkers only."""
+    from llm_flock.obstacles import Roadmap
+    from llm_flock.protocol.agreement import assignment
+
+    assignment.Roadmap = Roadmap
+
+
 def setup(app):
+    app.connect("builder-inited", _before_build)
     app.connect("autodoc-process-docstring", _before_napoleon, priority=400)
     app.connect("autodoc-process-docstring", _after_napoleon, priority=600)
