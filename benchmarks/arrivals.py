@@ -37,6 +37,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import leg_to
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.right_of_way import RightOfWay
 from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.motion.surroundings import static_half_spaces
@@ -149,7 +150,8 @@ def motion_alone(scene: Scene) -> Flight:
             heard = {
                 j: course for j, course in said.items() if j in seen and math.dist(x, here[j]) <= mission.comm_range
             }
-            step = safety.step(x, seen, wish, leg, metrics.AT_GOAL * mission.spacing, courses=heard)
+            observed = Observation(position=x, sensed=seen, courses=heard)
+            step = safety.step(observed, wish, leg, metrics.AT_GOAL * mission.spacing)
             moves.append(step.waypoint)
         return [np.array(moves)]
 

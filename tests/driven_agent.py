@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rounds import round_began
+from tables import told
 from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
@@ -25,8 +26,7 @@ from llm_flock.protocol.events import (
     Received,
 )
 from llm_flock.protocol.membership.replanning import Gaps
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, PositionReport, Provenance
+from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, PositionReport, Provenance, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -92,7 +92,7 @@ def says(
     plan: Plan | None = None,
     slot: int | None = None,
     table: BidTable | None = None,
-    table_digest: str | None = None,
+    table_digest: bytes | None = None,
     text: str | None = None,
     named_only: bool = False,
     places: int = 0,
@@ -107,16 +107,15 @@ def says(
         sender=sender,
         sequence=sequence,
         neighbors=0,
-        mission=MissionStamp(counter, mission.digest),
+        stamp=MissionStamp(counter, mission.digest),
         mission_text=text,
         plan=None if named_only else plan,
         plan_digest=None if plan is None else plan.digest,
         places=places or (0 if plan is None else len(plan)),
         provenance=None if plan is None else origin,
         slot=slot,
-        table=table,
-        table_digest=table_digest,
         beats=beats,
         positions=positions,
+        **told(table, table_digest),
     )
     return encode(said)

@@ -9,18 +9,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 from msgspec.structs import replace
+from tables import told
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import rank
 from llm_flock.protocol.membership.liveness import PER_BEAT
-from llm_flock.protocol.messages.codec import decode, encode
 from llm_flock.protocol.messages.message import (
     NO_OWNER,
     UNSAID,
     BidEntry,
     Message,
     Offer,
+    decode,
+    encode,
 )
 from llm_flock.protocol.signed.certificates import (
     LEFT,
@@ -211,15 +213,15 @@ class Gang:
         self.sequence += 1
         # Who claims lets its heart beat, or its claims would count for nothing; who seems dead costs more time.
         claims = "offer" in more or any(entry[2] == member for entry, _ in (entries or {}).values())
-        same = {"mission": self.known.mission, "plan": self.known.plan, "provenance": self.known.provenance}
+        same = {"plan": self.known.plan, "provenance": self.known.provenance}
         said = Message(
             **{
                 "sender": member,
                 "sequence": self.sequence,
                 "neighbors": self.mission.n_robots - 1,
-                "table": tuple(table),
                 **({"beats": self._beats(member)} if claims else {}),
                 **same,
+                **told(more.pop("table", tuple(table))),
                 **more,
             }
         )

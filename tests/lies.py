@@ -23,7 +23,6 @@ from toy_keys import ToyKeys
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.auction import rank
-from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     HIGHEST,
@@ -34,6 +33,7 @@ from llm_flock.protocol.messages.message import (
     Message,
     MissionStamp,
     Offer,
+    encode,
 )
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.signed.certificates import (
@@ -247,7 +247,7 @@ def another_mission(gang: Gang, member: int) -> list[Said]:
     assert gang.known is not None
     mission = gang.mission.change(spacing=gang.mission.spacing + 1.0)
     stamp = MissionStamp(gang.known.mission.counter + gang.rounds, mission.digest)
-    said = Message(sender=member, sequence=gang.rounds, neighbors=1, mission=stamp, mission_text=mission_text(mission))
+    said = Message(sender=member, sequence=gang.rounds, neighbors=1, stamp=stamp, mission_text=mission_text(mission))
     return [(member, wrap(encode(said), Proofs(mission=gang.keys[member].sign(b"mission"))), None)]
 
 

@@ -15,8 +15,7 @@ from llm_flock.protocol.events import (
     Planned,
     RoundBegan,
 )
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer
 
@@ -48,7 +47,7 @@ def foreign(
         neighbors=2,
         plan=plan,
         provenance=provenance,
-        mission=MissionStamp(0 if mission_text is None else 7, "0" * 16),
+        stamp=MissionStamp(0 if mission_text is None else 7, "0" * 16),
         mission_text=mission_text,
     )
     return encode(message)

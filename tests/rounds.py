@@ -1,11 +1,13 @@
-"""The event that begins a round, from what a robot senses."""
+"""The event that begins a round, and the observation in it, from what a robot senses."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.events import RoundBegan
+from llm_flock.protocol.motion.observation import Observation
 
 
 def round_began(
@@ -27,3 +29,8 @@ def round_began(
         sensed=others,
         observed=tuple(others.values()),
     )
+
+
+def observation(position: Point, sensed: Mapping[int, Point], **more: Any) -> Observation:
+    """What a robot observes, with further fields of `Observation`."""
+    return Observation(position=position, sensed=sensed, **more)

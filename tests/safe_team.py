@@ -4,6 +4,7 @@ import math
 from collections import Counter
 
 import numpy as np
+from rounds import observation
 
 from llm_flock.metrics import AT_GOAL, segment_separation
 from llm_flock.mission import Mission
@@ -57,7 +58,9 @@ class SafeTeam:
             if share < 1.0:
                 wish = tuple(x + share * (g - x) for x, g in zip(rows[i], leg.stop, strict=True))
             courses = {j: course for j, course in self.courses.items() if j in sensed and self.heard(i, j)}
-            flight = safety.step(rows[i], sensed, wish, leg, AT_GOAL * self.mission.spacing, courses=courses)
+            flight = safety.step(
+                observation(rows[i], sensed, courses=courses), wish, leg, AT_GOAL * self.mission.spacing
+            )
             self.origins[flight.origin.value] += 1
             self.kinds.update(note.kind for note in flight.notes)
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from driven_team import turned
 from rounds import round_began
+from tables import told
 from toy_keys import ToyKeys
 from whole_agent import whole_agent
 
@@ -33,8 +34,16 @@ from llm_flock.protocol.events import (
     Received,
 )
 from llm_flock.protocol.membership.replanning import Gaps
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
+from llm_flock.protocol.messages.message import (
+    NO_OWNER,
+    UNSAID,
+    BidEntry,
+    Message,
+    MissionStamp,
+    Offer,
+    Provenance,
+    encode,
+)
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.protocol.signed.certificates import (
@@ -279,12 +288,11 @@ class Liar:
                 "sender": self.robot,
                 "sequence": self.sequence,
                 "neighbors": self.team.mission.n_robots - 1,
-                "mission": context.mission,
                 "plan": agent.plan,
                 "provenance": agent.provenance,
                 "slot": slot,
-                "table": tuple(table),
                 "offer": offer,
+                **told(message.pop("table", tuple(table))),
                 **message,
             }
         )

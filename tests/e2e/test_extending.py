@@ -1,20 +1,26 @@
-"""What `docs/how-to/extending.md` shows works as it is written, from an empty folder."""
+"""What `extending.md` and `own-rule.md` of the guides show works as it is written, from an empty folder."""
 
 import json
 import os
 import re
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import llm_flock
+from llm_flock.testing import check_consensus_rule
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/how-to/extending.md").read_text(encoding="utf-8")
-BLOCKS: list[str] = re.findall(r"^```python\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
+RULE_PAGE = (ROOT / "docs/how-to/own-rule.md").read_text(encoding="utf-8")
+BLOCKS = [
+    textwrap.dedent(found)
+    for found in re.findall(r"^ *```python\n(.*?)^ *```", PAGE + RULE_PAGE, re.MULTILINE | re.DOTALL)
+]
 FILES = {"my_rules.py": "class LowestSpeaker", "my_models.py": "class Mine"}
 
 # As the installed script starts it: the folder of the script is searched for modules, not the current one.
@@ -65,9 +71,9 @@ def test_a_model_in_the_current_folder_flies_for_some_robots(folder: Path) -> No
 
 def test_the_pages_own_tests_pass() -> None:
     names: dict[str, Any] = {"__name__": "page"}
-    for words in (*FILES.values(), "def test_my_rule", "def test_my_own_model"):
+    for words in (*FILES.values(), "def test_my_own_model"):
         exec(block(words), names)
-    names["test_my_rule"]()
+    check_consensus_rule(names["LowestSpeaker"]())
     names["test_my_own_model"]()
 
 

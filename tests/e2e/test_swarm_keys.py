@@ -9,8 +9,7 @@ from pathlib import Path
 
 from swarms import swarm_config
 
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message
+from llm_flock.protocol.messages.message import Message, encode
 from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
 from llm_flock.runtime.network.connection import SPARE, open_link
 from llm_flock.runtime.network.swarm import free_port, launched

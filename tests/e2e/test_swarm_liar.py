@@ -11,14 +11,14 @@ import time
 from pathlib import Path
 
 from swarms import formed, swarm_config
+from tables import told
 from typer.testing import CliRunner
 
 from llm_flock.arrays import Point
 from llm_flock.cli import app
 from llm_flock.errors import MessageError
 from llm_flock.members import WORLD
-from llm_flock.protocol.messages.codec import decode, encode
-from llm_flock.protocol.messages.message import UNSAID, Message, Provenance
+from llm_flock.protocol.messages.message import UNSAID, Message, Provenance, decode, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import (
     Certificate,
@@ -91,7 +91,7 @@ class Liar:
             slot: Certificate(number=count, signature=self.keys.sign(claim_statement(about, slot, entry, count)))
             for slot in range(N)
         }
-        said = [self._message(known, claims=claims, slot=count % N, table=(entry,) * N, beats=(2**39,) * N)]
+        said = [self._message(known, claims=claims, slot=count % N, **told((entry,) * N), beats=(2**39,) * N)]
         everywhere = Plan.of([(50.0, 50.0)] * N)
         best = Provenance(
             mission=known.mission.counter,
@@ -101,11 +101,11 @@ class Liar:
             proposer=LIAR,
             sequence=0,
         )
-        said.append(self._message(known, plan=everywhere, provenance=best, table=(UNSAID,) * N, slot=0))
+        said.append(self._message(known, plan=everywhere, provenance=best, **told((UNSAID,) * N), slot=0))
         return [*said, self.payload]
 
     def _message(self, known: Message, *, claims: dict[int, Certificate] | None = None, **fields: object) -> bytes:
-        same = {"mission": known.mission, "plan": known.plan, "provenance": known.provenance}
+        same = {"plan": known.plan, "provenance": known.provenance}
         whole: dict[str, object] = {**same, **fields}
         message = Message(sender=LIAR, sequence=next(self.counts), neighbors=N - 1, **whole)  # type: ignore[arg-type]
         assert message.provenance is not None and message.plan is not None

@@ -15,7 +15,7 @@ from llm_flock.exam.seen import seen_in_training
 from llm_flock.exam.sit import first_messages, round_of
 from llm_flock.exam.splits import PUBLIC_SEED, chosen, generate, private_split, public_split
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.protocol.verification.steps import check_step
+from llm_flock.protocol.verification.steps import step_faults
 from llm_flock.viewer.mission_text import draft_of
 
 COUNTS = {
@@ -88,7 +88,7 @@ def test_a_robot_ahead_makes_the_straight_step_wrong_and_leaves_another() -> Non
         asked = question.step_question(mission, 0)
         here, goal = np.array(asked.position), np.array(asked.goal)
         share = min(1.0, mission.max_step / float(np.linalg.norm(goal - here)))
-        assert check_step(mission, asked, tuple(here + share * (goal - here))) is not None
+        assert step_faults(asked, tuple(here + share * (goal - here)))
         assert sidestep(question, mission) is not None
 
 

@@ -12,7 +12,7 @@ import pytest
 from foxglove_client import FoxgloveClient
 from sample_records import FakeRun
 
-from llm_flock.cli.foxglove import Pacer
+from llm_flock.cli.sinks import Pacer
 from llm_flock.errors import InputError
 from llm_flock.foxglove import server as foxglove_server
 from llm_flock.foxglove.channels import ChannelWriter

@@ -46,7 +46,7 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.message import decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.guilt import guilt

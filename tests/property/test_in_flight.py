@@ -13,8 +13,7 @@ from still_team import PERFECT, WIDE, StillTeam, a_leaf, assert_at_rest, connect
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages import dissemination
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import BLOCKED, Message, MissionStamp
+from llm_flock.protocol.messages.message import BLOCKED, Message, MissionStamp, encode
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.transport.memory import LinkFaults
 
@@ -221,9 +220,9 @@ def test_no_mission_over_the_radio_changes_a_robots_limits(
     fields = MISSION_FIELDS | (changed if spelled else set())
     stamp = MissionStamp(counter, evil.digest)
     attack = Message(
-        sender=3, sequence=0, neighbors=3, mission=stamp, mission_text=evil.model_dump_json(include=set(fields))
+        sender=3, sequence=0, neighbors=3, stamp=stamp, mission_text=evil.model_dump_json(include=set(fields))
     )
-    hidden = Message(sender=3, sequence=0, neighbors=3, mission=stamp)
+    hidden = Message(sender=3, sequence=0, neighbors=3, stamp=stamp)
     team.silent.add(3)
     for _ in range(12):
         team.round(junk=[encode(attack), encode(hidden)])

@@ -14,8 +14,7 @@ from toy_keys import ToyKeys
 
 from llm_flock.cli.accusations import MOST_SHOWN, show_accusations
 from llm_flock.errors import InputError, MessageError
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance
+from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import Proofs, origin_statement, wrap
 from llm_flock.record.reader import read_record
@@ -43,7 +42,7 @@ def sealed(message: bytes | None, by: int = LIAR, topic: str | None = None) -> b
 
 def said(sender: int) -> bytes:
     """A message that says nothing but who sends it."""
-    return wrap(encode(Message(sender=sender, sequence=0, neighbors=1, mission=STAMP)), Proofs())
+    return wrap(encode(Message(sender=sender, sequence=0, neighbors=1, stamp=STAMP)), Proofs())
 
 
 FORGED = sealed(said(1))

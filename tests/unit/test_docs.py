@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import functools
 import importlib
 import inspect
@@ -10,11 +11,12 @@ import shlex
 import sys
 import tomllib
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 import typer.main
 
+from llm_flock import plugins
 from llm_flock.cli import app
 from llm_flock.experiments.sweep_file import load_sweep
 from llm_flock.runtime.config import RunConfig
@@ -98,7 +100,11 @@ def test_configuration_examples_are_valid(page: Path, tmp_path: Path) -> None:
     for language, body in FENCE.findall(page.read_text(encoding="utf-8")):
         if language == "toml":
             found = tomllib.loads(body)
-            if "sweep" in found:
+            if "project" in found:  # an entry point of a distribution of one's own
+                assert found["project"]["entry-points"].keys() <= {
+                    f"llm_flock.{kind}" for kind in get_args(plugins.Kind)
+                }
+            elif "sweep" in found:
                 (tmp_path / "sweep.toml").write_text(body, encoding="utf-8")
                 assert load_sweep(tmp_path / "sweep.toml").trials
             else:
@@ -112,8 +118,8 @@ def test_tests_that_pages_name_exist() -> None:
         for file in (ROOT / "tests").rglob("test_*.py")
         for name in (file.name, *re.findall(r"^def (test_\w+)\(", file.read_text(encoding="utf-8"), re.MULTILINE))
     }
-    examples = {"test_my_rule", "test_my_model", "test_my_own_model", "test_my_prompts", "test_my_shape"}
-    for page in PAGES:
+    examples = {"test_my_model", "test_my_own_model", "test_my_prompts", "test_my_shape"}
+    for page in (*PAGES, *(ROOT / "docs" / "data").glob("*.csv")):
         named = {Path(span).name for span in SPAN.findall(FENCE.sub("", page.read_text(encoding="utf-8")))}
         assert {name for name in named if name.startswith("test_")} <= existing | examples, page.name
 
@@ -140,6 +146,16 @@ def test_every_page_is_in_a_table_of_contents() -> None:
 )
 def test_the_check_itself_finds_faults(line: str, faults: list[str]) -> None:
     assert faults_in(line, {"run": {"--seed"}}) == faults
+
+
+def test_every_file_of_figures_has_its_command() -> None:
+    with (ROOT / "docs" / "data" / "commands.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert all(row["What was asked"] and row["Command"] for row in rows)
+    known = commands()
+    assert [fault for row in rows for line in SPAN.findall(row["Command"]) for fault in faults_in(line, known)] == []
+    files = {path.name for path in (ROOT / "docs" / "data").iterdir()} - {"commands.csv", "theorem-tests.csv"}
+    assert {row["File"] for row in rows} == files
 
 
 def test_every_key_of_the_summary_is_documented() -> None:

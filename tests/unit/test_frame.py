@@ -19,7 +19,7 @@ from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan
-from llm_flock.protocol.verification.steps import check_answer
+from llm_flock.protocol.verification.steps import Verdict, judge
 
 MISSION = build_mission(shape="circle", n_robots=5, center=(40.0, 55.0), velocity=(1.0, -0.5), obstacles=[
     {"center": [10.0, 10.0], "radius": 2.0}, {"polygon": [[90.0, 90.0], [95.0, 90.0], [90.0, 95.0]]}
@@ -55,7 +55,7 @@ def planner(*texts: str, heard: list[Attempt] | None = None, **options: object) 
         frame="own",
         on_attempt=sink.append,
         check_plan=lambda question, answer: check_plan(question.mission, answer.plan),
-        check_step=lambda question, answer: check_answer(question.mission, question, answer, shield_on=True),
+        judge=lambda question, answer: judge(question, answer, shield_on=True),
         **options,  # type: ignore[arg-type]
     )
     return made, model
@@ -154,10 +154,14 @@ def test_reasons_are_in_the_numbers_that_the_model_is_told() -> None:
 
 
 def test_a_reason_that_only_the_world_has_says_so() -> None:
-    objections = iter(["the world objects.", None, None])
+    verdicts = iter(Verdict(reason=reason, fit=None) for reason in ("the world objects.", None, None))
     model = Scripted("Position: [0.1, 0]", "Position: [0.1, 0]")
     made = LanguagePlanner(
-        1, model, PromptSet.load("brief"), frame="own", check_step=lambda question, answer: next(objections)
+        1,
+        model,
+        PromptSet.load("brief"),
+        frame="own",
+        judge=lambda question, answer: next(verdicts),
     )
     assert isinstance(asyncio.run(made.step(STEP)), StepAnswer)
     assert "in the team's coordinates, which are not yours, the world objects." in model.asked[1].messages[-1].text

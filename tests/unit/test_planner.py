@@ -20,6 +20,7 @@ from llm_flock.llm.whole_answer import MAX_QUOTED, NO_TEXT
 from llm_flock.mission import build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.steps import Verdict
 
 MISSION = build_mission(shape="triangle", n_robots=3)
 PROMPTS = PromptSet.load()
@@ -240,14 +241,15 @@ def test_where_several_waypoints_may_be_given_a_path_is_read(form: str) -> None:
 
 
 def test_checks_can_object_in_words_for_the_model() -> None:
-    def too_far(question: StepQuestion, answer: StepAnswer) -> str | None:
-        return "the step is too long." if answer.waypoint[0] > question.position[0] + 6 else None
+    def too_far(question: StepQuestion, answer: StepAnswer) -> Verdict:
+        long = answer.waypoint[0] > question.position[0] + 6
+        return Verdict(reason="the step is too long." if long else None, fit=None)
 
     def off_center(question: PlanQuestion, answer: PlanAnswer) -> str | None:
         return f"robot {question.robot}: the centre is off." if answer.slot == 0 else None
 
     model = Scripted("Position: [9, 2]", "Position: [7, 2]", f"Plan: {POINTS}\nmy plan: 0", PLAN_TEXT)
-    thinker, heard = planner(model, check_step=too_far, check_plan=off_center)
+    thinker, heard = planner(model, judge=too_far, check_plan=off_center)
     assert asyncio.run(thinker.step(step_question())) == StepAnswer(waypoint=(7.0, 2.0))
     assert isinstance(asyncio.run(thinker.plan(plan_question())), PlanAnswer)
     reasons = ["the step is too long.", None, "robot 0: the centre is off.", None]

@@ -11,7 +11,6 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.tally import Tally
 from llm_flock.experiments.trial import TrialResult
 from llm_flock.llm.limits import Spent
-from llm_flock.runtime.forecast import Expected
 from llm_flock.runtime.trial import TrialProgress
 
 
@@ -49,17 +48,19 @@ def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
 
 def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
     now = [0.0]
-    specs = small(tmp_path, seeds=1).trials
-    one = Expected(calls=100, tokens_input=900, tokens_output=100, cost_usd=0.5)
-    tally = Tally({spec.cell: one for spec in specs}, clock=lambda: now[0])
+    specs = small(tmp_path, seeds=2).trials
+    tally = Tally(clock=lambda: now[0])
     tally.begin((), specs)
-    assert tally.forecast == Spent(calls=200, tokens=2000, cost_usd=1.0)
+    assert tally.eta_s is None
+    finish(tally, specs[0], 100)
+    finish(tally, specs[1], 100)
+    assert tally.forecast == Spent(calls=400, tokens=4000, cost_usd=4.0)
     now[0] = 10.0
-    for spec in specs:
+    for spec in specs[2:]:
         tally.progress(spec, progress(1, 25))
-    assert tally.eta_s == pytest.approx(30.0)
-    tally.progress(specs[0], progress(15, 1000))
-    assert tally.eta_s == pytest.approx(10.0 * 80 / 120), "never more than nearly done before it has landed"
+    assert tally.eta_s == pytest.approx(10.0 * 150 / 250)
+    tally.progress(specs[2], progress(15, 1000))
+    assert tally.eta_s == pytest.approx(10.0 * 80 / 320), "never more than nearly done before it has landed"
 
 
 def test_the_line_says_what_is_spent_and_what_is_expected(tmp_path: Path) -> None:

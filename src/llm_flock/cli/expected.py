@@ -8,26 +8,22 @@ from dataclasses import asdict
 from rich.markup import escape
 from rich.table import Table
 
+from llm_flock.cli.display import live_line
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.llm.models import parse_models
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.forecast import OUTPUT_TOKENS, PROFILE, expect_run, stand_in
-from llm_flock.runtime.planners import check_planners
-
-STOPPED = (
-    "The rehearsal took too long and was stopped: the run is taken to fly until its deadline, so it will use at most "
-    "about as much as shown."
-)
 
 
-def show_expected_run(config: RunConfig, *, as_json: bool) -> None:
+def show_expected_run(config: RunConfig, *, as_json: bool, quiet: bool) -> None:
     """Rehearse a run with stand-ins, and print the calls, tokens and money to expect. Nothing is written.
 
     Raises:
         InputError: a model cannot work, as far as that is known without a key.
     """
-    check_planners(config, asks=False)
-    found = expect_run(config)
+    bar, on_round = live_line("rehearsal", enabled=not quiet and not as_json)
+    with bar:
+        found = expect_run(config, on_round)
     rehearsed = stand_in(config).model.model != config.model.model
     models = list(dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)))
     if as_json:
@@ -49,8 +45,6 @@ def show_expected_run(config: RunConfig, *, as_json: bool) -> None:
             "any model.",
             highlight=False,
         )
-    if found.stopped:
-        console.print(STOPPED, highlight=False)
     limits = config.limits
     console.print(budget_text(limits.max_calls, limits.max_tokens, limits.max_cost), highlight=False)
 

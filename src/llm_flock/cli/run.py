@@ -67,7 +67,7 @@ def run(
             raise InputError("pace", pace, says="has no effect in a dry run")
         from llm_flock.cli.expected import show_expected_run
 
-        show_expected_run(settings, as_json=json_output)
+        show_expected_run(settings, as_json=json_output, quiet=quiet)
         return
     from llm_flock.runtime.api import run as run_trial
 

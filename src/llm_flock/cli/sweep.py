@@ -88,20 +88,17 @@ def sweep(
     for trial in flown.values():
         cells[trial.cell].append(trial)
     show = not quiet and not json_output
-    console = Screen(stderr=True)
-
-    def note(cell: str) -> None:
-        if show and console.is_terminal:
-            console.print(f"rehearsing {cell} with a stand-in", style="dim", markup=False, highlight=False)
-
-    # Trials that compute finish soon enough to forecast the others.
-    ask = dry_run or any(spec.waits for spec in found.trials)
-    expected = expect_cells(found, flown=cells, on_cell=note) if ask else {}
     if dry_run:
-        show_expected(found, expected, dict(left), as_json=json_output)
+        console = Screen(stderr=True)
+
+        def note(cell: str) -> None:
+            if show and console.is_terminal:
+                console.print(f"rehearsing {cell} with a stand-in", style="dim", markup=False, highlight=False)
+
+        show_expected(found, expect_cells(found, flown=cells, on_cell=note), dict(left), as_json=json_output)
         return
     try:
-        with sweep_line(found.file.sweep.name, expected, enabled=show) as tally:
+        with sweep_line(found.file.sweep.name, enabled=show) as tally:
             status = fly_sweep(
                 found,
                 folder,

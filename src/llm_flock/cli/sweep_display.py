@@ -15,7 +15,7 @@ from rich.progress import BarColumn, SpinnerColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.table import Table
 
-from llm_flock.cli.expected import STOPPED, budget_text, cost_text, short
+from llm_flock.cli.expected import budget_text, cost_text, short
 from llm_flock.cli.terminal import Screen, say
 from llm_flock.experiments.sweep import SweepStatus
 from llm_flock.experiments.sweep_file import Sweep
@@ -28,7 +28,7 @@ PLAIN_S = 10.0
 
 
 @contextmanager
-def sweep_line(name: str, expected: Mapping[str, Expected], *, enabled: bool) -> Generator[Tally]:
+def sweep_line(name: str, *, enabled: bool) -> Generator[Tally]:
     """One line on stderr that shows a tally: trials, ETA, and calls, tokens and money, spent and expected."""
     console = Screen(stderr=True)
     redraw = enabled and console.is_terminal
@@ -45,7 +45,7 @@ def sweep_line(name: str, expected: Mapping[str, Expected], *, enabled: bool) ->
         if enabled and not redraw:
             console.print(text, highlight=False, soft_wrap=True, markup=False)
 
-    tally = Tally(expected, on_change=show)
+    tally = Tally(on_change=show)
     bar = Bar(
         SpinnerColumn(),
         TextColumn("{task.fields[label]}", style="bold", markup=False),
@@ -113,8 +113,6 @@ def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[
             "prices. Nothing was asked of any model.",
             highlight=False,
         )
-    if total.stopped:
-        console.print(STOPPED, highlight=False)
     budget = sweep.file.budget
     console.print(budget_text(budget.max_calls, budget.max_tokens, budget.max_cost), highlight=False)
 

@@ -26,7 +26,7 @@ from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.sources import habits_of
 from llm_flock.protocol.planning import Answer, PlanAnswer, PlanQuestion, Question, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, check_plan
-from llm_flock.protocol.verification.steps import check_answer, clip_waypoint
+from llm_flock.protocol.verification.steps import judge
 
 OTHER_TEAMS: tuple[tuple[str, int], ...] = (
     *(("line", n) for n in (3, 5, 8)),
@@ -110,15 +110,15 @@ def score(question: StepQuestion, answer: Answer, *, in_the_way: bool = False) -
         standing = math.dist(here, best)
         return MotionFigures(asked=1, parsed=0, within=0, passed=0, error=standing, shielded_error=standing)
     said = answer.waypoint
-    flown = clip_waypoint(question.mission, judged, said, shield_on=True)
+    verdict = judge(judged, answer, shield_on=True)
     return MotionFigures(
         asked=1,
         parsed=1,
         within=math.dist(here, said) <= question.mission.max_step * (1 + LENGTH_TOLERANCE),
-        passed=check_answer(question.mission, judged, answer, shield_on=True) is None,
+        passed=verdict.reason is None,
         degrees=_degrees(here, said, question.goal),
         error=math.dist(said, best),
-        shielded_error=math.dist(here if flown is None else flown, best),
+        shielded_error=math.dist(here if verdict.fit is None else verdict.fit.waypoint, best),
     )
 
 

@@ -30,7 +30,7 @@ from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan
-from llm_flock.protocol.verification.steps import check_answer
+from llm_flock.protocol.verification.steps import judge
 
 Split: TypeAlias = Literal["train", "held-out"]
 
@@ -153,7 +153,7 @@ def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
     answer = best_step(asked)
     # The shield takes care of the others, better than a small model would.
     alone = replace(question, neighbors=())
-    if check_answer(question.mission, alone, asked.to_world(answer), shield_on=True) is not None:
+    if judge(alone, asked.to_world(answer), shield_on=True).reason is not None:
         return None
     return Example(
         kind="step" if question.horizon == 1 else "path",

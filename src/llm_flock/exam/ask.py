@@ -12,10 +12,10 @@ from llm_flock.exam.questions import WORDS, Question
 from llm_flock.exam.score import (
     Marks,
     objection_to_plan,
-    objection_to_step,
     plan_marks,
     shortfall,
     step_marks,
+    verdict_on_step,
     word_marks,
 )
 from llm_flock.llm.answer_forms import REASONING
@@ -27,6 +27,7 @@ from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.steps import Verdict
 from llm_flock.viewer.mission_text import mission_call
 
 SCRIPT = "exam:script"
@@ -173,10 +174,10 @@ class Invigilator:
             # Which place robots choose is asked apart from whether their plans are right.
             return None if question.section == "place" else objection_to_plan(given, answer)
 
-        def check_step(given: StepQuestion, answer: StepAnswer) -> str | None:
+        def judge(given: StepQuestion, answer: StepAnswer) -> Verdict:
             if given is step_question:
                 seen.append(answer)
-            return objection_to_step(given, answer)
+            return verdict_on_step(given, answer)
 
         if model is None:
             answer = await _by_geometry(plan_question, step_question)
@@ -193,7 +194,7 @@ class Invigilator:
                 history=None if with_history else 0,
                 on_attempt=note,
                 check_plan=check_plan,
-                check_step=check_step,
+                judge=judge,
                 frame=self._frame,
             )
             if with_history:
@@ -269,7 +270,7 @@ def _checked(
     if isinstance(answer, PlanAnswer) and plan is not None and question.section != "place":
         reason = objection_to_plan(plan, answer)
     elif isinstance(answer, StepAnswer) and step is not None:
-        reason = objection_to_step(step, answer)
+        reason = verdict_on_step(step, answer).reason
     return answer if reason is None else NoAnswer(cause="answer", reason=reason)
 
 

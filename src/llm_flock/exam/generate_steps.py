@@ -30,7 +30,7 @@ from llm_flock.obstacles.polygons import nearest_on_segment
 from llm_flock.protocol.geometry import geometric_plan
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.protocol.verification.steps import check_step
+from llm_flock.protocol.verification.steps import step_faults
 
 STEPS_EACH = 16
 """Questions for steps of each kind."""
@@ -176,7 +176,7 @@ def _is_as_said(question: Question, mission: Mission, kind: str) -> bool:
     """Whether the straight step is right, or for a robot ahead: wrong, while another one is right."""
     asked = question.step_question(mission, 0)
     end = _straight_end(mission, asked.position, asked.goal)
-    fine = check_step(mission, asked, end) is None
+    fine = not step_faults(asked, end)
     if kind != "ahead":
         clear = all(o.segment_distance(asked.position, end) >= mission.body_radius for o in mission.obstacles)
         return fine and clear and all(inside(mission, other) for other in question.neighbors)
@@ -200,7 +200,7 @@ def sidestep(question: Question, mission: Mission) -> StepAnswer | None:
             aside = (share * longest * math.cos(at), share * longest * math.sin(at), *(0.0,) * (mission.dim - 2))
             waypoint = tuple(x + d for x, d in zip(here, aside, strict=True))
             nearer = math.dist(waypoint, goal) < math.dist(here, goal)
-            if nearer and check_step(mission, asked, waypoint) is None:
+            if nearer and not step_faults(asked, waypoint):
                 return StepAnswer(waypoint=waypoint)
     return None
 

@@ -16,7 +16,7 @@ from llm_flock.exam.questions import Question
 from llm_flock.mission import Mission, build_mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.plans import check_proposal
-from llm_flock.protocol.verification.steps import check_step
+from llm_flock.protocol.verification.steps import step_faults
 
 RETRIES_EACH = 5
 """Questions for each kind of refused answer."""
@@ -93,7 +93,7 @@ def _refused_step(
         mission = question.build_mission()
         asked = question.step_question(mission, 0)
         said = rounded(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
-        if check_step(mission, asked, said) is not None:
+        if step_faults(asked, said):
             return replace(question, section="retry", tags=(kind, "step"), first={"waypoint": said})
 
 

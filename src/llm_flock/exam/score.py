@@ -22,7 +22,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import ROUNDING, check_plan, check_proposal
-from llm_flock.protocol.verification.steps import check_answer, fit_answer
+from llm_flock.protocol.verification.steps import Verdict, judge
 from llm_flock.viewer.mission_text import answer_of, draft_of
 
 
@@ -48,9 +48,9 @@ def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
     return check_proposal(question.mission, answer.plan, question.still, question.position)
 
 
-def objection_to_step(question: StepQuestion, answer: StepAnswer) -> str | None:
-    """Why a robot with a shield sends a step back to its model; None if it does not."""
-    return check_answer(question.mission, question, answer, shield_on=True)
+def verdict_on_step(question: StepQuestion, answer: StepAnswer) -> Verdict:
+    """What a robot with a shield makes of a step."""
+    return judge(question, answer, shield_on=True)
 
 
 def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Marks:
@@ -82,7 +82,7 @@ def step_marks(question: Question, mission: Mission, answer: StepAnswer) -> Mark
         degrees = math.degrees(math.acos(max(-1.0, min(1.0, along))))
     kept = all(math.dist(answer.waypoint, other) >= mission.safe_distance for other in question.neighbors)
     return Marks(
-        flyable=fit_answer(mission, asked, answer, shield_on=True) is not None,
+        flyable=judge(asked, answer, shield_on=True).fit is not None,
         error=math.dist(end, wanted) / mission.max_step,
         degrees=degrees,
         separation=kept if question.neighbors else None,

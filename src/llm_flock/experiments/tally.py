@@ -72,7 +72,6 @@ class Tally(Display):
     """Counts trials, and forecasts the use of the other trials of a cell from those that are over.
 
     Args:
-        expected: expected use of one trial of a cell, where anything is known.
         clock: seconds, only differences matter.
         on_change: called after each change; its argument is whether the sweep has just begun.
 
@@ -86,11 +85,9 @@ class Tally(Display):
 
     def __init__(
         self,
-        expected: Mapping[str, Expected] | None = None,
         clock: Callable[[], float] = time.monotonic,
         on_change: Callable[[bool], None] = lambda began: None,
     ) -> None:
-        self._expected = expected or {}
         self._clock = clock
         self._on_change = on_change
         self._began = clock()
@@ -164,10 +161,7 @@ class Tally(Display):
         self.cut += result.cut
 
     def _one(self, cell: str) -> Spent:
-        """Use of one trial of the cell: the mean so far, else as expected, else the mean of all trials so far."""
-        known = self._expected.get(cell)
-        if known is not None and not self._count[cell]:
-            return Spent(calls=round(known.calls), tokens=round(known.tokens), cost_usd=known.cost_usd or 0.0)
+        """Use of one trial of the cell: the mean so far, of all trials where none of this cell is over."""
         alike = [cell] if self._count[cell] else list(self._count)
         used, count = sum((self._of_cell[one] for one in alike), Spent()), sum(self._count[one] for one in alike)
         if not count:

@@ -82,11 +82,11 @@ def ways_of(question: StepQuestion, *, wait: bool | None = None) -> tuple[Letter
         "R": _from(here, course, 1.0, -turn),
     }
     may_wait = (question.robot + question.round) % 2 == 0 if wait is None else wait
-    if may_wait and blocked(mission, question):
+    if may_wait and blocked(question):
         ends["W"] = here
     ways: list[LetterWay] = []
     for letter, end in ends.items():
-        gap = 0.0 if step_faults(mission, question, end) else _gap(question, end)
+        gap = 0.0 if step_faults(question, end) else _gap(question, end)
         if gap >= 1.0:
             progress = (distance - math.dist(end, goal)) / mission.max_step
             ways.append(LetterWay(letter=letter, waypoint=end, progress=progress, gap=gap))

@@ -20,15 +20,14 @@ from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.whole_answer import quoted, whole_answer
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.steps import Verdict
 
 logger = logging.getLogger(__name__)
 
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
-CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], str | None]
 """A reason to reject an answer, as a sentence for the model, or None."""
 
-ClipsStep: TypeAlias = Callable[[StepQuestion, StepAnswer], bool]
-"""Whether a rejected answer will be flown clipped, which is quicker than asking again."""
+Judge: TypeAlias = Callable[[StepQuestion, StepAnswer], Verdict]
 
 
 def parse_history(text: str) -> int | None:
@@ -87,7 +86,8 @@ class LanguagePlanner:
         max_retries: number of rejected answers that are sent back before giving up.
         history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
         on_attempt: called after every call, with its outcome.
-        clips: tells which answers that `check_step` rejects are accepted all the same.
+        judge: checks steps and paths.
+        clips: accept an answer that does not fit if it can be flown clipped, which is quicker than asking again.
         frame: coordinates of the prompts, see `frame`.
 
     Raises:
@@ -108,8 +108,8 @@ class LanguagePlanner:
         history: int | None = 0,
         on_attempt: AttemptSink = lambda _: None,
         check_plan: CheckPlan | None = None,
-        check_step: CheckStep | None = None,
-        clips: ClipsStep | None = None,
+        judge: Judge | None = None,
+        clips: bool = False,
         frame: FrameName = "world",
     ) -> None:
         if prompts.letters != self.LETTERS:
@@ -126,7 +126,7 @@ class LanguagePlanner:
         self._frame: FrameName = frame
         self._report = on_attempt
         self._check_plan = check_plan
-        self._check_step = check_step
+        self._judge = judge
         self._clips = clips
         self._history: list[ChatMessage] = []
         self._about: Mission | None = None
@@ -152,6 +152,9 @@ class LanguagePlanner:
 
         asked, horizon = frame_step(question, self._frame), question.horizon
         return await self._converse("step", asked, self._prompts.step(asked.framed), horizon, read, self._check_step)
+
+    def _check_step(self, question: StepQuestion, answer: StepAnswer) -> str | None:
+        return None if self._judge is None else self._judge(question, answer).reason
 
     async def _converse(
         self,
@@ -219,9 +222,9 @@ class LanguagePlanner:
         return NoAnswer(cause="answer", reason=story, waypoint=unfit)
 
     def _will_be_clipped(self, question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer | None) -> bool:
-        if not isinstance(question, StepQuestion) or not isinstance(answer, StepAnswer):
+        if self._judge is None or not isinstance(question, StepQuestion) or not isinstance(answer, StepAnswer):
             return False
-        return self._clips is not None and self._clips(question, answer)
+        return self._clips and self._judge(question, answer).fit is not None
 
     def _forget_other_missions(self, mission: Mission) -> None:
         """Forget exchanges about another mission; one whose centre has moved is still the same."""

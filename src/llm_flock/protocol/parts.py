@@ -22,9 +22,11 @@ from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.messages.channel import Channel
 from llm_flock.protocol.messages.message import Course, Message, PositionReport, TeamPositions
 from llm_flock.protocol.motion.leg import Leg
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.path_length import next_stop
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.verification.steps import Verdict
 
 NOBODY = frozenset[int]()
 
@@ -150,9 +152,6 @@ class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
     notes: tuple[Note, ...] = ()
 
 
-NO_COURSES: Mapping[int, Course] = {}
-
-
 class Safety:
     """Turns the planner's waypoints into safe ones; this part flies them as they are."""
 
@@ -164,28 +163,11 @@ class Safety:
     def begin_mission(self) -> None:
         """Heed everybody who asks for a way again: a mission has been given."""
 
-    def stay(
-        self,
-        position: Point,
-        sensed: Mapping[int, Point],
-        courses: Mapping[int, Course] = NO_COURSES,
-        period: int | None = None,
-    ) -> SafeStep:
+    def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint."""
-        return SafeStep(waypoint=position, origin=Origin.HOLD)
+        return SafeStep(waypoint=scene.position, origin=Origin.HOLD)
 
-    def step(
-        self,
-        position: Point,
-        sensed: Mapping[int, Point],
-        wish: Point,
-        leg: Leg,
-        tolerance: float,
-        drift: Point = (),
-        courses: Mapping[int, Course] = NO_COURSES,
-        still: Sequence[Point] = (),
-        period: int | None = None,
-    ) -> SafeStep:
+    def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
         """The safe waypoint for the planner's waypoint `wish` [units; world frame]."""
         return SafeStep(waypoint=wish, origin=Origin.MODEL)
 
@@ -219,13 +201,9 @@ class Verifier:
         """An answer that passed `plan`, enlarged where rounding put places too near each other."""
         return answer
 
-    def fit(self, question: StepQuestion, answer: StepAnswer) -> StepAnswer | NoAnswer:
-        """The planner's answer, clipped if that suffices; otherwise the reason to refuse it."""
-        return answer
-
-    def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The planner's waypoint, clipped if that suffices; otherwise the reason to hold. Call with every answer."""
-        return answer.waypoint if isinstance(answer, StepAnswer) else answer
+    def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
+        """What the checks make of the planner's answer."""
+        return Verdict(reason=None, fit=answer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -23,7 +23,7 @@ from llm_flock.protocol.plan import Plan
 REACH = 1.5
 """A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""
 
-LARGEST = 256
+MOST_PLACES = 256
 """In plans of more places the straight line is used: finding other paths takes the cube of their number."""
 
 FAR = 3.0
@@ -59,7 +59,7 @@ def path_lengths(
     here: Point, plan: Plan, slots: Iterable[int], spacing: float, roadmap: Roadmap | None = None
 ) -> list[float]:
     """Lengths of the cheapest paths from `here` to the places of some slots [units; frame of the plan]."""
-    if len(plan.points) > LARGEST:
+    if len(plan.points) > MOST_PLACES:
         return ways_to(here, plan, slots, roadmap)
     every = _by_places(here, plan, spacing, roadmap)
     return [every[a] for a in slots]
@@ -77,7 +77,7 @@ def next_stop(
 
     None where the straight line is the cheapest.
     """
-    if len(plan) > LARGEST or math.dist(here, plan.points[slot]) <= FAR * spacing:
+    if len(plan) > MOST_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
     left = _between(plan, spacing, roadmap)[slot]
     counted = _hops(here, plan, spacing, roadmap) + left

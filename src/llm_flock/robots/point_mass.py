@@ -37,7 +37,7 @@ BUSY = 16
 """The firmware's answer while motors may not run (EBUSY)."""
 
 
-class Controller(Protocol):
+class BodyController(Protocol):
     """Flies a body at `place` [m] after its set-point."""
 
     place: Position
@@ -51,7 +51,7 @@ class Controller(Protocol):
         ...
 
 
-MakeController: TypeAlias = Callable[[Position, float], Controller]
+MakeController: TypeAlias = Callable[[Position, float], BodyController]
 """Makes the controller of a body from its place [m], where it is at rest, and the time [s]."""
 
 
@@ -83,7 +83,7 @@ class PointMass:
     _error_at: float = field(default=0.0, init=False)
     _stalled: tuple[float, Position] | None = field(default=None, init=False)
     _drained: float | None = field(default=None, init=False)
-    _controller: Controller | None = field(default=None, init=False)
+    _controller: BodyController | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self._rest = self.home

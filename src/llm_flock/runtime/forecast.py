@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import time
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 from llm_flock.llm.models import parse_models, waits
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import parse_base_urls, parse_model
-from llm_flock.record.schema import Entry, SummaryMessage
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.planners import check_planners
 from llm_flock.runtime.trial import TrialProgress
 
 OUTPUT_TOKENS = 400
@@ -21,9 +19,6 @@ OUTPUT_TOKENS = 400
 
 PROFILE = "distorted@0.3,overshoot@0.3"
 """Failures of the stand-in that rehearses for a real model."""
-
-REHEARSAL_S = 5.0
-"""A rehearsal that takes longer stops after a round, at the earliest its second [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,7 +31,6 @@ class Expected:
         tokens_output: tokens out, reasoning included.
         cost_usd: by list prices [US dollars]; None where the price of a model is not known.
         at_most: calls if every robot asked for a plan and a step in every round, each as often as is allowed.
-        stopped: a rehearsal was stopped, and its run taken to last until its deadline. The other figures are too high.
     """
 
     calls: float = 0.0
@@ -44,12 +38,6 @@ class Expected:
     tokens_output: float = 0.0
     cost_usd: float | None = 0.0
     at_most: int = 0
-    stopped: bool = False
-
-    @property
-    def tokens(self) -> float:
-        """In and out."""
-        return self.tokens_input + self.tokens_output
 
     def __add__(self, other: Expected) -> Expected:
         return Expected(
@@ -58,7 +46,6 @@ class Expected:
             tokens_output=self.tokens_output + other.tokens_output,
             cost_usd=None if self.cost_usd is None or other.cost_usd is None else self.cost_usd + other.cost_usd,
             at_most=self.at_most + other.at_most,
-            stopped=self.stopped or other.stopped,
         )
 
     def times(self, count: float) -> Expected:
@@ -96,50 +83,10 @@ def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
     return config.model_copy(update=parts)
 
 
-class _LongEnough(Exception):
-    """A rehearsal takes too long."""
-
-
-class _Result:
-    """Keeps the summary of a run, which a sink also gets when the run breaks off."""
-
-    figures: dict[str, Any]
-
-    def write(self, entry: Entry) -> None:
-        if isinstance(entry, SummaryMessage):
-            self.figures = entry.result
-
-
-def rehearse(config: RunConfig) -> Expected:
-    """The use of a run of a stand-in.
-
-    A rehearsal that takes longer than `REHEARSAL_S` stops after a round. Its run is taken to go on until its deadline
-    as in the rounds after the first.
-    """
-    began = time.perf_counter()
-    seen: list[TrialProgress] = []
-
-    def note(now: TrialProgress) -> None:
-        seen.append(now)
-        if len(seen) > 1 and time.perf_counter() - began > REHEARSAL_S:
-            raise _LongEnough
-
-    result = _Result()
-    stopped = True
-    with suppress(_LongEnough):
-        run(config=config, on_round=note, sink=result, progress=False, trace=False)
-        stopped = False
-    found = Expected(
-        calls=result.figures["model_calls"],
-        tokens_input=result.figures["tokens_input"],
-        tokens_output=result.figures["tokens_output"],
-        stopped=stopped,
-    )
-    if not stopped:
-        return found
-    first, last = seen[0], seen[-1]
-    per_round = (last.model_calls - first.model_calls) / (last.round - first.round)
-    return found.times(1 + per_round * (last.rounds - last.round) / max(1, last.model_calls))
+def rehearse(config: RunConfig, on_round: Callable[[TrialProgress], None] | None = None) -> Expected:
+    """The use of a run of a stand-in. It takes as long as that run: seconds for 60 robots, many minutes for 1000."""
+    found = run(config=config, on_round=on_round, progress=False, trace=False).summary
+    return Expected(calls=found.model_calls, tokens_input=found.tokens_input, tokens_output=found.tokens_output)
 
 
 def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKENS) -> Expected:
@@ -149,7 +96,7 @@ def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKEN
     addresses = parse_base_urls(config.model.base_url, texts)
     calls = found.calls / len(names)
     tokens_input = found.tokens_input / max(1.0, found.calls)
-    total = Expected(at_most=most_calls(config), stopped=found.stopped)
+    total = Expected(at_most=most_calls(config))
     for name in names:
         if name.kind in ("geometry", "replay"):
             continue  # asks no model
@@ -166,9 +113,16 @@ def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKEN
     return total
 
 
-def expect_run(config: RunConfig) -> Expected:
-    """The expected use of one run. No model is asked, and no file is written. Call `check_planners` before."""
-    return priced(config, rehearse(stand_in(config)))
+def expect_run(config: RunConfig, on_round: Callable[[TrialProgress], None] | None = None) -> Expected:
+    """The expected use of one run; `on_round` is called after each round of its rehearsal.
+
+    No model is asked, and no file is written.
+
+    Raises:
+        InputError: a model cannot work, as far as that is known without a key.
+    """
+    check_planners(config, asks=False)
+    return priced(config, rehearse(stand_in(config), on_round))
 
 
 def most_calls(config: RunConfig) -> int:

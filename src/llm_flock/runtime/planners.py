@@ -23,7 +23,7 @@ from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.llm.sources import habits_of, source_of
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_proposal
-from llm_flock.protocol.verification.steps import check_answer, fit_answer
+from llm_flock.protocol.verification.steps import Verdict, judge
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
 
@@ -108,12 +108,8 @@ class TeamPlanners:
         def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
             return check_proposal(question.mission, answer.plan, question.still, question.position)
 
-        def check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
-            return check_answer(question.mission, question, answer, shield_on=shield_on)
-
-        def clips(question: StepQuestion, answer: StepAnswer) -> bool:
-            contains = verify and config.protocol.fallback != "hold"
-            return contains and fit_answer(question.mission, question, answer, shield_on=shield_on) is not None
+        def judged(question: StepQuestion, answer: StepAnswer) -> Verdict:
+            return judge(question, answer, shield_on=shield_on)
 
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
@@ -144,8 +140,8 @@ class TeamPlanners:
                 history=history,
                 on_attempt=self._notify,
                 check_plan=check_plan if verify else None,
-                check_step=check_step if verify else None,
-                clips=clips,
+                judge=judged if verify else None,
+                clips=config.protocol.fallback != "hold",
                 frame=model.frame or habits_of(text).frame,
             )
             return planner if knows is None else KnownPlans(planner, knows)

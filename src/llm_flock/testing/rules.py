@@ -6,8 +6,7 @@ import numpy as np
 
 from llm_flock.protocol.agreement.assignment import AssignmentInput, AssignmentRule, Claim
 from llm_flock.protocol.agreement.consensus import ConsensusRule, Standing
-from llm_flock.protocol.messages.codec import decode, encode
-from llm_flock.protocol.messages.message import Message, Provenance
+from llm_flock.protocol.messages.message import Message, Provenance, claims_in, decode, encode, table_digest
 from llm_flock.protocol.plan import Plan
 
 DIGEST = "0" * 16
@@ -115,8 +114,16 @@ def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
 
 def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     """The claim as others hear it, through the wire format."""
-    origin, slot, table, offer = _origin(neighbors=0, proposer=0), claim.slot, claim.table, claim.offer
+    table = claim.table
     message = Message(
-        sender=robot, sequence=0, neighbors=0, plan=plan, provenance=origin, slot=slot, table=table, offer=offer
+        sender=robot,
+        sequence=0,
+        neighbors=0,
+        plan=plan,
+        provenance=_origin(neighbors=0, proposer=0),
+        slot=claim.slot,
+        claims=None if table is None else claims_in(table),
+        table_digest=None if table is None else table_digest(table),
+        offer=claim.offer,
     )
     return decode(encode(message), n, 2)

@@ -6,19 +6,21 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.statistics import CONFIDENCE, Column, mean_bands
 from llm_flock.printable import one_line
 from llm_flock.record.palette import PALETTE
 from llm_flock.record.reader import RunRecord
@@ -39,6 +41,11 @@ from llm_flock.viz.style import (
     shapes,
     whole_file,
 )
+
+CONFIDENCE = 0.95
+"""Of the intervals of means."""
+
+Column: TypeAlias = NDArray[np.float64]
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
@@ -210,7 +217,11 @@ def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]
     """
     longest = max(len(curve) for curve in curves)
     table = np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves])
-    return mean_bands(table, least=0.0)
+    mean, count = table.mean(axis=0), len(table)
+    if count < 2:
+        return mean, np.full_like(mean, np.nan), np.full_like(mean, np.nan)
+    half = scipy.special.stdtrit(count - 1, (1 + CONFIDENCE) / 2) * table.std(axis=0, ddof=1) / math.sqrt(count)
+    return mean, np.maximum(mean - half, 0.0), mean + half
 
 
 def _curves(axes: Axes, groups: dict[str, list[Column]]) -> None:

@@ -37,7 +37,7 @@ from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
-from llm_flock.protocol.verification.steps import clip_waypoint
+from llm_flock.protocol.verification.steps import judge
 from llm_flock.protocol.verification.validator import Validator
 
 MISSION = Mission(shape="triangle", n_robots=3)
@@ -179,7 +179,8 @@ def test_no_step_is_flown_unverified_or_unshielded(
                 plan=PLAN,
                 slot=0,
             )
-            assert clip_waypoint(MISSION, question, step.proposed, shield_on=True) == step.waypoint
+            fit = judge(question, StepAnswer(waypoint=step.proposed), shield_on=True).fit
+            assert fit is not None and fit.waypoint == step.waypoint
         here = step.waypoint
 
 

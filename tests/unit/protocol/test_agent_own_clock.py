@@ -30,7 +30,7 @@ from llm_flock.protocol.events import (
     Sensed,
 )
 from llm_flock.protocol.membership.liveness import NO_PLAN
-from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.message import decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from one_agent import BETTER, MISSION, PLAN, foreign, make, notes, origin, planned
+from tables import told
 from whole_agent import whole_agent
 
 from llm_flock.protocol.agreement.assignment import IndexAssignment
@@ -23,8 +24,7 @@ from llm_flock.protocol.events import (
     RoundBegan,
 )
 from llm_flock.protocol.membership.seeking import ALONE
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import Message, Provenance
+from llm_flock.protocol.messages.message import Message, Provenance, encode
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 
@@ -49,7 +49,7 @@ def test_a_lost_auction_is_noted() -> None:
             plan=PLAN,
             provenance=origin(1),
             slot=0,
-            table=((0, 0.0, 1), (0, 0.0, -1), (0, 0.0, -1)),
+            **told(((0, 0.0, 1), (0, 0.0, -1), (0, 0.0, -1))),
         )
     )
     agent.handle(Received(rival))
@@ -64,7 +64,7 @@ def test_claims_on_another_plan_are_not_merged() -> None:
     before = agent.claim
     won = ((9, 0.0, 1), (9, 0.0, 0), (0, 0.0, -1))
     weak = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
-    standing = Message(sender=1, sequence=0, neighbors=0, plan=BETTER, provenance=weak, slot=0, table=won)
+    standing = Message(sender=1, sequence=0, neighbors=0, plan=BETTER, provenance=weak, slot=0, **told(won))
     agent.handle(Received(encode(standing)))
     agent.handle(CommRoundEnded())
     assert agent.plan == PLAN, "the other plan ranks lower"
@@ -76,7 +76,9 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
     agent.handle(
-        Received(encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, table=won)))
+        Received(
+            encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, **told(won)))
+        )
     )
     agent.handle(CommRoundEnded())
     assert agent.claim.slot is None
@@ -95,7 +97,7 @@ def test_a_robot_without_a_place_that_hears_nobody_goes_to_find_the_others() -> 
     agent = make(2)
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
-    message = Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, table=won)
+    message = Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, **told(won))
     agent.handle(Received(encode(message)))
     agent.handle(CommRoundEnded())
     here, moves = (12.0, 12.0), list[MoveTo]()

@@ -21,8 +21,7 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import Provenance
+from llm_flock.protocol.messages.message import Provenance, decode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 

@@ -4,6 +4,7 @@ import math
 
 import pytest
 from msgspec.structs import replace
+from tables import told
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
@@ -38,8 +39,8 @@ def says(sender: int, claim: Claim) -> Message:
         plan=PLAN,
         provenance=ORIGIN,
         slot=claim.slot,
-        table=claim.table,
         offer=claim.offer,
+        **told(claim.table),
     )
 
 

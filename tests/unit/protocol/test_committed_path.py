@@ -50,12 +50,12 @@ def test_a_path_flown_as_committed_needs_no_question_and_holds_at_the_goal() -> 
     committed = foresee(*WAY)
     here = START
     for k, waypoint in enumerate(WAY):
-        assert committed.answer == StepAnswer(waypoint=waypoint, path=WAY[k + 1 :])
+        assert committed.path == WAY[k:]
         committed = committed.after_step(here, waypoint)
         here = waypoint
         assert committed.trigger(asked(here), FAR) is None
     for _ in range(3):
-        assert committed.answer == StepAnswer(waypoint=GOAL)
+        assert committed.path == (GOAL,)
         committed = committed.after_step(GOAL, GOAL)
         assert committed.trigger(asked(GOAL), {**FAR, 2: (62.0, 50.0)}) is None, "whoever comes near"
 

@@ -34,7 +34,7 @@ from llm_flock.protocol.events import (
     Received,
 )
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, PER_BEAT
-from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.message import decode
 from llm_flock.protocol.motion.pace import Pace
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion

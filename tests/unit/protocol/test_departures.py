@@ -15,8 +15,7 @@ from toy_keys import ToyKeys
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.occupancy import Occupancy
-from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidTable, Message
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidTable, Message, decode
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Context,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 from still_team import StillTeam, connected_places
+from tables import told
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
-from llm_flock.protocol.messages.codec import decode
 from llm_flock.protocol.messages.dissemination import RESTLESS_ROUNDS, SMALL, Dissemination
 from llm_flock.protocol.messages.message import (
     UNSAID,
@@ -20,6 +20,7 @@ from llm_flock.protocol.messages.message import (
     Message,
     MissionStamp,
     Provenance,
+    decode,
     table_digest,
 )
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS, mission_text
@@ -58,11 +59,11 @@ def standing(
         sender=sender,
         sequence=0,
         neighbors=1,
-        mission=MissionStamp(counter, mission.digest),
+        stamp=MissionStamp(counter, mission.digest),
         plan=plan,
         provenance=origin,
         slot=slot,
-        table=table_of(mission) if table is None else table,
+        **told(table_of(mission) if table is None else table),
     )
 
 
@@ -79,7 +80,7 @@ class Sender:
 
     def send(self, whole: Message) -> Message:
         beats = self.liveness.beats if self.dissemination.greets else None
-        payload = self.dissemination.compose(replace(whole, beats=beats), self.mission)
+        payload = self.dissemination.compose(replace(whole, beats=beats), whole.table, self.mission)
         return decode(payload, self.mission.n_robots, self.mission.dim)
 
 
@@ -263,7 +264,7 @@ def test_a_large_table_that_never_rests_is_spelled_out_at_the_start_of_every_fou
 
 def test_a_robot_without_plan_and_table_sends_neither() -> None:
     sender = Sender()
-    bare = Message(sender=0, sequence=0, neighbors=1, mission=MissionStamp(0, MISSION.digest))
+    bare = Message(sender=0, sequence=0, neighbors=1, stamp=MissionStamp(0, MISSION.digest))
     said = sender.send(bare)
     assert said.plan is said.table is said.plan_digest is said.table_digest is None and said.places == 0
 

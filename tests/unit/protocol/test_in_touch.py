@@ -16,8 +16,7 @@ from llm_flock.protocol.events import Broadcast, CommRoundBegan
 from llm_flock.protocol.membership.all_to_all import PATIENCE, VERSION, optimal_assignment
 from llm_flock.protocol.membership.in_touch import DIGESTS, InTouch, placed
 from llm_flock.protocol.membership.search import MANY
-from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, NO_OWNER, UNSAID, BidTable, PositionReport
+from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, NO_OWNER, UNSAID, BidTable, PositionReport, decode
 from llm_flock.protocol.plan import Plan
 
 N = 4

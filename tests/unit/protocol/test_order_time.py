@@ -7,8 +7,7 @@ from driven_agent import LINE, DrivenAgent, make
 
 from llm_flock.errors import MessageError
 from llm_flock.protocol.events import MissionGiven, Note
-from llm_flock.protocol.messages.codec import decode, encode
-from llm_flock.protocol.messages.message import Message, MissionStamp
+from llm_flock.protocol.messages.message import Message, MissionStamp, decode, encode
 from llm_flock.protocol.messages.order_time import (
     LATEST,
     MOST_AHEAD_MS,
@@ -57,9 +56,9 @@ def test_an_older_order_is_refused_with_both_times() -> None:
 
 
 def test_times_of_orders_fit_the_wire_and_nothing_above_them_does() -> None:
-    message = Message(sender=1, sequence=0, neighbors=0, mission=MissionStamp(LATEST - 1, "0" * 16))
+    message = Message(sender=1, sequence=0, neighbors=0, stamp=MissionStamp(LATEST - 1, "0" * 16))
     assert decode(encode(message), 3, 2).mission.counter == LATEST - 1
-    beyond = Message(sender=1, sequence=0, neighbors=0, mission=MissionStamp(LATEST, "0" * 16))
+    beyond = Message(sender=1, sequence=0, neighbors=0, stamp=MissionStamp(LATEST, "0" * 16))
     with pytest.raises(MessageError, match="malformed"):
         decode(encode(beyond), 3, 2)
     assert time_text(LATEST - 1).startswith("2527")

@@ -7,7 +7,7 @@ import pytest
 
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol.path_length import BESIDE, FAR, LARGEST, REACH, next_stop, path_lengths, ways, ways_to
+from llm_flock.protocol.path_length import BESIDE, FAR, MOST_PLACES, REACH, next_stop, path_lengths, ways, ways_to
 from llm_flock.protocol.plan import Plan
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
@@ -57,8 +57,8 @@ def test_lengths_to_a_few_places_are_those_to_all_to_the_last_bit(obstacles: tup
 
 
 def test_in_very_large_plans_the_way_is_straight() -> None:
-    row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
-    assert path_lengths((0.0, 0.0), row, [LARGEST], 10.0) == pytest.approx([10.0 * LARGEST])
+    row = Plan.of([[10.0 * k, 0.0] for k in range(MOST_PLACES + 1)])
+    assert path_lengths((0.0, 0.0), row, [MOST_PLACES], 10.0) == pytest.approx([10.0 * MOST_PLACES])
     assert path_lengths((0.0, 900.0), row, [0], 10.0) == pytest.approx([900.0])
 
 
@@ -88,8 +88,8 @@ def test_a_place_at_which_the_cheapest_way_begins_is_flown_to_straight() -> None
 
 
 def test_in_plans_of_very_many_places_the_way_is_straight() -> None:
-    row = Plan.of([[10.0 * k, 0.0] for k in range(LARGEST + 1)])
-    assert next_stop((0.0, 0.0), row, LARGEST, (0.0, 0.0), 10.0) is None
+    row = Plan.of([[10.0 * k, 0.0] for k in range(MOST_PLACES + 1)])
+    assert next_stop((0.0, 0.0), row, MOST_PLACES, (0.0, 0.0), 10.0) is None
 
 
 def test_paths_lead_round_obstacles() -> None:

@@ -7,6 +7,7 @@ from benchmarks.lies import fly
 from gang import Gang
 from lies import LIES, beside_lies, round_of_lies
 from signed_team import SignedTeam, evidence_of, line_up
+from tables import told
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
@@ -158,7 +159,7 @@ def test_a_release_needs_one_witness_more_than_may_lie() -> None:
     def admits(robots: tuple[int, ...]) -> bool:
         claims, grants = claims_of({slot: release(team, slot, robots)})
         said = tuple(entry if a == slot else UNSAID for a in range(N))
-        message = Message(sender=5, sequence=0, neighbors=0, plan=team.agents[0].plan, table=said)
+        message = Message(sender=5, sequence=0, neighbors=0, plan=team.agents[0].plan, **told(said))
         admitted = evidence.admit(message, Proofs(claims=claims, grants=grants), table).table
         return admitted is not None and admitted[slot] == entry
 

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from tables import told
 from whole_agent import whole_agent
 
 from llm_flock.arrays import Point
@@ -28,8 +29,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.all_to_all import ROUNDS, VERSION
 from llm_flock.protocol.membership.rendezvous import HOLD, LINK, WITHIN, landing, meeting_places, meeting_point
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, Message, Provenance
+from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, Message, Provenance, encode
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
@@ -180,7 +180,9 @@ def message(sender: int, version: int) -> bytes:
     origin = Provenance(mission=0, mission_digest=SQUARE.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
     table = tuple((version, -1.0, (a + 1) % len(PLAN)) for a in range(len(PLAN)))
     slot = (sender - 1) % len(PLAN)
-    return encode(Message(sender=sender, sequence=0, neighbors=1, plan=PLAN, provenance=origin, slot=slot, table=table))
+    return encode(
+        Message(sender=sender, sequence=0, neighbors=1, plan=PLAN, provenance=origin, slot=slot, **told(table))
+    )
 
 
 def flown(agent: Agent, number: int, here: Point, *heard: bytes) -> list[Effect]:

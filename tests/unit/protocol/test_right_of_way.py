@@ -7,6 +7,7 @@ from itertools import groupby
 
 import numpy as np
 import pytest
+from rounds import observation
 from safe_team import SAFE, SafeTeam
 
 from llm_flock.arrays import Point
@@ -16,7 +17,7 @@ from llm_flock.protocol.events import MoveTo, Note, Origin
 from llm_flock.protocol.messages.message import HIGHEST, Course
 from llm_flock.protocol.motion.leg import Leg, leg_to
 from llm_flock.protocol.motion.pilot import Observation, Pilot
-from llm_flock.protocol.motion.right_of_way import BETWEEN, KEPT, PATIENCE, RISES, RightOfWay, outside, rank
+from llm_flock.protocol.motion.right_of_way import BETWEEN, HEEDED_ROUNDS, KEPT, RISES, RightOfWay, outside, rank
 from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.protocol.parts import Parts, Safety
 
@@ -99,10 +100,10 @@ def test_rounds_within_a_heartbeat_period_count_once() -> None:
     assert kept == [True] * 4 + [False] * 8
     sensed, asked = {0: (46.0, 50.0)}, {0: course((64.0, 50.0))}
     heeded = 0
-    for k in range(4 * 2 * PATIENCE):
+    for k in range(4 * 2 * HEEDED_ROUNDS):
         other.count(GOAL, 0.0, 0.5, k // 4)
         heeded += bool(other.ways(sensed, asked))
-    assert heeded == 4 * PATIENCE
+    assert heeded == 4 * HEEDED_ROUNDS
 
 
 def test_bodies_not_in_step_are_given_wider_ways_and_block_from_farther_away() -> None:
@@ -110,7 +111,7 @@ def test_bodies_not_in_step_are_given_wider_ways_and_block_from_farther_away() -
     beside, leg = (53.8, 52.6), Leg(goal=(51.5, 49.0), stop=(51.5, 49.0), left=1.8)
     for apart, blocked in ((None, False), (5.3, True)):
         safety = ShieldedSafety(0, MISSION, 0.0, apart)
-        steps = [safety.step(here, {1: beside}, leg.stop, leg, 0.5) for _ in range(5)]
+        steps = [safety.step(observation(here, {1: beside}), leg.stop, leg, 0.5) for _ in range(5)]
         assert {step.waypoint for step in steps} == {leg.stop}, "the cell keeps them apart, and is the same"
         assert (safety.course is not None) == blocked
         right = RightOfWay(1, MISSION, apart)
@@ -148,21 +149,21 @@ def test_a_robot_in_the_way_steps_aside_and_passes_the_right_on() -> None:
     safety, here = ShieldedSafety(1, MISSION, 0.0), (50.0, 50.0)
     sensed = {0: (46.0, 50.0)}
     leg = Leg(goal=(20.0, 50.0), stop=(20.0, 50.0), left=30.0)
-    step = safety.step(here, sensed, (44.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
+    step = safety.step(observation(here, sensed, courses={0: course((64.0, 50.0))}), (44.0, 50.0), leg, 0.5)
     assert step.origin is Origin.YIELD and step.notes == (Note("gives_way", {"to": 0}),)
     assert abs(step.waypoint[1] - 50.0) > 2.0
     assert safety.course is not None and safety.course.of == 0
-    step = safety.step(here, sensed, (44.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
+    step = safety.step(observation(here, sensed, courses={0: course((64.0, 50.0))}), (44.0, 50.0), leg, 0.5)
     assert step.notes == (), "noted once"
 
 
 def test_a_robot_at_its_place_steps_aside_too_and_one_beside_the_way_waits() -> None:
     here, sensed = (50.0, 50.0), {0: (46.0, 50.0)}
-    held = ShieldedSafety(1, MISSION, 0.0).stay(here, sensed, {0: course((64.0, 50.0))})
+    held = ShieldedSafety(1, MISSION, 0.0).stay(observation(here, sensed, courses={0: course((64.0, 50.0))}))
     assert held.origin is Origin.YIELD and math.dist(held.waypoint, here) > 1.0
     beside, across = (50.0, 54.0), Leg(goal=(50.0, 40.0), stop=(50.0, 40.0), left=14.0)
     safety, courses = ShieldedSafety(1, MISSION, 0.0), {0: course((64.0, 50.0))}
-    step = safety.step(beside, sensed, (50.0, 48.0), across, 0.5, courses=courses)
+    step = safety.step(observation(beside, sensed, courses=courses), (50.0, 48.0), across, 0.5)
     assert step.origin is Origin.YIELD and 52.8 <= step.waypoint[1] < 54.0
 
 
@@ -172,7 +173,7 @@ def test_one_whose_own_way_leads_out_flies_on_and_passes_the_right_on() -> None:
         safety = ShieldedSafety(1, MISSION, 0.0)
         leg = Leg(goal=goal, stop=goal, left=math.dist(here, goal))
         wish = tuple(x + 6.0 * (y - x) / leg.left for x, y in zip(here, goal, strict=True))
-        step = safety.step(here, sensed, wish, leg, 0.5, courses={0: course((64.0, 50.0))})
+        step = safety.step(observation(here, sensed, courses={0: course((64.0, 50.0))}), wish, leg, 0.5)
         assert (step.origin is Origin.YIELD) is not flies_on
         assert safety.course is not None and safety.course.of == 0 and (safety.course.path[-1][1] > 60.0) is flies_on
 
@@ -184,7 +185,7 @@ def test_one_in_a_bay_does_not_come_out_in_front_of_who_comes() -> None:
     asked = {0: course((42.0, 49.6), level=1)}
     for goal, comes_out in (((80.0, 50.0), False), ((20.0, 50.0), True)):
         leg = leg_to(mission, here, goal)
-        step = ShieldedSafety(1, mission, 0.0).step(here, sensed, leg.stop, leg, 0.5, courses=asked)
+        step = ShieldedSafety(1, mission, 0.0).step(observation(here, sensed, courses=asked), leg.stop, leg, 0.5)
         assert leg.stop[1] < 50.6 and (step.origin is not Origin.YIELD) is comes_out
         assert (step.waypoint[1] < here[1]) is comes_out
 
@@ -194,10 +195,12 @@ def test_nowhere_to_go() -> None:
     cell = box(40, 40, 60, 48.4), box(40, 51.6, 60, 60), box(40, 48, 47, 52), box(53, 48, 60, 52)
     mission = Mission(shape="text:any", n_robots=2, obstacles=cell)
     safety = ShieldedSafety(1, mission, 0.0)
-    step = safety.stay((50.0, 50.0), {0: (46.0, 50.0)}, {0: course((64.0, 50.0))})
+    step = safety.stay(observation((50.0, 50.0), {0: (46.0, 50.0)}, courses={0: course((64.0, 50.0))}))
     assert step.origin is Origin.HOLD and safety.course is None
     leg = Leg(goal=(49.0, 50.0), stop=(49.0, 50.0), left=1.0)
-    step = safety.step((50.0, 50.0), {0: (46.0, 50.0)}, (49.0, 50.0), leg, 0.5, courses={0: course((64.0, 50.0))})
+    step = safety.step(
+        observation((50.0, 50.0), {0: (46.0, 50.0)}, courses={0: course((64.0, 50.0))}), (49.0, 50.0), leg, 0.5
+    )
     assert step.origin is Origin.SHIELD and safety.course is not None and safety.course.of == 0
 
 
@@ -220,10 +223,10 @@ def heeds(right: RightOfWay, sensed: dict[int, Point]) -> bool:
 def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
     """Wherever it is, also out of sight for a while; with a new mission everybody is heeded again."""
     right = RightOfWay(1, MISSION)
-    heeded = [heeds(right, {0: (46.0 - moves * (k % 2), 50.0)}) for k in range(9 * PATIENCE)]
+    heeded = [heeds(right, {0: (46.0 - moves * (k % 2), 50.0)}) for k in range(9 * HEEDED_ROUNDS)]
     periods = [(on, len([*group])) for on, group in groupby(heeded)]
-    rests = (False, 2 * PATIENCE), (False, 4 * PATIENCE)
-    assert periods == [(True, PATIENCE), rests[0], (True, PATIENCE), rests[1], (True, PATIENCE)]
+    rests = (False, 2 * HEEDED_ROUNDS), (False, 4 * HEEDED_ROUNDS)
+    assert periods == [(True, HEEDED_ROUNDS), rests[0], (True, HEEDED_ROUNDS), rests[1], (True, HEEDED_ROUNDS)]
     assert not heeds(right, {0: (46.0, 50.0)})
     assert not heeds(right, {}) and not heeds(right, {0: (46.0, 50.0)})
     right.begin_mission()
@@ -232,9 +235,13 @@ def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
 
 def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
     """Who makes way loses sight of the one that asks; the rounds between count, a few of them at a time."""
-    for every, count in ((2, PATIENCE // 2), (BETWEEN, PATIENCE // BETWEEN), (3 * BETWEEN, PATIENCE // BETWEEN)):
+    for every, count in (
+        (2, HEEDED_ROUNDS // 2),
+        (BETWEEN, HEEDED_ROUNDS // BETWEEN),
+        (3 * BETWEEN, HEEDED_ROUNDS // BETWEEN),
+    ):
         right = RightOfWay(1, MISSION)
-        seen = [heeds(right, {} if k % every else {0: (46.0, 50.0)}) for k in range(2 * PATIENCE * BETWEEN)]
+        seen = [heeds(right, {} if k % every else {0: (46.0, 50.0)}) for k in range(2 * HEEDED_ROUNDS * BETWEEN)]
         first = range(0, len(seen), every)
         assert all(seen[k] for k in first[:count]) and not seen[first[count + 1]]
 
@@ -250,7 +257,7 @@ def test_a_new_mission_makes_a_pilot_heed_everybody_again(shield_on: bool) -> No
         moved = pilot.hold(scene, "no_goal", "")[-1]
         return isinstance(moved, MoveTo) and moved.origin is Origin.YIELD
 
-    assert [yields() for _ in range(PATIENCE + 1)] == [shield_on] * PATIENCE + [False]
+    assert [yields() for _ in range(HEEDED_ROUNDS + 1)] == [shield_on] * HEEDED_ROUNDS + [False]
     pilot.begin_mission()
     assert yields() == shield_on
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from rounds import observation
 from safe_team import SAFE, SafeTeam
 
 from llm_flock.mission import Mission, build_mission
@@ -92,10 +93,10 @@ def test_a_robot_that_obstacles_alone_slow_down_asks_for_nothing() -> None:
     mission = Mission(shape="text:any", n_robots=2, obstacles=(disc,))
     leg = Leg(goal=(60.0, 57.6), stop=(60.0, 57.6), left=20.0)
     safety = ShieldedSafety(0, mission, 0.0)
-    step = safety.step((40.0, 57.6), {}, (45.7, 57.6), leg, 0.5)
+    step = safety.step(observation((40.0, 57.6), {}), (45.7, 57.6), leg, 0.5)
     assert safety.course is None and step.waypoint[0] > 41.0
-    aside, ahead = (42.0, 50.0), ((43.0, 57.6),)
-    kept = safety._on_its_way((40.0, 57.6), leg.stop, (45.7, 57.6), aside, ahead)
+    aside, scene = (42.0, 50.0), observation((40.0, 57.6), {1: (43.0, 57.6)})
+    kept = safety._on_its_way(scene, leg.stop, (45.7, 57.6), aside)
     assert kept == aside, "no step leads on, however short"
 
 
@@ -130,28 +131,28 @@ def test_robots_on_one_spot_leave_in_directions_of_their_own() -> None:
 
 def test_without_a_wish_a_robot_stays_but_for_one_too_near() -> None:
     safety = ShieldedSafety(0, Mission(), 0.0)
-    assert safety.stay((50.0, 50.0), {1: (53.0, 50.0)}).origin is Origin.HOLD
-    flight = safety.stay((50.0, 50.0), {1: (51.0, 50.0)})
+    assert safety.stay(observation((50.0, 50.0), {1: (53.0, 50.0)})).origin is Origin.HOLD
+    flight = safety.stay(observation((50.0, 50.0), {1: (51.0, 50.0)}))
     assert flight.origin is Origin.SHIELD and flight.waypoint[0] <= 49.0
     assert flight.notes == (Note("separating", {"nearest": 1.0, "makes_way": False}),)
-    way = safety.stay((50.0, 50.0), {1: (54.0, 50.0), 2: (55.0, 50.0)})
+    way = safety.stay(observation((50.0, 50.0), {1: (54.0, 50.0), 2: (55.0, 50.0)}))
     assert way.notes[0].detail["makes_way"] is True and way.waypoint[0] < 50.0
 
 
 def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
     safety = ShieldedSafety(0, Mission(), 0.0)
     leg = Leg(goal=(104.0, 50.0), stop=(104.0, 50.0), left=6.0)
-    step = safety.step((98.0, 50.0), {}, (104.0, 50.0), leg, 0.5)
+    step = safety.step(observation((98.0, 50.0), {}), (104.0, 50.0), leg, 0.5)
     assert step.origin is Origin.SHIELD and step.waypoint == pytest.approx((100.0, 50.0))
     leg = Leg(goal=(-12.0, 50.0), stop=(-12.0, 50.0), left=3.0)
-    outside = safety.step((-9.0, 50.0), {}, (-12.0, 50.0), leg, 0.5)
+    outside = safety.step(observation((-9.0, 50.0), {}), (-12.0, 50.0), leg, 0.5)
     assert outside.waypoint == pytest.approx((-9.0 + Mission().max_step, 50.0)), "one full step back"
 
 
 def test_noise_that_could_explain_it_is_no_crowd() -> None:
     safety = ShieldedSafety(0, Mission(), 0.1)
-    assert safety.stay((50.0, 50.0), {1: (52.85, 50.0)}).origin is Origin.HOLD
-    assert safety.stay((50.0, 50.0), {1: (52.75, 50.0)}).origin is Origin.SHIELD
+    assert safety.stay(observation((50.0, 50.0), {1: (52.85, 50.0)})).origin is Origin.HOLD
+    assert safety.stay(observation((50.0, 50.0), {1: (52.75, 50.0)})).origin is Origin.SHIELD
 
 
 def test_paper_and_baseline_know_nothing_of_it() -> None:

@@ -17,8 +17,16 @@ from llm_flock.protocol.agreement.messaging import MOST_BAD_PLANS
 from llm_flock.protocol.events import Broadcast, CommRoundBegan, CommRoundEnded, MissionGiven, Planned, RoundBegan
 from llm_flock.protocol.membership.team import with_visits
 from llm_flock.protocol.messages.channel import Authorization, _decoded
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import BLOCKED, MOST_EPOCHS, MOST_LOOKS, NO_OWNER, Message, MissionStamp, Offer
+from llm_flock.protocol.messages.message import (
+    BLOCKED,
+    MOST_EPOCHS,
+    MOST_LOOKS,
+    NO_OWNER,
+    Message,
+    MissionStamp,
+    Offer,
+    encode,
+)
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
@@ -312,7 +320,7 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
         (note,) = team.agents[0].handle(order)
         assert (note.kind, note.detail["reason"]) == ("rejected_message", "no_order")  # type: ignore[union-attr]
     text = mission_text(square)
-    lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text=text))
+    lie = encode(Message(sender=4, sequence=0, neighbors=0, stamp=stamp, mission_text=text))
     for proofs in (Proofs(), Proofs(mission=forged.signature)):
         assert team.tell(0, wrap(lie, proofs), team.liar) == ["no_order"]
     assert team.agents[0].mission == MISSION
@@ -333,7 +341,7 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
 def test_a_mission_is_not_read_before_its_signature_is_checked(team: SignedTeam, liar: Liar) -> None:
     """To read one takes up to a hundred times as long."""
     stamp = MissionStamp(10**9, "0" * 16)
-    lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text="no mission"))
+    lie = encode(Message(sender=4, sequence=0, neighbors=0, stamp=stamp, mission_text="no mission"))
     assert team.tell(0, wrap(lie, Proofs(mission=liar.keys.sign(mission_statement(stamp)))), team.liar) == ["no_order"]
 
 
@@ -342,7 +350,7 @@ def test_an_order_whose_mission_is_refused_is_not_passed_on(team: SignedTeam, li
     stamp = MissionStamp(10**9, MISSION.change(center=(52.0, 50.0)).digest)
     proofs = Proofs(mission=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
     for text, reason in (("{}", "other_mission"), ("[", "malformed")):
-        lie = encode(Message(sender=4, sequence=0, neighbors=0, mission=stamp, mission_text=text))
+        lie = encode(Message(sender=4, sequence=0, neighbors=0, stamp=stamp, mission_text=text))
         assert team.tell(0, wrap(lie, proofs), team.liar) == [reason]
     assert team.agents[0].authorization == b"" and team.agents[0].mission == MISSION
 

@@ -7,6 +7,7 @@ import itertools
 
 import msgspec
 from signed_team import Liar, SignedTeam, channel_of, evidence_of, free_slot, line_up
+from tables import told
 from toy_keys import ToyKeys
 
 from llm_flock.mission import Mission
@@ -125,7 +126,7 @@ def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: L
     slot = free_slot(team)
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=-1.0, number=41)}, slot=slot)])
     other, table = evidence_of(team.agents[1]), team.agents[1].claim.table or ()
-    message = Message(sender=1, sequence=0, neighbors=0, plan=team.agents[1].plan, table=table)
+    message = Message(sender=1, sequence=0, neighbors=0, plan=team.agents[1].plan, **told(table))
     assert other.prove(message).last == ()
     first = (slot + 1) % 5
     team.begin()
@@ -151,7 +152,7 @@ def test_a_robot_without_a_place_takes_the_one_that_others_give_it_though_it_cla
         signature = ToyKeys(0).sign(claim_statement(team.context, slot, entry, number))
         claims, grants = claims_of({slot: Certificate(number=number, signature=signature)})
         said = tuple(entry if a == slot else UNSAID for a in range(5))
-        message = Message(sender=1, sequence=0, neighbors=0, plan=plan, table=said)
+        message = Message(sender=1, sequence=0, neighbors=0, plan=plan, **told(said))
         assert evidence.admit(message, Proofs(claims=claims, grants=grants), (UNSAID,) * 5).table == said
         assert evidence._page.last[0] == (7, 1)
     assert evidence._page.number == 7

@@ -11,7 +11,7 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer, StepQuestion
-from llm_flock.protocol.verification.steps import Fault, blocked, check_answer, check_step, clip_waypoint, step_faults
+from llm_flock.protocol.verification.steps import Fault, blocked, judge, step_faults
 
 MISSION = Mission(shape="triangle", n_robots=3)
 
@@ -22,7 +22,16 @@ def ask(position: Point, goal: Point, *neighbors: Point) -> StepQuestion:
 
 
 def kinds(question: StepQuestion, waypoint: Point) -> list[Fault]:
-    return list(step_faults(MISSION, question, waypoint))
+    return list(step_faults(question, waypoint))
+
+
+def said_of(question: StepQuestion, waypoint: Point) -> str | None:
+    return judge(question, StepAnswer(waypoint=waypoint), shield_on=False).reason
+
+
+def clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
+    fit = judge(question, StepAnswer(waypoint=waypoint), shield_on=shield_on).fit
+    return None if fit is None else fit.waypoint
 
 
 FAR = ask((50.0, 50.0), (80.0, 50.0))
@@ -59,27 +68,25 @@ THERE = ask((50.0, 50.0), (50.0, 50.0))
 )
 def test_faults(question: StepQuestion, waypoint: Point, expected: list[Fault]) -> None:
     assert kinds(question, waypoint) == expected
-    assert (check_step(MISSION, question, waypoint) is None) == (not expected)
+    assert (said_of(question, waypoint) is None) == (not expected)
 
 
 def test_reasons_have_numbers() -> None:
-    assert check_step(MISSION, FAR, (98.0, 50.0)) == (
+    assert said_of(FAR, (98.0, 50.0)) == (
         "the position is 48 from yours, 6 is the step limit; the position is 18 beyond your goal, which is 30 away."
     )
     close = ask((50.0, 50.0), (80.0, 50.0), (57.0, 53.0), (58.0, 50.0))
-    reason = check_step(MISSION, close, (56.0, 50.0))
+    reason = said_of(close, (56.0, 50.0))
     assert reason == "the position is 2 from the robot at [58, 50], at least 3 is required."
-    assert check_step(MISSION, FAR, (44.0, 50.0)) == (
-        "the position is 36 from your goal, no nearer than you are now (30)."
-    )
-    wall = check_step(MISSION, ask((2.0, 50.0), (2.0, 80.0)), (-1.0, 54.0))
+    assert said_of(FAR, (44.0, 50.0)) == ("the position is 36 from your goal, no nearer than you are now (30).")
+    wall = said_of(ask((2.0, 50.0), (2.0, 80.0)), (-1.0, 54.0))
     assert wall == "the position is 1 outside the arena from [0, 0] to [100, 100]."
 
 
 def test_a_blocked_robot_may_wait_or_go_round() -> None:
     free = ask((50.0, 50.0), (80.0, 50.0), (50.0, 56.0), (42.0, 50.0), (70.0, 50.0))
     in_the_way = ask((50.0, 50.0), (80.0, 50.0), (55.0, 51.0))
-    assert not blocked(MISSION, free) and blocked(MISSION, in_the_way)
+    assert not blocked(free) and blocked(in_the_way)
     assert kinds(free, (50.0, 50.0)) == [Fault.PROGRESS]
     assert kinds(in_the_way, (50.0, 50.0)) == [] == kinds(in_the_way, (49.0, 46.0))
     on_the_goal = ask((50.0, 50.0), (53.0, 50.0), (55.0, 50.0))
@@ -102,21 +109,21 @@ def test_a_blocked_robot_may_wait_or_go_round() -> None:
     ],
 )
 def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, expected: Point | None) -> None:
-    made = clip_waypoint(MISSION, question, waypoint, shield_on=False)
+    made = clipped(question, waypoint, shield_on=False)
     assert made == (None if expected is None else pytest.approx(expected))
     if made is not None:
-        assert step_faults(MISSION, question, made) == {}
+        assert step_faults(question, made) == {}
 
 
 def test_a_want_of_separation_is_left_to_the_shield_if_there_is_one() -> None:
     question = ask((50.0, 50.0), (80.0, 50.0), (58.0, 50.5))
-    assert clip_waypoint(MISSION, question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
-    assert clip_waypoint(MISSION, question, (56.0, 50.0), shield_on=False) is None
+    assert clipped(question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
+    assert clipped(question, (56.0, 50.0), shield_on=False) is None
 
 
 def path_fault(question: StepQuestion, *way: Point, shield_on: bool = True) -> str | None:
     answer = StepAnswer(waypoint=way[0], path=way[1:])
-    return check_answer(MISSION, replace(question, horizon=5), answer, shield_on=shield_on)
+    return judge(replace(question, horizon=5), answer, shield_on=shield_on).reason
 
 
 def test_each_waypoint_of_a_path_is_a_step_from_the_one_before() -> None:
@@ -143,5 +150,5 @@ def test_later_positions_of_others_are_not_checked() -> None:
 def test_without_a_path_the_answer_is_checked_as_a_step() -> None:
     near = ask((50.0, 50.0), (80.0, 50.0), (57.0, 50.0))
     answer = StepAnswer(waypoint=(56.0, 50.0))
-    said = check_answer(MISSION, near, answer, shield_on=True)
-    assert said is not None and said == check_step(MISSION, near, answer.waypoint)
+    said = judge(near, answer, shield_on=True).reason
+    assert said is not None and said == said_of(near, answer.waypoint)

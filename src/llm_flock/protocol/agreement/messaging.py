@@ -89,18 +89,17 @@ class Messaging:
             sender=self._robot,
             sequence=0,
             neighbors=agreement.neighbors,
-            mission=agreement.stamp,
+            stamp=agreement.stamp,
             plan=agreement.plan,
             provenance=agreement.provenance,
             slot=claim.slot,
-            table=claim.table,
             table_digest=self._dissemination.digest(claim.table),
             offer=claim.offer,
             course=course,
             beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
         )
-        return self._dissemination.compose(whole, agreement.mission)
+        return self._dissemination.compose(whole, claim.table, agreement.mission)
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
         """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim."""

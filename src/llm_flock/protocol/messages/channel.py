@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import Message, MissionStamp
+from llm_flock.protocol.messages.message import Message, MissionStamp, decode
 
 
 class Authorization(msgspec.Struct, frozen=True, kw_only=True):

@@ -15,13 +15,13 @@ only then the whole table is said.
 from __future__ import annotations
 
 import operator
+from collections.abc import Sequence
 from itertools import compress
 
 from msgspec.structs import replace
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.messages.codec import encode
-from llm_flock.protocol.messages.message import UNSAID, BidTable, Message, table_digest
+from llm_flock.protocol.messages.message import BidTable, Message, claims_in, encode, table_digest
 from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 
@@ -47,7 +47,7 @@ class Dissemination:
         self._heard: set[int] = set()
         self._greeting = True
         self._table: BidTable | None = None
-        self._digested: tuple[BidTable | None, str | None] = (None, None)
+        self._digested: tuple[BidTable | None, bytes | None] = (None, None)
         self._changed: tuple[frozenset[int], ...] = ()  # slots, since each of the last two broadcasts
         self._plan_sent: str | None = None
         self._plan_said = False  # in the last broadcast
@@ -103,43 +103,39 @@ class Dissemination:
         same, self._standing = standing == self._standing, standing
         return self._payload if same and not (self._news or self._greeting) else None
 
-    def compose(self, whole: Message, mission: Mission) -> bytes:
+    def compose(self, whole: Message, table: BidTable | None, mission: Mission) -> bytes:
         """The bytes to broadcast; equal ones as long as there is nothing else to say.
 
-        `whole` has everything spelled out, heartbeats in a greeting only; its `sequence` is set here.
+        `whole` has everything spelled out but the table, heartbeats in a greeting only; its `sequence` is set here.
         """
-        self._note_changes(whole.table)
-        plan = whole.plan
-        digest = None if plan is None else plan.digest
-        mine = whole.mission, digest, whole.table_digest
+        self._note_changes(table)
+        plan, digest = whole.plan, whole.plan_digest
+        mine = _KNOWLEDGE(whole)
         others = [heard for heard in self._peers.values() if _KNOWLEDGE(heard) != mine]
         greeting, self._greeting = self._greeting, False
         small = plan is None or len(plan) <= SMALL
         differs = any(m.plan_digest != digest for m in others)
         spell_plan = self._plan_sent != digest or (greeting or differs if small else differs and not self._plan_said)
         self._plan_sent, self._plan_said = digest, spell_plan
-        part, slots = self._part(whole, others, greeting=greeting)
+        spell_table = table is not None and self._spells_table(whole, len(table), others, greeting=greeting)
+        claims = None if table is None else claims_in(table, None if spell_table else self._news_of(table, whole.slot))
+        behind = any(m.mission < whole.mission for m in others)
         message = replace(
             whole,
-            sequence=0,
-            mission_text=mission_text(mission) if any(m.mission < whole.mission for m in others) else None,
+            mission_text=mission_text(mission) if behind else None,
             plan=plan if spell_plan else None,
-            plan_digest=digest,
-            places=0 if plan is None else len(plan),
-            table=part,
-            said=slots,
-            table_digest=whole.table_digest,
+            claims=claims,
         )
         if message != self._sent:
             self._sent = message
-            self._payload = encode(message, self._sequence)
+            self._payload = encode(replace(message, sequence=self._sequence))
             self._sequence += 1
         # Greetings, positions, changes and what is long are not repeated, so the next payload differs from this one.
-        said = spell_plan or differs or (part is not None and slots is None)
-        self._news = greeting or whole.positions is not None or any(self._changed) or said
+        long = spell_plan or differs or spell_table
+        self._news = greeting or whole.positions is not None or any(self._changed) or long
         return self._payload
 
-    def digest(self, table: BidTable | None) -> str | None:
+    def digest(self, table: BidTable | None) -> bytes | None:
         """Digest of the robot's own table, computed once for each table."""
         if table is not self._digested[0]:
             self._digested = (table, None if table is None else table_digest(table))
@@ -154,23 +150,18 @@ class Dissemination:
                 changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
-    def _part(
-        self, whole: Message, others: list[Message], *, greeting: bool
-    ) -> tuple[BidTable | None, tuple[int, ...] | None]:
-        """The table, or the part of it to spell out, and the slots of that part; `others` know something else."""
-        table = whole.table
-        if table is None:
-            return None, None
+    def _spells_table(self, whole: Message, slots: int, others: list[Message], *, greeting: bool) -> bool:
+        """Whether to spell out the whole table, of so many slots; `others` know something else."""
         differs = any(m.plan_digest == self._plan_sent and m.table_digest != whole.table_digest for m in others)
-        small = len(table) <= SMALL
+        small = slots <= SMALL
         at_rest = self._table_said > 0 and not any(self._changed)
         overdue = self._table_said >= RESTLESS_ROUNDS and greeting
-        if (small and greeting) or (differs and (small or at_rest or overdue)):
-            self._table_said = 0
-            return table, None
-        said = frozenset[int]() if small else frozenset[int]().union(*self._changed)
-        slots = sorted(said if whole.slot is None else said | {whole.slot})
-        part = [UNSAID] * len(table)
-        for a in slots:
-            part[a] = table[a]
-        return tuple(part), tuple(slots)
+        if not ((small and greeting) or (differs and (small or at_rest or overdue))):
+            return False
+        self._table_said = 0
+        return True
+
+    def _news_of(self, table: BidTable, slot: int | None) -> Sequence[int]:
+        """Slots to spell out where the table is not: the own one, and in a large table what has changed."""
+        changed = frozenset[int]() if len(table) <= SMALL else frozenset[int]().union(*self._changed)
+        return sorted(changed if slot is None else changed | {slot})

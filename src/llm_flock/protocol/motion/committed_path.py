@@ -77,11 +77,6 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
             in_sight=frozenset(sensed),
         )
 
-    @property
-    def answer(self) -> StepAnswer:
-        """The rest of the path as an answer to a new question. Call only if `trigger` returns None."""
-        return StepAnswer(waypoint=self.path[0], path=self.path[1:])
-
     def after_step(self, position: Point, waypoint: Point) -> Self:
         """The rest of the path after a step from `position` to `waypoint`, which the shield made of the first one."""
         if not self.path:

@@ -12,14 +12,8 @@ from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, Roadmap
 from llm_flock.obstacles.roadmap import roadmap_of
 
-STILL_DECIMALS = 1
-"""Bodies that do not move are on the map to this precision: noise must not change it in every round."""
-
 STEP = 0.25
 """With uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs."""
-
-MOST_STILL = 40
-"""Most bodies on the map, the nearest ones: building it takes a while."""
 
 
 class Leg(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,8 +63,9 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
         radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
     if not still:
         return roadmap_of(mission.arena, mission.obstacles, radius) if mission.obstacles else None
-    near = sorted(still, key=lambda body: math.dist(body, position))[:MOST_STILL]
+    # To build a map takes a while: it has at most 40 bodies, and noise must not change it in every round.
+    near = sorted(still, key=lambda body: math.dist(body, position))[:40]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
-    spots = sorted(tuple(round(x, STILL_DECIMALS) for x in body) for body in near)
+    spots = sorted(tuple(round(x, 1) for x in body) for body in near)
     discs = tuple(Obstacle(center=spot, radius=mission.body_radius) for spot in spots)
     return roadmap_of(mission.arena, (*mission.obstacles, *discs), radius)

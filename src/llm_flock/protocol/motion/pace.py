@@ -10,9 +10,6 @@ from llm_flock.protocol.planning import StepQuestion
 from llm_flock.protocol.verification.plans import ROUNDING
 from llm_flock.protocol.verification.steps import blocked
 
-WEIGHT = 0.25
-"""Weight of the newest waypoint in the average."""
-
 SLOWEST = 0.4
 """Smallest average gain of a usable planner, as a share of the largest possible gain: at this pace it takes 2.5 times
 the rounds of a straight flight, and a team should form in three times the lower bound."""
@@ -33,7 +30,7 @@ class Pace:
         """Count a waypoint that passed its checks. Returns the reason to refuse it, or None."""
         mission, goal = question.mission, question.goal
         before, after = math.dist(question.position, goal), math.dist(waypoint, goal)
-        if min(before, after) <= ROUNDING * mission.spacing or blocked(mission, question):
+        if min(before, after) <= ROUNDING * mission.spacing or blocked(question):
             return None
         gain = (before - after) / min(mission.max_step, before)
         if mission.velocity is not None and before <= mission.max_step:
@@ -51,4 +48,5 @@ class Pace:
         self._count(0.0)
 
     def _count(self, gain: float) -> None:
-        self._average += WEIGHT * (gain - self._average)
+        weight = 0.25  # of the newest waypoint
+        self._average += weight * (gain - self._average)

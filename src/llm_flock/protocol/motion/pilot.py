@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-
-import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
@@ -17,45 +14,12 @@ from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
 from llm_flock.protocol.motion.leg import Leg, leg_to
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.pace import Pace
-from llm_flock.protocol.parts import NO_COURSES, Parts
+from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import shortened
-
-
-class Observation(msgspec.Struct, frozen=True, kw_only=True):
-    """Positions that a robot observes in a round.
-
-    Attributes:
-        position: the robot's believed position [units; world frame].
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        observed: positions of other robots for the planner's question [units; world frame].
-        drift: displacement of the mission's frame so far [units]; empty if the mission stands still.
-        ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
-        courses: ways that others ask to be left free, by sender.
-        still: bodies in sight that do not move [units; world frame].
-        period: heartbeat period; None where each round counts as one.
-    """
-
-    round: int
-    position: Point
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...]
-    drift: Point = ()
-    ahead: Point = ()
-    courses: Mapping[int, Course] = NO_COURSES
-    still: tuple[Point, ...] = ()
-    period: int | None = None
-
-    def seen(self, point: Point) -> Point:
-        """A point of the world frame in the present frame of the mission."""
-        return moved(point, self.drift, -1.0)
-
-    @property
-    def here(self) -> Point:
-        """The robot's position in the frame of the mission."""
-        return self.seen(self.position)
 
 
 class Pilot:
@@ -116,47 +80,66 @@ class Pilot:
             corner=None if leg.stop == leg.goal else moved(leg.stop, ahead),
             horizon=self._horizon,
         )
-        trigger = None if self._committed is None else self._trigger(self._committed, question, scene)
-        self.on_path = self._committed is not None and trigger is None
-        if self._committed is not None and trigger is None:
-            answer = _shifted(self._committed.answer, ahead)
-            return self._move(answer, question, scene, answer.waypoint)
+        committed, notes = self._committed, list[Effect]()
+        self.on_path = False
+        if committed is not None:
+            step = self._next_step(committed, question, scene)
+            if not isinstance(step, Trigger):
+                self.on_path = True
+                return self._move(step, question, scene, moved(committed.path[0], ahead))
+            notes = [Note("asked_again", {"reason": step.value})]
         if not self.breaker.asks(scene.round):
             return self._by_geometry(question, scene)
         if self.breaker.state is BreakerState.HALF_OPEN:
             question = self._question = replace(question, probe=True)
-        notes = [] if trigger is None else [Note("asked_again", {"reason": trigger.value})]
         return [*notes, AskStep(question)]
 
     def take(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         """The move that follows from the planner's answer. With `on_event`, the robot commits to its path."""
         question, scene = self._question, self._scene
         assert question is not None and scene is not None, "only a robot that asked is answered"
+        asked, notes = answer.waypoint, list[Effect]()
         if self._fallback == "hold":
-            return self._commit(answer, question, scene, answer.waypoint)
-        fit = self._usable(question, answer)
-        if not isinstance(fit, NoAnswer):
-            return [*self.breaker.usable(), *self._commit(fit, question, scene, answer.waypoint)]
-        notes: list[Effect] = [*self.breaker.refused(scene.round, fit)]
-        if self._fallback == "breaker" and not self.breaker.is_open:
-            self._pace.held()
-            return [*notes, *self._commit(fit, question, scene, answer.waypoint)]
-        notes.extend(fallback_notes("step", "geometry", fit))
-        return [*notes, *self._by_geometry(question, scene, answer.waypoint)]
-
-    def _usable(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
-        """The answer, clipped if that suffices, or the reason why it cannot be used."""
-        fit = answer if isinstance(answer, NoAnswer) else self._verifier.fit(question, answer)
-        slow = None if isinstance(fit, NoAnswer) else self._pace.too_slow(question, fit.waypoint)
-        return fit if slow is None else NoAnswer(cause="slow", reason=slow)
-
-    def _commit(
-        self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation, asked: Point | None
-    ) -> list[Effect]:
+            step = self._waypoint(question, answer)
+        else:
+            answer = self._usable(question, answer)
+            if isinstance(answer, NoAnswer):
+                notes = [*self.breaker.refused(scene.round, answer)]
+                if self._fallback == "geometry" or self.breaker.is_open:
+                    notes.extend(fallback_notes("step", "geometry", answer))
+                    return [*notes, *self._by_geometry(question, scene, asked)]
+                self._pace.held()
+                step = self._waypoint(question, answer)
+            else:
+                notes, step = [*self.breaker.usable()], answer.waypoint
         if question.horizon > 1:
             kept = _shifted(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
             self._committed = CommittedPath.of(self._relative(question, scene), kept, scene.sensed)
-        return self._move(answer, question, scene, asked)
+        by_geometry = isinstance(answer, StepAnswer) and answer.by == "geometry"
+        return [*notes, *self._move(step, question, scene, asked, by_geometry=by_geometry)]
+
+    def _usable(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
+        """The answer, clipped if that suffices, or the reason why it cannot be used."""
+        if isinstance(answer, NoAnswer):
+            return answer
+        verdict = self._verifier.judge(question, answer)
+        if verdict.fit is None:
+            return NoAnswer(cause="unverified", reason=verdict.reason or "")
+        slow = self._pace.too_slow(question, verdict.fit.waypoint)
+        return verdict.fit if slow is None else NoAnswer(cause="slow", reason=slow)
+
+    def _waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
+        """The first waypoint, checked as a single step and clipped if that suffices; otherwise the reason to hold.
+
+        The last waypoint that a planner without an answer has named is flown if it passes the checks.
+        """
+        if isinstance(answer, NoAnswer) and (answer.waypoint is None or not self._verifier.verify):
+            return answer
+        assert answer.waypoint is not None, "an answer has a waypoint"
+        verdict = self._verifier.judge(replace(question, horizon=1), StepAnswer(waypoint=answer.waypoint))
+        if verdict.fit is not None:
+            return verdict.fit.waypoint
+        return answer if isinstance(answer, NoAnswer) else NoAnswer(cause="unverified", reason=verdict.reason or "")
 
     def _by_geometry(self, question: StepQuestion, scene: Observation, asked: Point | None = None) -> list[Effect]:
         """A straight step to the goal in place of the planner's."""
@@ -175,7 +158,7 @@ class Pilot:
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
         held = Note("held", {"cause": cause, "reason": reason})
-        flight = self._safety.stay(scene.position, scene.sensed, scene.courses, scene.period)
+        flight = self._safety.stay(scene)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
     @property
@@ -203,34 +186,38 @@ class Pilot:
         assert self._leg is not None, "a robot with a question has a goal"
         return replace(question, position=scene.here, plan=plan, target=self._leg.goal, corner=self._leg.stop)
 
-    def _trigger(self, committed: CommittedPath, question: StepQuestion, scene: Observation) -> Trigger | None:
-        """The event that makes a new question necessary: that of the path, or a next step that fails its checks now."""
+    def _next_step(self, committed: CommittedPath, question: StepQuestion, scene: Observation) -> Point | Trigger:
+        """The next step of the path, or the event that makes a new question necessary: it may fail its checks now."""
         sensed = {j: scene.seen(x) for j, x in scene.sensed.items()}
         trigger = committed.trigger(self._relative(question, scene), sensed)
         if trigger is not None:
             return trigger
-        fit = self._verifier.waypoint(question, _shifted(committed.answer, scene.ahead))
-        if isinstance(fit, NoAnswer):
+        step = self._waypoint(question, StepAnswer(waypoint=moved(committed.path[0], scene.ahead)))
+        if isinstance(step, NoAnswer):
             return Trigger.UNFIT
-        slow = self._fallback != "hold" and self._pace.too_slow(question, fit) is not None
-        return Trigger.UNFIT if slow else None
+        slow = self._fallback != "hold" and self._pace.too_slow(question, step) is not None
+        return Trigger.UNFIT if slow else step
 
     def _move(
-        self, answer: StepAnswer | NoAnswer, question: StepQuestion, scene: Observation, asked: Point | None
+        self,
+        step: Point | NoAnswer,
+        question: StepQuestion,
+        scene: Observation,
+        asked: Point | None,
+        *,
+        by_geometry: bool = False,
     ) -> list[Effect]:
-        """The move for the planner's waypoint, which was `asked` before it was clipped."""
-        fit = self._verifier.waypoint(question, answer)
-        if isinstance(fit, NoAnswer):
-            return self.hold(scene, fit.cause, fit.reason, asked)
+        """The move for a step that passed the checks, which was `asked` before it was clipped, or for none."""
+        if isinstance(step, NoAnswer):
+            return self.hold(scene, step.cause, step.reason, asked)
         corner = question.corner
         reaches = corner is not None and math.dist(scene.position, corner) <= question.mission.max_step
-        if corner is not None and reaches and math.dist(fit, corner) <= self._tolerance:
-            fit = corner  # a little beside it, the way on may not be free, and the next question would be the same
-        chosen = Origin.MODEL if fit == asked else Origin.CLIPPED
-        by_geometry = isinstance(answer, StepAnswer) and answer.by == "geometry"
-        effects = self._fly(fit, scene, asked, Origin.GEOMETRY if by_geometry else chosen)
-        if fit != asked:
-            effects.insert(0, Note("clipped", {"proposed": asked, "flown": fit}))
+        if corner is not None and reaches and math.dist(step, corner) <= self._tolerance:
+            step = corner  # a little beside it, the way on may not be free, and the next question would be the same
+        chosen = Origin.MODEL if step == asked else Origin.CLIPPED
+        effects = self._fly(step, scene, asked, Origin.GEOMETRY if by_geometry else chosen)
+        if step != asked:
+            effects.insert(0, Note("clipped", {"proposed": asked, "flown": step}))
         if self._committed is not None:
             flown = effects[-1]
             assert isinstance(flown, MoveTo)
@@ -240,17 +227,7 @@ class Pilot:
     def _fly(self, wish: Point, scene: Observation, asked: Point | None, origin: Origin) -> list[Effect]:
         """The safe move for a waypoint of this origin."""
         assert self._leg is not None, "a robot flies to a goal"
-        flight = self._safety.step(
-            scene.position,
-            scene.sensed,
-            wish,
-            self._leg,
-            self._tolerance,
-            scene.drift,
-            scene.courses,
-            scene.still,
-            scene.period,
-        )
+        flight = self._safety.step(scene, wish, self._leg, self._tolerance)
         if flight.origin is Origin.YIELD or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
             origin = flight.origin
         return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=origin)]

@@ -14,9 +14,6 @@ from llm_flock.arrays import Point, Points, Vector
 TOLERANCE = 1e-9
 """A constraint counts as satisfied to within this [units]."""
 
-BISECTIONS = 60
-RELAXATIONS = 24
-
 
 class HalfSpace(msgspec.Struct, frozen=True):
     """Displacements u with normal . u <= room [units]; `normal` is a unit vector that points out of the cell.
@@ -53,7 +50,7 @@ def relaxed_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Poi
     if best is None and any(side.violated for side in sides):
         low, high = 0.0, 1.0
         best = nearest_move(wish, [_eased(side, low) for side in sides], longest)
-        for _ in range(RELAXATIONS if best is not None else 0):
+        for _ in range(24 if best is not None else 0):  # bisections
             share = (low + high) / 2
             tried = nearest_move(wish, [_eased(side, share) for side in sides], longest)
             if tried is None:
@@ -126,7 +123,7 @@ def _project_any(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Poin
         if move is None or float(np.linalg.norm(move)) > radius:
             return None
         low, high = 0.0, 1.0
-        for _ in range(BISECTIONS):
+        for _ in range(60):  # bisections
             middle = (low + high) / 2
             tried = _nearest(middle * target, normals, rooms)
             if tried is not None and float(np.linalg.norm(tried)) <= radius:

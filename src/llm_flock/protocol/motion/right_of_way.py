@@ -1,11 +1,11 @@
-"""Right of way: a robot that others block says where it has to go, and whoever is in that way steps aside.
+"""Right of way: a robot that others block says where it has to go, and robots in that way step aside.
 
 Priority inheritance, as in PIBT: Okumura, Machida, Défago, Tamura: Priority inheritance with backtracking for iterative
 multi-agent path finding (Artificial Intelligence 310, 2022), here in continuous space and from messages only. A robot
 that bodies keep from its way sends its *course* with its rank. A robot of lower rank in that way goes to a refuge, and
 sends the course there with the rank of the first one, so that those in its own way step aside too. One that is not in
-the way does not enter it. Ranks rise with waiting, and with them the width of the way that is given, so nobody waits
-for ever. Where a robot holds its place, it steps aside all the same, and comes back.
+the way does not enter it. Ranks rise with waiting, and with them the width of the way that is given, so no robot
+waits for good. Where a robot holds its place, it steps aside all the same, and comes back.
 
 Courses only ask. What keeps robots apart is the cell of the shield, whatever is claimed.
 """
@@ -48,23 +48,11 @@ RISES = 8
 WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5
 """Half the width of a way of the lowest rank, what each rank adds, and the most, in safe distances."""
 
-MARGIN = 0.05
-"""A refuge is farther from a way than it has to be, by this share of the safe distance."""
-
-RINGS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
-"""Distances at which a refuge is looked for, in steps: the farthest is beyond the end of any course."""
-
-HEADINGS = {2: 24, 3: 40}
-"""Number of directions in which a refuge is looked for, by dimension."""
-
-CROWDED = 6.0
-"""Cost of a refuge for each unit that it is too near another body [1]."""
-
-PATIENCE = 32
+HEEDED_ROUNDS = 32
 """Rounds in a mission for which a robot gives way to one that asks; for twice as long it then heeds no course of it."""
 
 BETWEEN = 4
-"""Most rounds between two in which a robot asks that count like those: whoever gives way loses sight of it at times."""
+"""Most rounds between two in which a robot asks that count like those: one that gives way may lose sight of it."""
 
 SHARES = (0.75, 0.5, 0.25, 0.125)
 """Shares of a step that are tried where the whole one leads into a way that another has."""
@@ -158,8 +146,8 @@ class RightOfWay:
     def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
         """The ways that this robot has to give, to robots in sight, the highest rank first.
 
-        A robot that has asked for `PATIENCE` rounds in all is not heeded for twice as long, then for four times, and so
-        on, wherever it is and whatever it asks for: otherwise a liar that moves would keep others away for ever.
+        A robot that has asked for `HEEDED_ROUNDS` in all is not heeded for twice as long, then for four times, and so
+        on, wherever it is and whatever it asks for: otherwise a liar that moves would keep others away for good.
         """
         own, found = rank(self._robot, self._level, self._robot), list[Way]()
         for j, course in courses.items():
@@ -173,11 +161,11 @@ class RightOfWay:
 
     def _heeds(self, robot: int) -> bool:
         """Whether a robot that asks in this round is heeded; counts those rounds, and short times between them."""
-        asked, pause, last = self._asked.get(robot, (0, 2 * PATIENCE, self._round - 1))
+        asked, pause, last = self._asked.get(robot, (0, 2 * HEEDED_ROUNDS, self._round - 1))
         if self._round < last:
             return False
         asked += min(self._round - last, BETWEEN)
-        if asked <= PATIENCE:
+        if asked <= HEEDED_ROUNDS:
             self._asked[robot] = asked, pause, self._round
             return True
         self._asked[robot] = 1, 2 * pause, self._round + pause
@@ -229,19 +217,20 @@ class RightOfWay:
         return None
 
     def _nearest_refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Points) -> Point | None:
-        limits = self._limits
+        limits, margin = self._limits, 0.05 * self.apart  # a refuge is farther from a way than it has to be
+        too_near_cost = 6.0  # for each unit of distance that another body lacks
         spots = np.array(here) + limits.max_step * _around(len(here))
         low, high = np.array(limits.arena)
         free = ((spots >= low) & (spots <= high)).all(axis=1)
         for way in ways:
-            free &= way.distances(spots) >= way.width + MARGIN * self.apart
+            free &= way.distances(spots) >= way.width + margin
         spots = spots[free]
         roadmap = limits.roadmap
         if roadmap is not None:
             spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
         to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
         crowd = np.maximum(0.0, self.apart - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
-        cost = 2.0 * to + on + CROWDED * crowd
+        cost = 2.0 * to + on + too_near_cost * crowd
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
             spot = tuple(spots[k].tolist())
             stop = spot if roadmap is None else roadmap.next_stop(here, spot)
@@ -272,8 +261,9 @@ def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:
 @lru_cache
 def _around(dim: int) -> Points:
     """Where a refuge is looked for: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
-    count = HEADINGS[dim]
+    count = 24 if dim == 2 else 40
     k = np.arange(count)
+    rings = np.array((0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0))  # the farthest is beyond the end of any course
     if dim == 2:
         turn = 2.0 * math.pi * k / count
         directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -281,7 +271,7 @@ def _around(dim: int) -> Points:
         height, turn = 1.0 - (2.0 * k + 1.0) / count, math.pi * (1.0 + math.sqrt(5.0)) * (k + 0.5)
         flat = np.sqrt(1.0 - height * height)
         directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    return (np.array(RINGS)[:, None, None] * directions).reshape(-1, dim)
+    return (rings[:, None, None] * directions).reshape(-1, dim)
 
 
 def _distances(points: Points, start: Vector, end: Vector) -> Vector:

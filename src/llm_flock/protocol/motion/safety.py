@@ -12,23 +12,17 @@ from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.messages.message import MOST_STOPS, Course
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import STEP, Leg, map_of
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
 from llm_flock.protocol.motion.surroundings import static_half_spaces
-from llm_flock.protocol.parts import NO_COURSES, SafeStep, Safety
-
-SHORTER = (0.5, 0.25, 0.125, 0.0625)
-"""Shares of a step that are tried where the whole one slides off the way."""
-
-SEPARATION_TOLERANCE = 1e-6
-"""Pairs that keep the safe distance to within this count as separated [units]."""
+from llm_flock.protocol.parts import SafeStep, Safety
 
 
 class ShieldedSafety(Safety):
     """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
 
     Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
-    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units]. `courses` are
-    those heard of others, by sender; `still` are bodies in sight that do not move [units; world frame].
+    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units].
     """
 
     def __init__(self, robot: int, limits: Mission, noise_bound: float, apart: float | None = None) -> None:
@@ -48,102 +42,74 @@ class ShieldedSafety(Safety):
         """Heed everybody who asks for a way again: a mission has been given."""
         self._right.begin_mission()
 
-    def stay(
-        self,
-        position: Point,
-        sensed: Mapping[int, Point],
-        courses: Mapping[int, Course] = NO_COURSES,
-        period: int | None = None,
-    ) -> SafeStep:
+    def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
-        self._right.count(position, 0.0, 0.0, period)
-        separating = self._separate(position, sensed)
+        here = scene.position
+        self._right.count(here, 0.0, 0.0, scene.period)
+        separating = self._separate(scene)
         if separating is not None:
             return separating
-        ways = self._right.ways(sensed, courses)
-        pressing = [way for way in ways if way.covers(position)]
-        aside = self._aside(position, sensed, position, ways, pressing, ()) if pressing else None
-        return SafeStep(waypoint=position, origin=Origin.HOLD) if aside is None else aside
+        ways = self._right.ways(scene.sensed, scene.courses)
+        pressing = [way for way in ways if way.covers(here)]
+        aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
+        return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
 
-    def step(
-        self,
-        position: Point,
-        sensed: Mapping[int, Point],
-        wish: Point,
-        leg: Leg,
-        tolerance: float,
-        drift: Point = (),
-        courses: Mapping[int, Course] = NO_COURSES,
-        still: Sequence[Point] = (),
-        period: int | None = None,
-    ) -> SafeStep:
+    def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
         """The safe waypoint for the planner's waypoint `wish` [units; world frame].
 
-        The mission's frame is displaced by `drift` (empty if the mission stands still), and the goal of the leg counts
-        as reached within `tolerance` [units].
+        The goal of the leg counts as reached within `tolerance` [units].
         """
-        right, within = self._right, tolerance + self._noise_bound
-        right.count(leg.goal, leg.left, within, period)
-        separating = self._separate(position, sensed)
+        right, here, within = self._right, scene.position, tolerance + self._noise_bound
+        right.count(leg.goal, leg.left, within, scene.period)
+        separating = self._separate(scene)
         if separating is not None:
             return separating
-        goal, stop = moved(leg.goal, drift), moved(leg.stop, drift)
-        others = tuple(sensed.values())
-        ways = right.ways(sensed, courses)
-        pressing = [way for way in ways if way.covers(position)]
-        if pressing and not right.leads_out(position, self._path(position, stop, goal, still), goal, pressing):
-            aside = self._aside(position, sensed, goal, ways, pressing, still)
+        goal, stop = moved(leg.goal, scene.drift), moved(leg.stop, scene.drift)
+        ways = right.ways(scene.sensed, scene.courses)
+        pressing = [way for way in ways if way.covers(here)]
+        if pressing and not right.leads_out(here, self._path(here, stop, goal, scene.still), goal, pressing):
+            aside = self._aside(scene, goal, ways, pressing, scene.still)
             if aside is not None:
                 return aside
-        safe = self._on_its_way(position, stop, wish, self._project(position, wish, others), others)
-        free = [way for way in ways if not way.covers(position)]
-        if not outside(free, position, safe):
-            return self._wait(position, wish, others, free)
+        safe = self._on_its_way(scene, stop, wish, self._project(here, wish, scene.others))
+        free = [way for way in ways if not way.covers(here)]
+        if not outside(free, here, safe):
+            return self._wait(scene, wish, free)
         self._gave_way = None
         notes: tuple[Note, ...] = ()
         if pressing:
-            right.pass_on(self._path(position, stop, goal, still), pressing[0])
-        elif right.stalled and self._is_blocked(position, stop, safe, others):
-            right.ask(self._path(position, stop, goal, still))
+            right.pass_on(self._path(here, stop, goal, scene.still), pressing[0])
+        elif right.stalled and self._is_blocked(scene, stop, safe):
+            right.ask(self._path(here, stop, goal, scene.still))
             if not self._asked:
-                distance = math.dist(moved(position, drift, -1.0), leg.goal)
-                notes = (Note("deadlock", {"goal_distance": distance, "rounds": right.waited}),)
+                notes = (Note("deadlock", {"goal_distance": math.dist(scene.here, leg.goal), "rounds": right.waited}),)
             self._asked = True
         else:
             self._asked = False
-            right.go_on_asking(() if leg.left <= within else self._path(position, stop, goal, still))
+            right.go_on_asking(() if leg.left <= within else self._path(here, stop, goal, scene.still))
         if safe == wish:
             return SafeStep(waypoint=wish, origin=Origin.MODEL, notes=notes)
         note = Note("shielded", {"proposed": wish, "flown": safe})
         return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(*notes, note))
 
     def _aside(
-        self,
-        position: Point,
-        sensed: Mapping[int, Point],
-        goal: Point,
-        ways: Sequence[Way],
-        pressing: Sequence[Way],
-        still: Sequence[Point],
+        self, scene: Observation, goal: Point, ways: Sequence[Way], pressing: Sequence[Way], still: Sequence[Point]
     ) -> SafeStep | None:
         """A step out of the ways that this robot is in (`pressing`), None if it has nowhere to go."""
-        refuge = self._right.refuge(position, goal, ways, pressing, sensed.values())
+        here = scene.position
+        refuge = self._right.refuge(here, goal, ways, pressing, scene.others)
         if refuge is None:
             return None
-        path = self._path(position, self._next_stop(position, refuge, still), refuge, still)
+        path = self._path(here, self._next_stop(here, refuge, still), refuge, still)
         self._right.pass_on(path, pressing[0])
-        to = self._project(position, _towards(position, path[0], self._limits.max_step), tuple(sensed.values()))
+        to = self._project(here, _towards(here, path[0], self._limits.max_step), scene.others)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(pressing[0]))
 
-    def _wait(self, position: Point, wish: Point, others: tuple[Point, ...], ways: Sequence[Way]) -> SafeStep:
+    def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
         """As much of a step as leads into no way that another has."""
-        to = position
-        for share in SHARES:
-            shorter = tuple(x + share * (w - x) for x, w in zip(position, wish, strict=True))
-            safe = self._project(position, shorter, others)
-            if outside(ways, position, safe):
-                to = safe
-                break
+        here = scene.position
+        tried = (self._project(here, _between(here, wish, share), scene.others) for share in SHARES)
+        to = next((safe for safe in tried if outside(ways, here, safe)), here)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
 
     def _note_way(self, way: Way) -> tuple[Note, ...]:
@@ -151,19 +117,19 @@ class ShieldedSafety(Safety):
         before, self._gave_way = self._gave_way, way.robot
         return () if before == way.robot else (Note("gives_way", {"to": way.robot}),)
 
-    def _is_blocked(self, position: Point, stop: Point, safe: Point, others: tuple[Point, ...]) -> bool:
+    def _is_blocked(self, scene: Observation, stop: Point, safe: Point) -> bool:
         """Whether bodies keep the robot from half of what its planner or obstacles would let it gain."""
-        straight, far = _towards(position, stop, self._limits.max_step), math.dist(position, stop)
-        alone = far - math.dist(self._project(position, straight, ()), stop)
-        apart = self._right.apart
+        here, others, apart = scene.position, scene.others, self._right.apart
+        straight, far = _towards(here, stop, self._limits.max_step), math.dist(here, stop)
+        alone = far - math.dist(self._project(here, straight, ()), stop)
         if apart > self._limits.safe_distance:
-            safe = self._project(position, safe, others, apart)
-        gained = max(far - math.dist(to, stop) for to in (safe, self._project(position, straight, others, apart)))
+            safe = self._project(here, safe, others, apart)
+        gained = max(far - math.dist(to, stop) for to in (safe, self._project(here, straight, others, apart)))
         return gained < SLOWED * alone
 
-    def _path(self, position: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
+    def _path(self, here: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
         """The next corners of the way, first `stop`, as far as a course reaches [units; world frame]."""
-        path, here, left = list[Point](), position, AHEAD * self._limits.max_step
+        path, left = list[Point](), AHEAD * self._limits.max_step
         while left > 0.0 and len(path) < MOST_STOPS and (here != goal or not path):
             path.append(_towards(here, stop, left))
             left -= math.dist(here, stop)
@@ -174,17 +140,17 @@ class ShieldedSafety(Safety):
         roadmap = map_of(self._limits, here, still, self._noise_bound)
         return goal if roadmap is None else roadmap.next_stop(here, goal)
 
-    def _on_its_way(self, position: Point, stop: Point, wish: Point, safe: Point, others: tuple[Point, ...]) -> Point:
+    def _on_its_way(self, scene: Observation, stop: Point, wish: Point, safe: Point) -> Point:
         """The safe waypoint, or a shorter step of the wish if that slides off the way between two obstacles.
 
-        From where it slides to, the robot would be sent back to the last corner, for ever.
+        From where it slides to, the robot would be sent back to the last corner again and again.
         """
-        roadmap = map_of(self._limits, position, (), self._noise_bound)
+        here = scene.position
+        roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
             return safe
-        for share in SHORTER:
-            shorter = tuple(x + share * (w - x) for x, w in zip(position, wish, strict=True))
-            if roadmap.straight(shorter, stop) and self._project(position, shorter, others) == shorter:
+        for shorter in (_between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
+            if roadmap.straight(shorter, stop) and self._project(here, shorter, scene.others) == shorter:
                 return shorter
         return safe
 
@@ -201,13 +167,13 @@ class ShieldedSafety(Safety):
             also=lambda longest: static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
         )
 
-    def _separate(self, position: Point, sensed: Mapping[int, Point]) -> SafeStep | None:
+    def _separate(self, scene: Observation) -> SafeStep | None:
         """A step away from the middle of a crowd that is too close, None without one nearby.
 
         Robots near such a crowd make way: those inside cannot leave while others stand around them.
         """
-        limits = self._limits
-        limit = limits.safe_distance - 2.0 * self._noise_bound - SEPARATION_TOLERANCE
+        limits, position, sensed = self._limits, scene.position, scene.sensed
+        limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step
         near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
         crowd = _crowd({self._robot: position, **near}, limit)
@@ -231,6 +197,11 @@ def _towards(here: Point, there: Point, longest: float) -> Point:
     if far <= longest:
         return there
     return moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
+
+
+def _between(here: Point, there: Point, share: float) -> Point:
+    """The point at this share of the way to another [units]."""
+    return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
 
 
 def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:

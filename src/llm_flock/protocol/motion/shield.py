@@ -19,12 +19,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from llm_flock.arrays import Point
 from llm_flock.protocol.motion.projection import TOLERANCE, HalfSpace, relaxed_move
 
-STEP_SHARES = (1.0, 0.5, 0.25, 0.125)
-"""Step lengths that are tried if positions are uncertain, as shares of `max_step`."""
-
-SPREAD = 1e-6
-"""Radius of the polygon on which coincident bodies are spread [units]; only the directions matter."""
-
 Sides = Callable[[float], Sequence[HalfSpace]]
 """Further sides of a cell for a given longest step [units]: walls and obstacles."""
 
@@ -66,11 +60,11 @@ def spread_coincident(robot: int, position: Point, sensed: Mapping[int, Point]) 
     if len(here) == 1:
         return dict(sensed)
     angles = {j: 2.0 * math.pi * k / len(here) for k, j in enumerate(here)}
-    own = angles.pop(robot)
+    own, radius = angles.pop(robot), 1e-6  # only the directions matter
     apart = dict(sensed)
     for j, angle in angles.items():
         x, y = math.cos(angle) - math.cos(own), math.sin(angle) - math.sin(own)
-        apart[j] = (position[0] + SPREAD * x, position[1] + SPREAD * y, *position[2:])
+        apart[j] = (position[0] + radius * x, position[1] + radius * y, *position[2:])
     return apart
 
 
@@ -113,7 +107,8 @@ def project(
     if noise_bound == 0.0:
         return within(max_step)
     # The margin for the direction grows with the step, so a shorter step may lead farther through a narrow gap.
-    return min((within(max_step * share) for share in STEP_SHARES), key=lambda target: math.dist(target, waypoint))
+    shares = (1.0, 0.5, 0.25, 0.125)
+    return min((within(max_step * share) for share in shares), key=lambda target: math.dist(target, waypoint))
 
 
 def _within(position: Point, waypoint: Point, sides: Sequence[HalfSpace], longest: float) -> Point:

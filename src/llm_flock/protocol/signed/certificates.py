@@ -21,7 +21,6 @@ from msgspec.structs import astuple
 
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import MessageError
-from llm_flock.protocol.messages.codec import max_payload_bytes
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     MAX_BID,
@@ -33,6 +32,7 @@ from llm_flock.protocol.messages.message import (
     MissionStamp,
     Offer,
     Provenance,
+    max_payload_bytes,
 )
 
 OPERATOR = -2
@@ -362,7 +362,7 @@ def acceptance_statement(context: Context, exchange: ExchangeGrant) -> bytes:
 
 def origin_statement(origin: Provenance, plan: str) -> bytes:
     """Signed by a proposer: this plan is mine."""
-    stamp = MissionStamp(origin.mission, origin.mission_digest)
+    stamp = origin.stamp
     place = (origin.epoch, origin.neighbors, origin.proposer, origin.sequence)
     return _statement("origin", Context(stamp, plan), *place)
 

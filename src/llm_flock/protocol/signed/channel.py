@@ -15,8 +15,7 @@ import numpy as np
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.channel import Authorization, Channel, Inbound
-from llm_flock.protocol.messages.codec import decode
-from llm_flock.protocol.messages.message import MOST_EPOCHS, Message, MissionStamp, Provenance, without_plan
+from llm_flock.protocol.messages.message import MOST_EPOCHS, Message, MissionStamp, Provenance, decode, without_plan
 from llm_flock.protocol.parts import Membership
 from llm_flock.protocol.signed.certificates import (
     OPERATOR,
@@ -132,7 +131,7 @@ class SignedChannel(Channel):
     def _is_void(self, origin: Provenance | None) -> bool:
         if origin is None:
             return False
-        return origin.proposer in self.void(MissionStamp(origin.mission, origin.mission_digest))
+        return origin.proposer in self.void(origin.stamp)
 
     def void(self, mission: MissionStamp) -> frozenset[int]:
         """Robots that have signed two plans for one epoch of this mission."""

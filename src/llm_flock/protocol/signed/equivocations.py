@@ -31,7 +31,7 @@ class Equivocations:
 
     def note(self, origin: Provenance, plan: str, signature: bytes) -> None:
         """Take note of a plan's origin and its proposer's signature, which has been checked."""
-        self._turn_to(MissionStamp(origin.mission, origin.mission_digest))
+        self._turn_to(origin.stamp)
         signed = SignedPlan(plan, origin.epoch, origin.neighbors, origin.sequence, signature)
         first = self._seen.setdefault((origin.proposer, origin.epoch), signed)
         if _exclude(first, signed):
@@ -39,7 +39,7 @@ class Equivocations:
 
     def signature(self, origin: Provenance, plan: str) -> bytes | None:
         """The proposer's signature on a plan of which note was taken, if it is the first for its epoch."""
-        if MissionStamp(origin.mission, origin.mission_digest) != self._mission:
+        if origin.stamp != self._mission:
             return None
         first = self._seen.get((origin.proposer, origin.epoch))
         same = first is not None and _content(first) == (plan, origin.neighbors, origin.sequence)

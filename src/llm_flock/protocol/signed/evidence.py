@@ -13,7 +13,7 @@ import msgspec.structs
 from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.agreement.auction import changed, rank
 from llm_flock.protocol.membership.occupancy import Occupancy
-from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
+from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer, claims_in
 from llm_flock.protocol.signed.certificates import (
     LEFT,
     LIARS,
@@ -117,7 +117,8 @@ class Evidence:
         except Uncertified:
             self.refused["uncertified"] += 1
         self._hear_last(proofs, len(table))
-        return msgspec.structs.replace(message, table=None if message.table is None else tuple(entries), offer=offer)
+        claims = None if message.claims is None else claims_in(tuple(entries))
+        return msgspec.structs.replace(message, claims=claims, offer=offer)
 
     def _hear_last(self, proofs: Proofs, places: int) -> None:
         """Go on from the last claim of a former life of this robot, if a neighbour shows one."""

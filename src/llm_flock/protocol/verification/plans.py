@@ -23,9 +23,6 @@ from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.plan import DECIMALS, Plan
 
-SPACING_TOLERANCE = 0.1
-"""Share by which the distance of a place from its nearest other place may differ from the shape's."""
-
 RESIDUAL_LIMIT = 0.05
 """Largest mean distance of places from the ideal shape, as a share of the spacing: half of a formed team's limit."""
 
@@ -149,11 +146,12 @@ def _expected(mission: Mission) -> _Expected:
     else:
         points = np.array(mission.ideal)
         distances = _nearest(points)[0]
+    tolerance = 0.1  # share by which the distance of a place from its nearest other place may differ from the shape's
     return _Expected(
         target=None if points is None else metrics.ShapeTarget(points),
         points=points,
-        near=float(distances.min()) * (1 - SPACING_TOLERANCE),
-        far=float(distances.max()) * (1 + SPACING_TOLERANCE),
+        near=float(distances.min()) * (1 - tolerance),
+        far=float(distances.max()) * (1 + tolerance),
     )
 
 

@@ -7,11 +7,11 @@ not safety: the shield has the last word on whatever passes here.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
 from llm_flock.obstacles.polygons import nearest_on_segment
 from llm_flock.protocol.planning import StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
@@ -28,7 +28,20 @@ class Fault(StrEnum):
     PROGRESS = "progress"
 
 
-def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> dict[Fault, str]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What the checks make of an answer.
+
+    Attributes:
+        reason: why the model is asked again, as a sentence for it; None for an answer that fits.
+        fit: the answer as it may be flown: unchanged if it fits, clipped if that suffices, None otherwise.
+    """
+
+    reason: str | None
+    fit: StepAnswer | None
+
+
+def step_faults(question: StepQuestion, waypoint: Point) -> dict[Fault, str]:
     """All faults of a waypoint, each with the reason in words for the model.
 
     - form: not a finite point of the mission's dimension; nothing else is checked then.
@@ -40,6 +53,7 @@ def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> di
     - progress: no nearer to the goal than before. A step that ends at the goal needs no progress, and a robot whose
       straight path is blocked (`blocked`) may go anywhere: it neither overshoots nor lacks progress.
     """
+    mission = question.mission
     if len(waypoint) != mission.dim or not all(map(math.isfinite, waypoint)):
         return {Fault.FORM: f"the position must be {mission.dim} finite numbers"}
     faults: dict[Fault, str] = {}
@@ -49,7 +63,7 @@ def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> di
     if length > mission.max_step * (1 + LENGTH_TOLERANCE):
         limit = number_text(mission.max_step)
         faults[Fault.LENGTH] = f"the position is {number_text(length)} from yours, {limit} is the step limit"
-    too_near = _too_near(mission, question, waypoint)
+    too_near = _too_near(question, waypoint)
     if too_near is not None:
         gap, other = too_near
         faults[Fault.SEPARATION] = (
@@ -61,7 +75,7 @@ def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> di
         corners = " to ".join(map(at_text, mission.arena))
         faults[Fault.ARENA] = f"the position is {number_text(out)} outside the arena from {corners}"
     before, after = math.dist(here, goal), math.dist(waypoint, goal)
-    if after <= near or blocked(mission, question):
+    if after <= near or blocked(question):
         return faults
     past = _along(here, goal, waypoint) - before
     if past > near:
@@ -75,24 +89,37 @@ def step_faults(mission: Mission, question: StepQuestion, waypoint: Point) -> di
     return faults
 
 
-def check_step(mission: Mission, question: StepQuestion, waypoint: Point) -> str | None:
-    """The reason to refuse a waypoint, as a sentence for the model, or None."""
-    faults = step_faults(mission, question, waypoint)
-    return "; ".join(faults.values()) + "." if faults else None
+@lru_cache(maxsize=256)
+def judge(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> Verdict:
+    """The verdict on an answer. Pure, and cached: planner and pilot read the same one.
 
-
-def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
-    """As `check_step` for a whole answer. For a path, the reason names the first waypoint that fails, counted from 1.
-
-    Each waypoint of a path is checked as a step from the one before. Only the first must keep the separation, and with
+    With a horizon of 1, the waypoint must have no faults. Each waypoint of a path is checked as a step from the one
+    before, and the reason names the first that fails, counted from 1. Only the first must keep the separation, and with
     a shield not even that: later positions of the others are unknown, and every step passes through the shield.
+
+    A waypoint that fails is clipped to the goal, the step limit and the arena. A path is cut into steps of the largest
+    length, and ends at the goal; if that does not help, its first waypoint is clipped, and the rest is dropped.
     """
+    reason = _objection(question, answer, shield_on=shield_on)
+    if reason is None:
+        return Verdict(reason=None, fit=answer)
+    if question.horizon > 1:
+        cut = _cut_path(question, answer)
+        if cut is not None and _objection(question, cut, shield_on=shield_on) is None:
+            return Verdict(reason=reason, fit=cut)
+    waypoint = _clipped(question, answer.waypoint, shield_on=shield_on)
+    return Verdict(reason=reason, fit=None if waypoint is None else replace(answer, waypoint=waypoint, path=()))
+
+
+def _objection(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
+    """The reason to refuse an answer as it is, or None."""
     if question.horizon == 1:
-        return check_step(mission, question, answer.waypoint)
+        faults = step_faults(question, answer.waypoint)
+        return "; ".join(faults.values()) + "." if faults else None
     left_to_shield = {Fault.SEPARATION} if shield_on else set[Fault]()
     seen = ""
     for number, waypoint in enumerate((answer.waypoint, *answer.path), start=1):
-        faults = step_faults(mission, question, waypoint)
+        faults = step_faults(question, waypoint)
         reasons = [reason for fault, reason in faults.items() if fault not in left_to_shield]
         if reasons:
             return f"position {number} of the path{seen}: {'; '.join(reasons)}."
@@ -102,25 +129,9 @@ def check_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *
     return None
 
 
-def fit_answer(mission: Mission, question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> StepAnswer | None:
-    """What clipping makes of an answer: unchanged if `check_answer` accepts it, None if clipping does not help.
-
-    A path is cut into steps of the largest length, and ends at the goal. If that does not help, its first waypoint is
-    clipped, and the rest is dropped.
-    """
-    if check_answer(mission, question, answer, shield_on=shield_on) is None:
-        return answer
-    if question.horizon > 1:
-        cut = _cut_path(mission, question, answer)
-        if cut is not None and check_answer(mission, question, cut, shield_on=shield_on) is None:
-            return cut
-    waypoint = clip_waypoint(mission, question, answer.waypoint, shield_on=shield_on)
-    return None if waypoint is None else replace(answer, waypoint=waypoint, path=())
-
-
-def _cut_path(mission: Mission, question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
+def _cut_path(question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
     """The same way in steps of at most the largest length, up to the goal or the horizon; None for unusable points."""
-    here, goal, cut = question.position, question.goal, list[Point]()
+    mission, here, goal, cut = question.mission, question.position, question.goal, list[Point]()
     for waypoint in (answer.waypoint, *answer.path):
         if len(waypoint) != mission.dim or not all(map(math.isfinite, waypoint)):
             return None
@@ -144,14 +155,12 @@ def shortened(here: Point, target: Point, length: float) -> Point:
     return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
 
 
-def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
-    """A waypoint without faults: unchanged, or clipped to the goal, the step limit and the arena.
+def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
+    """A waypoint without faults: unchanged, or clipped; None if clipping does not help, as for a wrong direction.
 
-    Returns:
-        None if clipping does not help, as for a step in the wrong direction. With the shield on, missing separation is
-        left to the shield.
+    With the shield on, missing separation is left to the shield.
     """
-    faults = step_faults(mission, question, waypoint)
+    mission, faults = question.mission, step_faults(question, waypoint)
     if not faults:
         return waypoint
     if Fault.FORM in faults:
@@ -163,13 +172,13 @@ def clip_waypoint(mission: Mission, question: StepQuestion, waypoint: Point, *, 
     if outside(mission, here) == 0.0 and outside(mission, target) > ROUNDING * mission.spacing:
         low, high = mission.arena
         target = tuple(min(max(x, a), b) for a, x, b in zip(low, target, high, strict=True))
-    left = step_faults(mission, question, target).keys()
+    left = step_faults(question, target).keys()
     return target if not left or (shield_on and left == {Fault.SEPARATION}) else None
 
 
-def blocked(mission: Mission, question: StepQuestion) -> bool:
+def blocked(question: StepQuestion) -> bool:
     """Whether one straight step towards the goal comes nearer than the safe distance to an observed robot."""
-    here, goal = question.position, question.goal
+    mission, here, goal = question.mission, question.position, question.goal
     distance = math.dist(here, goal)
     share = min(1.0, mission.max_step / distance) if distance else 0.0
     end = tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
@@ -185,12 +194,12 @@ def _along(here: Point, goal: Point, point: Point) -> float:
     return sum((g - x) * (p - x) for x, g, p in zip(here, goal, point, strict=True)) / distance
 
 
-def _too_near(mission: Mission, question: StepQuestion, waypoint: Point) -> tuple[float, Point] | None:
+def _too_near(question: StepQuestion, waypoint: Point) -> tuple[float, Point] | None:
     """Distance and position of the nearest robot from which the waypoint is not separated."""
-    worst: tuple[float, Point] | None = None
+    safe, worst = question.mission.safe_distance, None
     for other in question.neighbors:
         gap = math.dist(waypoint, other)
-        needed = min(mission.safe_distance, math.dist(question.position, other)) - ROUNDING * mission.safe_distance
+        needed = min(safe, math.dist(question.position, other)) - ROUNDING * safe
         if gap < needed and (worst is None or gap < worst[0]):
             worst = gap, other
     return worst

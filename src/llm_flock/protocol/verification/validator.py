@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.parts import Verifier
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan, check_proposal, enlarged, plan_class
-from llm_flock.protocol.verification.steps import check_answer, check_step, clip_waypoint, fit_answer
+from llm_flock.protocol.verification.steps import Verdict, judge
 
 
 class Validator(Verifier):
@@ -59,23 +58,9 @@ class Validator(Verifier):
             return answer
         return replace(answer, plan=plan)
 
-    def fit(self, question: StepQuestion, answer: StepAnswer) -> StepAnswer | NoAnswer:
-        """The planner's answer, clipped if that suffices; otherwise the reason to refuse it. Verifies in any case."""
-        fit = fit_answer(question.mission, question, answer, shield_on=self._shield_on)
-        if fit is not None:
-            return fit
-        objection = check_answer(question.mission, question, answer, shield_on=self._shield_on)
-        return NoAnswer(cause="unverified", reason=objection or "")
-
-    def waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The planner's waypoint, clipped if that suffices; otherwise the reason to hold. Call with every answer."""
-        asked = answer.waypoint
-        fit = None if asked is None else clip_waypoint(question.mission, question, asked, shield_on=self._shield_on)
-        if fit is not None:
-            return fit
-        if isinstance(answer, NoAnswer):
-            return answer
-        return NoAnswer(cause="unverified", reason=check_step(question.mission, question, answer.waypoint) or "")
+    def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
+        """What the checks make of the planner's answer."""
+        return judge(question, answer, shield_on=self._shield_on)
 
 
 def resized(mission: Mission, places: int) -> Mission | None:

@@ -14,6 +14,7 @@ import numpy as np
 from llm_flock.arrays import Point, Points
 from llm_flock.mission import Mission
 from llm_flock.protocol.motion.leg import leg_to
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.safety import ShieldedSafety
 from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.flight.config import FlightConfig
@@ -69,7 +70,8 @@ class WayHome:
             leg = leg_to(self._mission, here, home)
             share = min(1.0, self._mission.max_step / max(math.dist(here, leg.stop), 1e-12))
             wish = leg.stop if share == 1.0 else tuple(x + share * (y - x) for x, y in zip(here, leg.stop, strict=True))
-            after.append(mind.step(here, seen.sensed, wish, leg, self._near, courses=courses).waypoint)
+            scene = Observation(position=here, sensed=seen.sensed, courses=courses)
+            after.append(mind.step(scene, wish, leg, self._near).waypoint)
         return np.array(after) - team.places
 
 
