@@ -22,7 +22,6 @@
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
-`agreement` agents agree on a number: our consensus rule beside discussions; see benchmarks/agreement.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
@@ -46,7 +45,6 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import (
-    agreement,
     arrivals,
     containment,
     flight,
@@ -192,7 +190,6 @@ LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swa
 
 if __name__ == "__main__":
     commands = {
-        "agreement": agreement.main,
         "same": same.main,
         "flight": flight.main,
         "flight-cases": flight_cases.main,

@@ -55,7 +55,7 @@ def flock(*arguments: str, cwd: Path, check: bool = True) -> Done:
     return checked(Done(arguments, code, out.getvalue(), errors.getvalue()), check)
 
 
-def flock_process(*arguments: str, cwd: Path, check: bool = True) -> Done:
+def flock_process(*arguments: str, cwd: Path, check: bool = True, timeout_s: float = 120) -> Done:
     """Run a command in a process of its own, as a user does."""
     done = subprocess.run(
         [sys.executable, "-m", "llm_flock", *arguments],
@@ -63,7 +63,7 @@ def flock_process(*arguments: str, cwd: Path, check: bool = True) -> Done:
         env={name: value for name, value in ENV.items() if not name.endswith("_API_KEY")},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=timeout_s,
     )
     return checked(done, check)
 

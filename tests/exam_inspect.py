@@ -1,29 +1,13 @@
-"""A stand-in behind the task of Inspect, in a process of its own: its libraries leave things open that warn."""
+"""Evaluates a stand-in by Inspect, in a process of its own: its libraries leave things open that warn."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import sys
-from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
-import numpy as np
-
-from llm_flock.llm.simulated.model import Responder
-from llm_flock.llm.simulated.profiles import parse_profile
-
-PROFILE = parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3")
-
-
-def answer(conversation: Sequence[tuple[str, str]]) -> str:
-    """A stand-in whose chance is the conversation itself, so that it answers alike wherever it is asked."""
-    seed = hashlib.blake2b(json.dumps(list(conversation)).encode(), digest_size=8).digest()
-    rng = np.random.default_rng(int.from_bytes(seed))
-    if conversation[0][1].startswith("You turn a request"):
-        return json.dumps({"shape": "circle", "n_robots": int(rng.integers(3, 13))})
-    return Responder(PROFILE, rng).answer(conversation)
+from exam_models import hashed
 
 
 def main(log_dir: str, limit: int) -> None:
@@ -34,12 +18,11 @@ def main(log_dir: str, limit: int) -> None:
     from llm_flock.exam.inspect_task import exam
 
     @models.modelapi(name="hashed")
-    def hashed() -> Any:
+    def provider() -> Any:
         class Api(models.ModelAPI):
             async def generate(self, input: Any, tools: Any, tool_choice: Any, config: Any) -> Any:
-                return models.ModelOutput.from_content(
-                    "hashed", answer([(message.role, message.text) for message in input])
-                )
+                conversation = [(message.role, message.text) for message in input]
+                return models.ModelOutput.from_content("hashed", hashed(conversation))
 
         return Api
 

@@ -1,19 +1,22 @@
-"""Models of tests: two sit the exam, one that knows every answer and one that guesses; one plays the consensus game."""
+"""Models that sit the exam: one knows every answer, one guesses, one draws its faults from the conversation."""
 
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
 from collections.abc import Sequence
 
 import numpy as np
 
+from llm_flock.exam.ask import round_of
 from llm_flock.exam.generate_steps import sidestep
 from llm_flock.exam.questions import Question
 from llm_flock.exam.score import meant
-from llm_flock.exam.sit import round_of
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.port import Call
+from llm_flock.llm.simulated.model import Responder
+from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 
@@ -61,9 +64,17 @@ class Guesser:
         return f"Path: {rows[:1]}" if call.form.horizon > 1 else f"Position: {rows[0]}"
 
 
-class Keeper:
-    """Keeps its number in the consensus game, and votes to stop at once."""
+class Hashed:
+    """A stand-in whose chance is the conversation itself, so that it answers alike wherever it is asked."""
 
     async def ask(self, call: Call) -> str:
-        own = call.messages[1].text.partition("Your number: ")[2].partition("\n")[0]
-        return json.dumps({"value": int(own), "stop": True})
+        return hashed([(message.role, message.text) for message in call.messages])
+
+
+def hashed(conversation: Sequence[tuple[str, str]]) -> str:
+    """The answer of `Hashed` to a conversation of roles and texts."""
+    seed = hashlib.blake2b(json.dumps(list(conversation)).encode(), digest_size=8).digest()
+    rng = np.random.default_rng(int.from_bytes(seed))
+    if conversation[0][1].startswith("You turn a request"):
+        return json.dumps({"shape": "circle", "n_robots": int(rng.integers(3, 13))})
+    return Responder(parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3"), rng).answer(conversation)

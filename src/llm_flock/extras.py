@@ -60,7 +60,7 @@ _TABLE = (
     Extra("local", "models on board (--model local:smollm2)", ("xllamacpp",)),
     Extra("cluster", "sweep --cluster", ("ray",)),
     Extra("physics", "rehearse flights in simulated physics", ("crazyflow",)),
-    Extra("exam", "the exam as a task of Inspect", ("inspect_ai",), ("exam",)),
+    Extra("exam", "exam", ("inspect_ai",), ("exam",)),
     Extra("distill", "distill", ("torch", "transformers", "gguf"), ("distill",)),
 )
 EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in _TABLE}

@@ -91,7 +91,7 @@ class Liar:
             slot: Certificate(number=count, signature=self.keys.sign(claim_statement(about, slot, entry, count)))
             for slot in range(N)
         }
-        said = [self._message(known, claims=claims, slot=count % N, **told((entry,) * N), beats=(2**39,) * N)]
+        said = [self._message(known, certificates=claims, slot=count % N, **told((entry,) * N), beats=(2**39,) * N)]
         everywhere = Plan.of([(50.0, 50.0)] * N)
         best = Provenance(
             mission=known.mission.counter,
@@ -104,13 +104,15 @@ class Liar:
         said.append(self._message(known, plan=everywhere, provenance=best, **told((UNSAID,) * N), slot=0))
         return [*said, self.payload]
 
-    def _message(self, known: Message, *, claims: dict[int, Certificate] | None = None, **fields: object) -> bytes:
+    def _message(
+        self, known: Message, *, certificates: dict[int, Certificate] | None = None, **fields: object
+    ) -> bytes:
         same = {"plan": known.plan, "provenance": known.provenance}
         whole: dict[str, object] = {**same, **fields}
         message = Message(sender=LIAR, sequence=next(self.counts), neighbors=N - 1, **whole)  # type: ignore[arg-type]
         assert message.provenance is not None and message.plan is not None
         own = self.keys.sign(origin_statement(message.provenance, message.plan.digest))
-        numbers, grants = claims_of(claims or {})
+        numbers, grants = claims_of(certificates or {})
         return wrap(encode(message), Proofs(claims=numbers, grants=grants, origin=own))
 
     def speak(self) -> None:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
 
 from llm_flock.errors import InputError
+from llm_flock.exam.ask import Examiner, round_of
 from llm_flock.exam.generate_steps import sidestep
 from llm_flock.exam.questions import SECTIONS, Question, digest, from_lines, to_lines
-from llm_flock.exam.seen import seen_in_training
-from llm_flock.exam.sit import first_messages, round_of
-from llm_flock.exam.splits import PUBLIC_SEED, chosen, generate, private_split, public_split
+from llm_flock.exam.splits import PUBLIC_SEED, generate, paper, private_split, public_split
+from llm_flock.llm.mission_words import draft_of
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.protocol.verification.steps import step_faults
-from llm_flock.viewer.mission_text import draft_of
 
 COUNTS = {
     "plan": 52,
@@ -37,6 +37,12 @@ def test_the_public_split_is_what_its_seed_generates() -> None:
     assert list(COUNTS) == list(SECTIONS)
 
 
+def test_the_public_questions_and_their_prompts_stay() -> None:
+    stand_ins = [question for question in public_split() if question.section != "mission"]
+    assert digest(public_split()) == "6a146e875bea2ba0" and digest(stand_ins) == "8403ccf95154c494"
+    assert Examiner(PromptSet.load("full"), "world").prompts_digest(stand_ins) == "701de61afba7dd55"
+
+
 def test_a_file_gives_back_the_questions() -> None:
     questions = public_split()
     assert tuple(from_lines(to_lines(questions), "file")) == questions
@@ -55,10 +61,10 @@ def test_no_private_question_is_public_and_none_is_there_twice(seed: int) -> Non
 
 
 def test_no_prompt_of_the_public_split_is_in_the_private_one() -> None:
-    prompts = PromptSet.load("full")
+    examiner = Examiner(PromptSet.load("full"), "world")
 
     def rendered(questions: tuple[Question, ...]) -> list[str]:
-        return [str(messages) for question in questions for messages in first_messages(question, prompts, "world")]
+        return [str(messages) for question in questions for messages in examiner.first_messages(question)]
 
     public, private = rendered(public_split()), rendered(private_split(7))
     assert len(set(public)) == len(public)
@@ -105,11 +111,11 @@ def test_what_words_say_is_a_mission_exactly_where_it_is_possible() -> None:
 
 
 def test_sections_and_a_limit_choose_evenly() -> None:
-    found = chosen(public_split(), "step, plan", 4)
+    found = paper(sections="step, plan", limit=4)
     assert Counter(question.section for question in found) == {"plan": 4, "step": 4}
     assert len({question.tags[0] for question in found if question.section == "step"}) == 4
     with pytest.raises(InputError, match="unknown section"):
-        chosen(public_split(), "stepp", None)
+        paper(sections="stepp")
 
 
 def test_every_question_is_recorded_under_a_number_of_its_own() -> None:
@@ -117,22 +123,16 @@ def test_every_question_is_recorded_under_a_number_of_its_own() -> None:
     assert len(set(numbers)) == len(numbers)
 
 
-def test_taught_prompts_are_marked(monkeypatch: pytest.MonkeyPatch) -> None:
-    brief = PromptSet.load("brief")
-    plans = [question for question in public_split() if question.section == "plan"]
-    taught = next(question for question in plans if question.tags[1] == "cross" and question.n == 5)
-    ((system, user),) = first_messages(taught, brief, "own")
-    monkeypatch.setattr("llm_flock.exam.seen.training_prompts", lambda: frozenset({(system.text, user.text)}))
-    shares = seen_in_training("local:smollm2", plans, brief, "own")
-    assert shares is not None and shares["plan"] == pytest.approx(1 / len(plans))
-    assert seen_in_training("local:smollm2+none", plans, brief, "own") is None
-    assert seen_in_training("simulated:ideal", plans, brief, "own") is None
-
-
-def test_prompts_that_other_models_get_are_in_no_training_set() -> None:
-    # The recipe is rendered with brief prompts in the own frame; all other models are asked in other words.
-    from llm_flock.distill.examples import plan_examples
-
-    full = PromptSet.load("full")
-    asked = {m[1].text for q in public_split() for m in first_messages(q, full, "world")}
-    assert asked.isdisjoint(example.user for example in plan_examples(0, "train"))
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"split": "secret"}, "public or private"),
+        ({"split": "private"}, "seed of the private split"),
+        ({"seed": 3}, "--split private"),
+        ({"limit": 0}, "at least 1"),
+        ({"split": "private", "seed": -1}, "at least 0"),
+    ],
+)
+def test_questions_that_there_are_none_of_are_refused(fields: dict[str, Any], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        paper(**fields)

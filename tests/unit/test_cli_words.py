@@ -14,8 +14,8 @@ from llm_flock.cli import app
 from llm_flock.cli.display import live_line
 from llm_flock.errors import InputError
 from llm_flock.experiments.sweep_file import load_sweep
+from llm_flock.llm.mission_words import MissionReader
 from llm_flock.runtime.trial import TrialProgress
-from llm_flock.viewer.mission_text import MissionReader
 
 
 def call(*argv: object, monkeypatch: pytest.MonkeyPatch) -> Result:
@@ -91,7 +91,7 @@ def test_the_viewer_shows_no_address_before_all_is_known_to_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for model, text in (
-        ("simulated:ideal", "--model simulated:ideal: expected PROVIDER:MODEL or local"),
+        ("simulated:ideal", "--model simulated:ideal: expected a language model"),
         (f"local:{tmp_path}/none.gguf", "--model "),
     ):
         result = call("view", "--no-browser", "--port", 0, "--model", model, monkeypatch=monkeypatch)
@@ -103,7 +103,7 @@ def test_the_viewer_shows_no_address_before_all_is_known_to_work(
 
 
 def test_missions_in_words_take_models_on_board(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("llm_flock.viewer.mission_text.find_weights", lambda name: None)
+    monkeypatch.setattr("llm_flock.llm.local.source.OnBoard.digests", lambda self, model: {})
     assert MissionReader("local:smollm2").model == "local:smollm2"
 
 

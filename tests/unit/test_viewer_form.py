@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import AnswerError, InputError
+from llm_flock.llm.mission_words import MissionReader, draft_of
 from llm_flock.runtime.config import RunConfig
 from llm_flock.viewer import launcher
 from llm_flock.viewer.launcher import Launcher
 from llm_flock.viewer.library import Library
-from llm_flock.viewer.mission_text import MissionReader, draft_of
 from llm_flock.viewer.orders import PageOrders
 from llm_flock.viewer.steered_run import FIELDS, config_of
 

@@ -95,7 +95,7 @@ def view(
     # Whatever can fail does so before an address is shown.
     models, reader = tuple(model or ()), None
     if models:
-        from llm_flock.viewer.mission_text import MissionReader
+        from llm_flock.llm.mission_words import MissionReader
 
         reader = MissionReader(models[0], base_url)
     server = None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 from llm_flock.errors import ModelError
@@ -21,24 +22,27 @@ from llm_flock.exam.score import (
 from llm_flock.llm.answer_forms import REASONING
 from llm_flock.llm.frame import FrameName, frame_plan, frame_step
 from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.mission_words import mission_call
 from llm_flock.llm.planner import LanguagePlanner
-from llm_flock.llm.port import Attempt, AttemptSink, Call, LanguageModel, Reply
+from llm_flock.llm.port import Attempt, Call, ChatMessage, LanguageModel, Reply
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import Verdict
-from llm_flock.viewer.mission_text import mission_call
 
 SCRIPT = "exam:script"
 """Name of the model of answers that are put into a model's mouth."""
 
 SAID = "I have worked it out."
 
+ROUNDS = 1_000_000
+"""Numbers of questions before those of the first repeat."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of one question, once: a line of a result file.
+    """The result of one question, once.
 
     Attributes:
         question: its id.
@@ -52,6 +56,7 @@ class Outcome:
         separation: of the first answer, as in `Marks`.
         seconds: from asking to the last answer, waits for faults of the provider included [s].
         cost_usd: [US dollars]; None where the price is not known.
+        answered_by: name by which the model that gave the first answer calls itself; None without a call.
         cause: kind of the fault where no answer came (`timeout`, ...), None otherwise.
         reason: what was wrong with the first answer, None if nothing was.
     """
@@ -73,25 +78,24 @@ class Outcome:
     tokens_output: int
     seconds: float
     cost_usd: float | None
+    answered_by: str | None = None
     cause: str | None = None
     reason: str | None = None
 
 
-@dataclass(slots=True, kw_only=True)
-class Asked:
-    """What came back for a question; one list entry for each robot that was asked.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """What came back from one robot.
 
     Attributes:
-        answers: accepted answers.
+        answer: the accepted answer, or why there is none.
         attempts: calls of the model, without those that were scripted.
-        first: the first answer that could be read at first ask.
-        reasons: why first answers were refused.
+        first: the answer at first ask, if it could be read.
     """
 
-    answers: list[PlanAnswer | StepAnswer | NoAnswer] = field(default_factory=list[PlanAnswer | StepAnswer | NoAnswer])
-    attempts: list[list[Attempt]] = field(default_factory=list[list[Attempt]])
+    answer: PlanAnswer | StepAnswer | NoAnswer
+    attempts: Sequence[Attempt] = ()
     first: PlanAnswer | StepAnswer | None = None
-    reasons: list[str] = field(default_factory=list[str])
 
 
 class Scripted:
@@ -109,100 +113,124 @@ class Scripted:
         return await self._model.ask(call)
 
 
-class Invigilator:
-    """Asks questions of one model with one set of prompts.
+def round_of(question: Question, repeat: int) -> int:
+    """The number of a question's calls, by which a recording finds them and stand-ins draw their chance.
+
+    It is the same for every selection of questions.
+    """
+    section, _, number = question.id.rpartition("-")
+    place = int.from_bytes(hashlib.blake2b(section.encode(), digest_size=1).digest()) * 1000 + int(number)
+    return repeat * ROUNDS + place
+
+
+class Examiner:
+    """Asks questions with one set of prompts.
 
     Args:
         prompts: renders the questions.
         frame: coordinates of the prompts.
         max_retries: rejected answers that are sent back with the reason.
-        sink: receives every call of the model, for a recording.
     """
 
-    def __init__(
-        self, prompts: PromptSet, frame: FrameName, *, max_retries: int = 2, sink: AttemptSink = lambda _: None
-    ) -> None:
+    def __init__(self, prompts: PromptSet, frame: FrameName, *, max_retries: int = 2) -> None:
         self._prompts = prompts
         self._frame: FrameName = frame
         self._retries = max_retries
-        self._sink = sink
 
-    async def ask(self, question: Question, model: LanguageModel | None, round_: int, repeat: int = 0) -> Outcome:
+    def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
+        """What a model sees at first ask, for each robot that is asked, without answers put into its mouth."""
+        if question.words is not None:
+            yield mission_call(question.words).messages
+            return
+        mission = question.build_mission()
+        for robot in question.robots:
+            if question.asks_plan:
+                plan = frame_plan(question.plan_question(mission, robot, 0), self._frame).framed
+                system, user = self._prompts.system(plan.mission), self._prompts.plan(plan)
+            else:
+                step = frame_step(question.step_question(mission, 0), self._frame).framed
+                system, user = self._prompts.system(step.mission), self._prompts.step(step)
+            yield ChatMessage("system", system), ChatMessage("user", user)
+
+    def prompts_digest(self, questions: Sequence[Question]) -> str:
+        """16 hexadecimal digits that identify all prompts of these questions."""
+        found = hashlib.blake2b(digest_size=8)
+        for question in questions:
+            for messages in self.first_messages(question):
+                found.update("\0".join(message.text for message in messages).encode())
+        return found.hexdigest()
+
+    async def ask(self, question: Question, model: LanguageModel | None, repeat: int = 0) -> Outcome:
         """Ask a question, and score what comes back.
 
         Args:
             question: the question.
             model: who is asked; None asks geometry.
-            round_: a number that tells its calls from those of all other questions in a recording.
             repeat: how often it was asked before.
+
+        Raises:
+            ReplayDrift: a recording holds another question.
         """
+        round_ = round_of(question, repeat)
         if question.section == WORDS:
             assert model is not None, "geometry cannot read"
             return await self._ask_words(question, model, round_, repeat)
         mission = question.build_mission()
-        asked = Asked()
-        for robot in question.robots:
-            await self._ask_robot(question, mission, robot, model, round_, asked)
+        asked = [await self._ask_robot(question, mission, robot, model, round_) for robot in question.robots]
         return _outcome(question, mission, asked, repeat)
 
     async def _ask_robot(
-        self, question: Question, mission: Mission, robot: int, model: LanguageModel | None, round_: int, asked: Asked
-    ) -> None:
+        self, question: Question, mission: Mission, robot: int, model: LanguageModel | None, round_: int
+    ) -> _Asked:
         """Ask one robot's question through its planner."""
         attempts: list[Attempt] = []
-        asked.attempts.append(attempts)
-        scripted = 0 if question.first is None else 1
         seen: list[PlanAnswer | StepAnswer] = []
+        first: PlanAnswer | StepAnswer | None = None
+        asked: PlanQuestion | StepQuestion
+        if question.asks_plan:
+            asked = question.plan_question(mission, robot, round_)
+        else:
+            asked = question.step_question(mission, round_)
+
+        def check_plan(given: PlanQuestion, answer: PlanAnswer) -> str | None:
+            if given is asked:
+                seen.append(answer)
+            # Which place robots choose is asked apart from whether their plans are right.
+            return None if question.section == "place" else objection_to_plan(given, answer)
+
+        def judge(given: StepQuestion, answer: StepAnswer) -> Verdict:
+            if given is asked:
+                seen.append(answer)
+            return verdict_on_step(given, answer)
 
         def note(attempt: Attempt) -> None:
-            self._sink(attempt)
+            nonlocal first
             if attempt.model == SCRIPT:
                 seen.clear()
                 return
             attempts.append(attempt)
             if len(attempts) == 1:
                 # The checks have seen the answer by now, if it could be read.
-                asked.first = asked.first or next(iter(seen), None)
-                asked.reasons += [] if attempt.rejected is None else [attempt.rejected]
-
-        plan_question = question.plan_question(mission, robot, round_) if question.asks_plan else None
-        step_question = None if question.asks_plan else question.step_question(mission, round_)
-
-        def check_plan(given: PlanQuestion, answer: PlanAnswer) -> str | None:
-            if given is plan_question:
-                seen.append(answer)
-            # Which place robots choose is asked apart from whether their plans are right.
-            return None if question.section == "place" else objection_to_plan(given, answer)
-
-        def judge(given: StepQuestion, answer: StepAnswer) -> Verdict:
-            if given is step_question:
-                seen.append(answer)
-            return verdict_on_step(given, answer)
+                first = next(iter(seen), None)
 
         if model is None:
-            answer = await _by_geometry(plan_question, step_question)
-            asked.first = asked.first or (None if isinstance(answer, NoAnswer) else answer)
-            asked.answers.append(_checked(answer, plan_question, step_question, question))
-        else:
-            script = self._script(question, mission, robot, round_)
-            with_history = question.own is not None and self._frame == "world"
-            planner = LanguagePlanner(
-                robot,
-                Scripted(model, script),
-                self._prompts,
-                max_retries=self._retries + scripted,
-                history=None if with_history else 0,
-                on_attempt=note,
-                check_plan=check_plan,
-                judge=judge,
-                frame=self._frame,
-            )
-            if with_history:
-                await planner.plan(question.plan_question(mission, robot, round_))
-            if plan_question is not None:
-                asked.answers.append(await planner.plan(plan_question))
-            elif step_question is not None:
-                asked.answers.append(await planner.step(step_question))
+            return await _by_geometry(asked, check_plan, judge)
+        with_history = question.own is not None and self._frame == "world"
+        planner = LanguagePlanner(
+            robot,
+            Scripted(model, self._script(question, mission, robot, round_)),
+            self._prompts,
+            max_retries=self._retries + (question.first is not None),
+            history=None if with_history else 0,
+            on_attempt=note,
+            check_plan=check_plan,
+            judge=judge,
+            frame=self._frame,
+        )
+        if with_history:
+            await planner.plan(question.plan_question(mission, robot, round_))
+        answer = await (planner.plan(asked) if isinstance(asked, PlanQuestion) else planner.step(asked))
+        return _Asked(answer=answer, attempts=attempts, first=first)
 
     def _script(self, question: Question, mission: Mission, robot: int, round_: int) -> tuple[str, ...]:
         """The answers to put into the model's mouth, in the frame and the form of the prompts."""
@@ -240,58 +268,51 @@ class Invigilator:
             reply = await model.ask(call)
         except ModelError as error:
             attempt = Attempt(call=call, model=error.model or model.name, error=(error.kind, error.detail))
-            attempt = replace(attempt, faults=error.faults)
-            self._sink(attempt)
             return _scored(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
         marks = word_marks(question, reply.text)
         attempt = Attempt(call=call, model=reply.model, reply=reply, rejected=marks.reason, latency_s=reply.latency_s)
-        self._sink(attempt)
         tries = 0 if marks.reason is None else None
         scored = _scored(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
         return replace(scored, readable=marks.read, flyable=marks.safe)
 
 
-async def _by_geometry(plan: PlanQuestion | None, step: StepQuestion | None) -> PlanAnswer | StepAnswer | NoAnswer:
-    planner = GeometryPlanner()
-    if plan is not None:
-        return await planner.plan(plan)
-    assert step is not None
-    return await planner.step(step)
+async def _by_geometry(
+    asked: PlanQuestion | StepQuestion,
+    check_plan: Callable[[PlanQuestion, PlanAnswer], str | None],
+    judge: Callable[[StepQuestion, StepAnswer], Verdict],
+) -> _Asked:
+    """The answer of geometry, after the checks that a model's answer goes through."""
+    reason: str | None = None
+    if isinstance(asked, PlanQuestion):
+        answer = await GeometryPlanner().plan(asked)
+        reason = check_plan(asked, answer) if isinstance(answer, PlanAnswer) else None
+    else:
+        answer = await GeometryPlanner().step(asked)
+        reason = judge(asked, answer).reason if isinstance(answer, StepAnswer) else None
+    first = None if isinstance(answer, NoAnswer) else answer
+    return _Asked(answer=answer if reason is None else NoAnswer(cause="answer", reason=reason), first=first)
 
 
-def _checked(
-    answer: PlanAnswer | StepAnswer | NoAnswer,
-    plan: PlanQuestion | None,
-    step: StepQuestion | None,
-    question: Question,
-) -> PlanAnswer | StepAnswer | NoAnswer:
-    """An answer of geometry after the checks that a model's answer goes through."""
-    reason = None
-    if isinstance(answer, PlanAnswer) and plan is not None and question.section != "place":
-        reason = objection_to_plan(plan, answer)
-    elif isinstance(answer, StepAnswer) and step is not None:
-        reason = verdict_on_step(step, answer).reason
-    return answer if reason is None else NoAnswer(cause="answer", reason=reason)
-
-
-def _outcome(question: Question, mission: Mission, asked: Asked, repeat: int) -> Outcome:
+def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repeat: int) -> Outcome:
     """The score of a question for a plan or a step."""
-    usable = [answer for answer in asked.answers if not isinstance(answer, NoAnswer)]
-    failed = [answer for answer in asked.answers if isinstance(answer, NoAnswer)]
+    usable = [one.answer for one in asked if not isinstance(one.answer, NoAnswer)]
+    failed = [one.answer for one in asked if isinstance(one.answer, NoAnswer)]
     cause = next((answer.cause for answer in failed if answer.cause != "answer"), None)
-    reason = next(iter(asked.reasons), None) or next((answer.reason for answer in failed), None)
+    refused = (one.attempts[0].rejected for one in asked if one.attempts)
+    reason = next(filter(None, refused), None) or next((answer.reason for answer in failed), None)
     tries: int | None = None
     if not failed:
         lacking = shortfall(question, mission, usable)
         reason = reason or lacking
         if lacking is None:
-            tries = max((max(0, len(attempts) - 1) for attempts in asked.attempts), default=0)
-    marks = None
-    if isinstance(asked.first, PlanAnswer):
-        marks = plan_marks(question, mission, asked.first)
-    elif asked.first is not None:
-        marks = step_marks(question, mission, asked.first)
-    attempts = [attempt for robot in asked.attempts for attempt in robot]
+            tries = max(max(0, len(one.attempts) - 1) for one in asked)
+    marks: Marks | None = None
+    first = next((one.first for one in asked if one.first is not None), None)
+    if isinstance(first, PlanAnswer):
+        marks = plan_marks(question, mission, first)
+    elif first is not None:
+        marks = step_marks(question, mission, first)
+    attempts = [attempt for one in asked for attempt in one.attempts]
     return _scored(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
 
 
@@ -325,6 +346,7 @@ def _scored(
         tokens_output=sum(reply.usage.output for reply in replies),
         seconds=round(sum(attempt.latency_s for attempt in attempts), 4),
         cost_usd=None if None in costs else sum(cost for cost in costs if cost is not None),
+        answered_by=replies[0].model if replies else None,
         cause=cause,
         reason=None if reason is None else reason[:300],
     )

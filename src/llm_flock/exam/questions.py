@@ -9,7 +9,6 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields
-from pathlib import Path
 from typing import Any, cast
 
 from llm_flock.arrays import Point
@@ -152,15 +151,6 @@ def from_lines(text: str, source: str) -> list[Question]:
 def digest(questions: Iterable[Question]) -> str:
     """16 hexadecimal digits that identify a set of questions and their order."""
     return hashlib.blake2b(to_lines(questions).encode(), digest_size=8).hexdigest()
-
-
-def read_questions(path: Path) -> list[Question]:
-    """Read a file of questions; InputError for field `questions` as in `from_lines`."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError("questions", str(path), f"a file that can be read ({error})") from None
-    return from_lines(text, str(path))
 
 
 def _frozen(value: Any) -> Any:

@@ -18,12 +18,12 @@ from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.exam.questions import Question
+from llm_flock.llm.mission_words import answer_of, draft_of
 from llm_flock.mission import Mission
 from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import ROUNDING, check_plan, check_proposal
 from llm_flock.protocol.verification.steps import Verdict, judge
-from llm_flock.viewer.mission_text import answer_of, draft_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

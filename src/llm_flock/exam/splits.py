@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
@@ -91,18 +91,37 @@ def _alike(question: Question, fresh: Iterator[Question]) -> Question:
     return next((q for q in fresh if q.possible == question.possible), question)
 
 
-def chosen(questions: Sequence[Question], sections: str | None, limit: int | None) -> tuple[Question, ...]:
-    """The questions of some sections (names with commas between them), at most `limit` of each, evenly spread.
+def paper(
+    split: str = "public", seed: int | None = None, sections: str | None = None, limit: int | None = None
+) -> tuple[Question, ...]:
+    """The questions that are asked.
+
+    Args:
+        split: `public`, or `private` with a seed of its own.
+        seed: of a private split.
+        sections: names with commas between them; None for all.
+        limit: most questions of each section, evenly spread over it.
 
     Raises:
-        InputError: for field `sections`: there is no such section.
+        InputError: there is no such split or section, a private one has no seed of its own, or a number is not
+            allowed.
     """
+    if split not in ("public", "private"):
+        raise InputError("split", split, "public or private")
+    if split == "private" and seed is None:
+        raise InputError("seed", None, "a seed of the private split, which you keep for yourself")
+    if split == "public" and seed not in (None, PUBLIC_SEED):
+        raise InputError("seed", seed, says="belongs to a private split: --split private")
+    for name, number, least in (("seed", seed, 0), ("limit", limit, 1)):
+        if number is not None and number < least:
+            raise InputError(name, number, f"at least {least}")
     names = list(SECTIONS) if sections is None else [name.strip() for name in sections.split(",")]
     for name in names:
         if name not in SECTIONS:
             raise InputError("sections", name, says=unknown("section", name, SECTIONS))
+    whole = public_split() if split == "public" or seed is None else private_split(seed)
     found: list[Question] = []
-    for section, group in groupby(questions, key=lambda question: question.section):
+    for section, group in groupby(whole, key=lambda question: question.section):
         if section in names:
             all_ = list(group)
             count = len(all_) if limit is None else min(limit, len(all_))

@@ -16,8 +16,8 @@ from llm_flock.viewer.server import Address
 
 if TYPE_CHECKING:
     from llm_flock.foxglove.server import FoxgloveServer
+    from llm_flock.llm.mission_words import MissionReader
     from llm_flock.runtime.watched import WatchedTeam
-    from llm_flock.viewer.mission_text import MissionReader
 
 MOST_WAIT_S = 1.0
 """Longest time for which the first page has the processor to itself, for its record and for what it shows [s]."""

@@ -16,8 +16,8 @@ from llm_flock.viewer.library import Library
 from llm_flock.viewer.paths import RECORD_NAME
 
 if TYPE_CHECKING:
+    from llm_flock.llm.mission_words import MissionReader
     from llm_flock.runtime.config import RunConfig
-    from llm_flock.viewer.mission_text import MissionReader
     from llm_flock.viewer.steered_run import SteeredRun
 
 NEEDS_A_MODEL = (

@@ -8,7 +8,7 @@
 - Its threads ask whether there is a link and then use it, while another thread takes it away: they die, one with a lock
   in its hands, and what they print may abort the interpreter as it ends. So a link that was closed or lost is replaced
   by one that takes everything and says nothing, and closing stops every thread and timer that was started.
-- Once connected it reads all parameters: not done here (`Parameters`).
+- Once connected it reads all parameters: not done here (`FirmwareParameters`).
 - cflib notices a dead radio link, but not a silent UDP one: `silent_s` does.
 - cflib's calls may block (a radio's queue holds one packet): they run in threads, never on the event loop.
 """
@@ -29,7 +29,7 @@ from urllib.parse import urlsplit
 from llm_flock.extras import require
 from llm_flock.robots.base import RobotError
 from llm_flock.robots.crazyflie.parameters import PORT as PARAMETER_PORT
-from llm_flock.robots.crazyflie.parameters import Parameters
+from llm_flock.robots.crazyflie.parameters import FirmwareParameters
 from llm_flock.robots.crazyflie.threads import Worker, in_thread, new_thread
 
 SILENCE_S, MOST_SILENCE_S = 1.0, 4.0
@@ -128,7 +128,7 @@ class CrazyflieLink:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._answers: dict[int, asyncio.Future[int]] = {}
         self._worker: Worker | None = None
-        self._parameters: Parameters | None = None
+        self._parameters: FirmwareParameters | None = None
 
     @property
     def open(self) -> bool:
@@ -141,14 +141,14 @@ class CrazyflieLink:
         return self._heard_s
 
     @property
-    def parameters(self) -> Parameters:
+    def parameters(self) -> FirmwareParameters:
         """The parameters of the drone.
 
         Raises:
             RobotError: the link is not open.
         """
         if self._parameters is None:
-            self._parameters = Parameters(self._name, self.cf.param.toc, self.send_packet)
+            self._parameters = FirmwareParameters(self._name, self.cf.param.toc, self.send_packet)
         return self._parameters
 
     @property

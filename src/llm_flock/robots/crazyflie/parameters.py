@@ -29,7 +29,7 @@ Send: TypeAlias = Callable[[int, int, bytes], Awaitable[None]]
 """Sends a packet: its port, its channel and its data."""
 
 
-class Parameters:
+class FirmwareParameters:
     """Those of one drone, over an open link. `hear` gets every packet of `PORT`, in the event loop."""
 
     def __init__(self, name: str, table: Any, send: Send) -> None:
