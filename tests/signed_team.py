@@ -32,9 +32,9 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.codec import encode
 from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance
+from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.protocol.signed.certificates import (
@@ -278,7 +278,7 @@ class Liar:
             **{
                 "sender": self.robot,
                 "sequence": self.sequence,
-                "neighbors": self.team.mission.n_robots - 1,
+                "degree": self.team.mission.n_robots - 1,
                 "mission": context.mission,
                 "plan": agent.plan,
                 "provenance": agent.provenance,
@@ -312,7 +312,7 @@ class Liar:
             mission=stamp.counter,
             mission_digest=stamp.digest,
             epoch=epoch,
-            neighbors=self.team.mission.n_robots - 1,
+            degree=self.team.mission.n_robots - 1,
             proposer=self.robot if proposer is None else proposer,
             sequence=sequence,
         )

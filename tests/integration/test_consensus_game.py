@@ -188,7 +188,7 @@ def test_liars_say_the_same_to_all_and_never_stop() -> None:
     said = [asyncio.run(Liar(np.random.default_rng(k)).speaks(HEARING)) for k in range(20)]
     assert len({one.value for one in said}) > 5 and not any(one.stop for one in said)
     boasting, modest = (Liar(np.random.default_rng(0), boasts).begins(1, 4, 0).origin for boasts in (True, False))
-    assert boasting is not None and modest is not None and boasting.neighbors > modest.neighbors == 3
+    assert boasting is not None and modest is not None and boasting.degree > modest.degree == 3
 
 
 def test_the_benchmark_prints_one_table(capsys: pytest.CaptureFixture[str]) -> None:

@@ -189,9 +189,9 @@ def parse_flags(flags: dict[str, Any]) -> dict[str, Any]:
     for field in JSON_LISTS & values.keys():
         values[field] = _json_list(field, values[field])
     if "start_positions" in values:
-        from llm_flock import formations
+        from llm_flock.formations.files import load_points
 
-        values["start_positions"] = formations.load_points(Path(values["start_positions"]), "start_positions")
+        values["start_positions"] = load_points(Path(values["start_positions"]), "start_positions")
     return values
 
 

@@ -175,7 +175,7 @@ class RulePlayer:
     def begins(self, me: int, n: int, value: int) -> Said:
         """Proposes its value; everybody hears everybody, so all have the same influence."""
         origin = provenance(me, n - 1, 0)
-        self.standing = Standing(plan=plan_of(value), provenance=origin, neighbors=n - 1)
+        self.standing = Standing(plan=plan_of(value), provenance=origin, degree=n - 1)
         return Said(value=value, origin=origin)
 
     async def speaks(self, hearing: Hearing) -> Said:
@@ -184,7 +184,7 @@ class RulePlayer:
         heard = [message_of(k, said, hearing) for k, said in sorted(hearing.heard.items())]
         chosen = self.rule.choose(self.standing, heard)
         if chosen is not None:
-            self.standing = Standing(plan=chosen.plan, provenance=chosen.provenance, neighbors=self.standing.neighbors)
+            self.standing = Standing(plan=chosen.plan, provenance=chosen.provenance, degree=self.standing.degree)
         assert self.standing.plan is not None, "a message that is chosen has a plan"
         value = round(self.standing.plan.points[0][0])
         return Said(value=value, stop=chosen is None, origin=self.standing.provenance)
@@ -194,9 +194,9 @@ def message_of(sender: int, said: Said, hearing: Hearing) -> Message:
     """What an agent said as a message of the protocol."""
     assert said.value is not None and said.origin is not None, "all agents of this game name the origin of their values"
     # The influence of the sender itself; a liar claims as much for itself as for its proposal.
-    neighbors = said.origin.neighbors if said.origin.proposer == sender else hearing.n - 1
+    degree = said.origin.degree if said.origin.proposer == sender else hearing.n - 1
     return Message(
-        sender=sender, sequence=hearing.round, neighbors=neighbors, plan=plan_of(said.value), provenance=said.origin
+        sender=sender, sequence=hearing.round, degree=degree, plan=plan_of(said.value), provenance=said.origin
     )
 
 
@@ -205,11 +205,9 @@ def plan_of(value: int) -> Plan:
     return Plan.of([[value]])
 
 
-def provenance(proposer: int, neighbors: int, sequence: int) -> Provenance:
+def provenance(proposer: int, degree: int, sequence: int) -> Provenance:
     """The origin of a value that an agent proposes."""
-    return Provenance(
-        mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=sequence
-    )
+    return Provenance(mission=0, mission_digest="0" * 16, epoch=0, degree=degree, proposer=proposer, sequence=sequence)
 
 
 @dataclass(slots=True)

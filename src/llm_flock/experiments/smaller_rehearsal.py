@@ -12,8 +12,7 @@ import numpy as np
 
 from llm_flock import formations, metrics
 from llm_flock.errors import InputError
-from llm_flock.llm.models import parse_models
-from llm_flock.llm.planner import parse_history
+from llm_flock.llm.models import parse_history, parse_models
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.sharing import CHARS_PER_TOKEN

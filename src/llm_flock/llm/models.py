@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any, Self, get_args
 import numpy as np
 
 from llm_flock.errors import InputError, unknown
-from llm_flock.extras import require
-from llm_flock.llm.local.model import EngineLeases, LocalModel
 from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
-from llm_flock.llm.simulated.model import SimulatedModel
-from llm_flock.llm.simulated.profiles import parse_profile
 
 if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
+
+    from llm_flock.llm.local.model import EngineLeases
 
 _RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="
 _STARTS_WITH_RANGE = re.compile(_RANGE)
@@ -103,6 +101,20 @@ def _setting(name: str, text: str) -> Any:
     return value
 
 
+def parse_history(text: str) -> int | None:
+    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
+
+    Raises:
+        InputError: for field `history`.
+    """
+    if text in ("none", "full"):
+        return 0 if text == "none" else None
+    last, _, count = text.partition(":")
+    if last != "last" or not (count.isascii() and count.isdecimal() and len(count) <= 9 and int(count) >= 1):
+        raise InputError("history", text, "none, full, or last:K with a whole number K >= 1")
+    return int(count)
+
+
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
     """Refuse a money budget for models of unknown price: it would have no effect.
 
@@ -163,7 +175,7 @@ class ModelPool:
         self._environ = os.environ if environ is None else environ
         self._models: dict[tuple[str, str], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
-        self._leases = EngineLeases()
+        self._leases: EngineLeases | None = None
 
     async def __aenter__(self) -> Self:
         return self
@@ -173,7 +185,8 @@ class ModelPool:
 
     async def aclose(self) -> None:
         """Close all connections and stop engines. No model of this pool may be asked afterwards."""
-        await self._leases.aclose()
+        if self._leases is not None:
+            await self._leases.aclose()
         if self._http is not None:
             await self._http.aclose()
         self._http = None
@@ -193,12 +206,18 @@ class ModelPool:
         """
         name = parse_model(text)
         if name.kind == "local":
+            from llm_flock.llm.local.model import EngineLeases, LocalModel
+
+            self._leases = self._leases or EngineLeases()
             return LocalModel(name.text, self._leases, settings)
         if name.kind not in ("simulated", "provider"):
             raise InputError("model", text, "PROVIDER:MODEL, local:MODEL or simulated:PROFILE here")
         if name.kind == "provider" and not self._asks:
             return _NeverAsked(name.text)
         if name.kind == "simulated":
+            from llm_flock.llm.simulated.model import SimulatedModel
+            from llm_flock.llm.simulated.profiles import parse_profile
+
             return SimulatedModel(parse_profile(name.model), rng, settings)
         hosted = self._hosted(name)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
@@ -225,6 +244,8 @@ class ModelPool:
         address = self._base_urls.get(name.provider, info.base_url)
         if address is None:
             raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
+        from llm_flock.extras import require
+
         require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")
         # The SDKs take most of a second to import: a run with simulated models needs none of them.
         from llm_flock.llm import hosted

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, CallGate, Spent
-from llm_flock.llm.local.engine import slot_count
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Usage
 from llm_flock.llm.prices import cost_usd
@@ -98,6 +97,8 @@ class SharedGate:
         *,
         window_s: float = WINDOW_S,
     ) -> None:
+        from llm_flock.llm.local.engine import slot_count
+
         rates = {"local": Rate(max_concurrent=slot_count()), **(rates or {})}
         self.budget = budget or Budget()
         self.spent = Spent()

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -25,6 +26,9 @@ from llm_flock.protocol.motion.leg import Leg
 from llm_flock.protocol.path_length import next_stop
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+
+Gaps: TypeAlias = Literal["report", "replan"]
+"""What to do about slots that no living robot can take."""
 
 NOBODY = frozenset[int]()
 
@@ -190,7 +194,7 @@ class Safety:
         return SafeStep(waypoint=wish, origin=Origin.MODEL)
 
 
-class Verifier:
+class Checker:
     """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything.
 
     Attributes:
@@ -246,4 +250,4 @@ class Parts:
     channel: Channel | None = None
     membership: Membership = field(default_factory=Membership)
     safety: Safety = field(default_factory=Safety)
-    verifier: Verifier = field(default_factory=Verifier)
+    verifier: Checker = field(default_factory=Checker)

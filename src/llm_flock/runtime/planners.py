@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import LETTERS_MODEL, TRAINED, trained_for
-from llm_flock.llm.geometry import GeometryPlanner
-from llm_flock.llm.letter_planner import LetterPlanner
-from llm_flock.llm.letters import check_wish
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
-from llm_flock.llm.local.engine import slot_count
-from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings
+from llm_flock.llm.models import ModelPool, check_priced, parse_history, parse_models, parse_settings
 from llm_flock.llm.own import OwnModel
-from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
-from llm_flock.llm.prompting import LETTERS, PromptSet
 from llm_flock.llm.providers import parse_base_urls, parse_model
-from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane, Pools
-from llm_flock.llm.simulated.prompt_reader import check_prompts
-from llm_flock.llm.taught_planner import TaughtPlanner, is_taught
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.verification.plans import check_proposal
-from llm_flock.protocol.verification.steps import check_answer, fit_answer
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
+
+if TYPE_CHECKING:
+    from llm_flock.llm.prompting import PromptSet
+    from llm_flock.llm.replay import ReplayModel  # each kind of model is imported where a robot asks one
 
 
 class TeamPlanners:
@@ -73,7 +67,14 @@ class TeamPlanners:
             )
 
         # A question waits for the local engine before its time-out begins, in a queue that delays no other model.
-        self._limits, on_board = limits_of(limits.max_concurrent), limits_of(slot_count())
+        self._limits = limits_of(limits.max_concurrent)
+
+        @cache
+        def on_board() -> CallLimits:
+            from llm_flock.llm.local.engine import slot_count
+
+            return limits_of(slot_count())
+
         settings = parse_settings(
             n,
             temperature=model.temperature,
@@ -82,9 +83,15 @@ class TeamPlanners:
             max_tokens=limits.max_answer_tokens,
         )
 
-        wish = check_wish(model.wish or "")
+        wish = model.wish or ""
+        if wish:
+            from llm_flock.llm.letters import check_wish
+
+            wish = check_wish(wish)
 
         def prompts_of(text: str) -> PromptSet:
+            from llm_flock.llm.prompting import LETTERS, PromptSet
+
             trained = LETTERS if text == LETTERS_MODEL else "brief" if trained_for(text) else "full"
             words = model.prompts or trained
             prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
@@ -93,31 +100,50 @@ class TeamPlanners:
                     "wish", wish, f"no wish with the prompts {words!r}, which do not name it: use 'letters'"
                 )
             if parse_model(text).kind == "simulated":
+                from llm_flock.llm.simulated.prompt_reader import check_prompts
+
                 check_prompts(prompts, config.mission)
             return prompts
 
-        self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
+        given = bool(model.prompts or wish)  # then they are checked, even if nobody is asked
+        asked_by = [text for text in dict.fromkeys(self.names) if given or parse_model(text).kind != "geometry"]
+        self._prompts = {text: prompts_of(text) for text in asked_by}
         history = parse_history(model.history)
         shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
 
         def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+            from llm_flock.protocol.verification.plans import check_proposal
+
             return check_proposal(question.mission, answer.plan, question.still, question.position)
 
         def check_step(question: StepQuestion, answer: StepAnswer) -> str | None:
+            from llm_flock.protocol.verification.steps import check_answer
+
             return check_answer(question.mission, question, answer, shield_on=shield_on)
 
         def clips(question: StepQuestion, answer: StepAnswer) -> bool:
-            contains = verify and config.protocol.fallback != "hold"
-            return contains and fit_answer(question.mission, question, answer, shield_on=shield_on) is not None
+            if not verify or config.protocol.fallback == "hold":
+                return False
+            from llm_flock.protocol.verification.steps import fit_answer
+
+            return fit_answer(question.mission, question, answer, shield_on=shield_on) is not None
 
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
-            knows = is_taught if text == TRAINED else None
             asked: LanguageModel
             if name.kind == "geometry":
+                from llm_flock.llm.geometry import GeometryPlanner
+
                 return GeometryPlanner(rng)
+            knows: Callable[[PlanQuestion], bool] | None = None
+            if text == TRAINED:
+                from llm_flock.llm.taught_planner import is_taught
+
+                knows = is_taught
             if name.kind == "replay":
+                from llm_flock.llm.replay import ReplayModel
+
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
                 replay = self._replays[text]
@@ -128,9 +154,15 @@ class TeamPlanners:
                 asked = Limited(self._own_model(robot, text), self._limits)
             else:
                 remote = self._pool.model(text, rng=rng, settings=settings[robot])
-                asked = Limited(remote, on_board if name.kind == "local" else self._limits)
+                asked = Limited(remote, on_board() if name.kind == "local" else self._limits)
             prompts = self._prompts[text]
-            kind = LetterPlanner if prompts.letters else LanguagePlanner
+            from llm_flock.llm.planner import LanguagePlanner
+
+            kind = LanguagePlanner
+            if prompts.letters:
+                from llm_flock.llm.letter_planner import LetterPlanner
+
+                kind = LetterPlanner
             planner = kind(
                 robot,
                 asked,
@@ -143,7 +175,11 @@ class TeamPlanners:
                 clips=clips,
                 frame=model.frame or ("own" if trained_for(text) else "world"),
             )
-            return planner if knows is None else TaughtPlanner(planner, knows)
+            if knows is None:
+                return planner
+            from llm_flock.llm.taught_planner import TaughtPlanner
+
+            return TaughtPlanner(planner, knows)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of
@@ -165,7 +201,7 @@ class TeamPlanners:
     def replace(self, robot: int, model: str) -> None:
         """Give a robot another model from its next question on; `InputError` if there is no such model."""
         self._replaced[robot] = model
-        if model not in self._prompts:
+        if model not in self._prompts and parse_model(model).kind != "geometry":
             self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
 
@@ -199,6 +235,8 @@ class TeamPlanners:
     @property
     def weights(self) -> Mapping[str, str]:
         """Digests of the files of local models, by name."""
+        from llm_flock.llm.local.weights import find_weights
+
         names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "local"]
         return {file: digest for name in names for file, digest in find_weights(name.model).versions().items()}
 

@@ -85,13 +85,13 @@ def encode(message: Message, sequence: int | None = None) -> bytes:
     wire = _WireMessage(
         sender=message.sender,
         sequence=message.sequence if sequence is None else sequence,
-        neighbors=message.neighbors,
+        neighbors=message.degree,
         mission=message.mission.counter,
         mission_digest=bytes.fromhex(message.mission.digest),
         mission_text=message.mission_text,
         provenance=None
         if origin is None
-        else _WireProvenance(origin.epoch, origin.neighbors, origin.proposer, origin.sequence),
+        else _WireProvenance(origin.epoch, origin.degree, origin.proposer, origin.sequence),
         places=message.places,
         plan_digest=None if message.plan_digest is None else bytes.fromhex(message.plan_digest),
         plan=None if message.plan is None else message.plan.points,
@@ -140,7 +140,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
     return Message(
         sender=wire.sender,
         sequence=wire.sequence,
-        neighbors=wire.neighbors,
+        degree=wire.neighbors,
         mission=MissionStamp(wire.mission, mission_digest),
         mission_text=wire.mission_text,
         plan=None if wire.plan is None else _plan(wire.plan),
@@ -152,7 +152,7 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
             mission=wire.mission,
             mission_digest=mission_digest,
             epoch=origin.epoch,
-            neighbors=origin.neighbors,
+            degree=origin.neighbors,
             proposer=origin.proposer,
             sequence=origin.sequence,
         ),

@@ -79,7 +79,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
         mission: time of the order for the mission that the plan was made for.
         mission_digest: content of that mission.
         epoch: counter of plans for that mission.
-        neighbors: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
+        degree: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
         proposer: id of the robot that proposed.
         sequence: counts the proposals of that robot.
     """
@@ -87,7 +87,7 @@ class Provenance(msgspec.Struct, frozen=True, kw_only=True):
     mission: int
     mission_digest: str
     epoch: int
-    neighbors: int
+    degree: int
     proposer: int
     sequence: int
 
@@ -134,7 +134,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         sender: id of the robot.
         sequence: counts the changes of the content; equal content is equal bytes.
-        neighbors: number of robots within the sender's radio range; its influence is neighbors / N (paper, eq. 1).
+        degree: number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
         mission: the sender's mission; that of the provenance if left out.
         mission_text: that mission spelled out as JSON; None if not.
         plan: the plan that the sender follows; None before it has one, or if only the digest is given.
@@ -155,7 +155,7 @@ class Message(msgspec.Struct, frozen=True, kw_only=True):
 
     sender: int
     sequence: int
-    neighbors: int
+    degree: int
     mission: MissionStamp = NO_MISSION
     mission_text: str | None = None
     plan: Plan | None = None

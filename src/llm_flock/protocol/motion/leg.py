@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Obstacle, Roadmap
-from llm_flock.obstacles.roadmap import roadmap_of
+from llm_flock.obstacles import Obstacle
+
+if TYPE_CHECKING:
+    from llm_flock.obstacles.roadmap import Roadmap  # only missions with obstacles or still bodies need it
 
 STILL_DECIMALS = 1
 """Bodies that do not move are on the map to this precision: noise must not change it in every round."""
@@ -64,11 +67,15 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
 
     With positions known to within `noise` [units], ways lie farther away from them.
     """
+    if not mission.obstacles and not still:
+        return None
+    from llm_flock.obstacles.roadmap import roadmap_of
+
     radius = mission.body_radius
     if noise > 0.0:
         radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
     if not still:
-        return roadmap_of(mission.arena, mission.obstacles, radius) if mission.obstacles else None
+        return roadmap_of(mission.arena, mission.obstacles, radius)
     near = sorted(still, key=lambda body: math.dist(body, position))[:MOST_STILL]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
     spots = sorted(tuple(round(x, STILL_DECIMALS) for x in body) for body in near)
