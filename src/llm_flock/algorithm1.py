@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 READINGS = ("nearest", "nearest-free")
 
 
-class Broadcast(Protocol):
+class Heard(Protocol):
     """What a robot tells its neighbours (line 133): its plan, and by its degree its influence."""
 
     @property
@@ -45,7 +45,7 @@ class Broadcast(Protocol):
         ...
 
 
-B = TypeVar("B", bound=Broadcast)
+H = TypeVar("H", bound=Heard)
 
 
 def neighbors(positions: Sequence[Point], robot: int, comm_range: float) -> list[int]:
@@ -59,7 +59,7 @@ def influence(degree: int, n_robots: int) -> float:
     return degree / n_robots
 
 
-def adopt(own_degree: int, own_plan: object, heard: Iterable[B], *, lowest: bool = True) -> B | None:
+def adopt(own_degree: int, own_plan: object, heard: Iterable[H], *, lowest: bool = True) -> H | None:
     """The broadcast whose plan to adopt, or None to keep one's own plan (lines 133 and 151-153).
 
     All influences are shares of one N, so degrees are compared. The paper does not say which of several equally
@@ -85,7 +85,7 @@ def nearest_available(position: Point, plan: Sequence[Point], taken: Collection[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Robot:
+class DemoRobot:
     """One robot of the demonstration: what it broadcasts, and where it is [units]."""
 
     sender: int
@@ -100,12 +100,12 @@ class Robot:
         return self.plan[self.slot]
 
 
-def consensus_round(team: Sequence[Robot], comm_range: float, reading: str) -> list[Robot]:
+def consensus_round(team: Sequence[DemoRobot], comm_range: float, reading: str) -> list[DemoRobot]:
     """One round of Algorithm 1: for all robots i in parallel, from what all of them broadcast at its beginning."""
     positions = [robot.position for robot in team]
     around = [neighbors(positions, i, comm_range) for i in range(len(team))]
     said = [replace(robot, degree=len(near)) for robot, near in zip(team, around, strict=True)]
-    after: list[Robot] = []
+    after: list[DemoRobot] = []
     for i, robot in enumerate(said):
         heard = [said[j] for j in around[i]]
         k = adopt(robot.degree, robot.plan, heard)
@@ -118,7 +118,7 @@ def consensus_round(team: Sequence[Robot], comm_range: float, reading: str) -> l
     return after
 
 
-def flown(robot: Robot, max_step: float) -> Robot:
+def flown(robot: DemoRobot, max_step: float) -> DemoRobot:
     """The robot one step nearer to its goal; in the paper its language model chooses this step."""
     away = math.dist(robot.position, robot.goal)
     share = min(1.0, max_step / away) if away else 0.0
@@ -126,14 +126,14 @@ def flown(robot: Robot, max_step: float) -> Robot:
     return replace(robot, position=there)
 
 
-def three_robots() -> list[Robot]:
+def three_robots() -> list[DemoRobot]:
     """Robots in a row, each with a triangle of its own around (50, 50); only the middle one hears both others."""
     starts = ((36.0, 38.0), (48.0, 38.0), (60.0, 38.0))
-    radius, team = 10.0 / math.sqrt(3.0), list[Robot]()
+    radius, team = 10.0 / math.sqrt(3.0), list[DemoRobot]()
     for i, start in enumerate(starts):
         angles = [math.tau * k / 3 + 0.4 * i for k in range(3)]
         plan = tuple((50.0 + radius * math.cos(a), 50.0 + radius * math.sin(a)) for a in angles)
-        team.append(Robot(sender=i, position=start, plan=plan, slot=i))
+        team.append(DemoRobot(sender=i, position=start, plan=plan, slot=i))
     return team
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from llm_flock import algorithm1
 from llm_flock.algorithm1 import (
-    Robot,
+    DemoRobot,
     adopt,
     consensus_round,
     flown,
@@ -26,8 +26,8 @@ PLAN = ((0.0, 0.0), (10.0, 0.0), (20.0, 0.0))
 OTHER = ((0.0, 0.0), (0.0, 10.0), (0.0, 20.0))
 
 
-def said(sender: int, degree: int, plan: tuple[tuple[float, float], ...] = OTHER) -> Robot:
-    return Robot(sender=sender, position=(0.0, 0.0), plan=plan, slot=0, degree=degree)
+def said(sender: int, degree: int, plan: tuple[tuple[float, float], ...] = OTHER) -> DemoRobot:
+    return DemoRobot(sender=sender, position=(0.0, 0.0), plan=plan, slot=0, degree=degree)
 
 
 def test_influence_is_the_share_of_the_team_in_radio_range() -> None:
@@ -46,7 +46,7 @@ def test_the_plan_of_the_most_influential_neighbour_is_adopted() -> None:
     [(5, [said(1, 5)]), (6, [said(1, 5)]), (1, [said(1, 5, PLAN)]), (1, [])],
     ids=["equal", "less", "same plan", "nobody"],
 )
-def test_the_own_plan_is_kept_without_a_stricter_influence(degree: int, heard: list[Robot]) -> None:
+def test_the_own_plan_is_kept_without_a_stricter_influence(degree: int, heard: list[DemoRobot]) -> None:
     assert adopt(degree, PLAN, heard) is None
 
 
@@ -73,7 +73,7 @@ def test_the_two_readings_differ_in_how_many_goals_are_taken(reading: str, taken
 
 
 def test_a_robot_flies_no_farther_than_its_step_limit_or_goal() -> None:
-    robot = Robot(sender=0, position=(0.0, 0.0), plan=PLAN, slot=1)
+    robot = DemoRobot(sender=0, position=(0.0, 0.0), plan=PLAN, slot=1)
     assert flown(robot, 6.0).position == (6.0, 0.0)
     assert flown(flown(robot, 6.0), 6.0).position == (10.0, 0.0)
     assert flown(flown(flown(robot, 6.0), 6.0), 6.0).position == (10.0, 0.0)
