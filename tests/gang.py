@@ -216,7 +216,7 @@ class Gang:
             **{
                 "sender": member,
                 "sequence": self.sequence,
-                "neighbors": self.mission.n_robots - 1,
+                "degree": self.mission.n_robots - 1,
                 "table": tuple(table),
                 **({"beats": self._beats(member)} if claims else {}),
                 **same,

@@ -30,19 +30,12 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, Step
 Gaps: TypeAlias = Literal["report", "replan"]
 """What to do about slots that no living robot can take."""
 
-NOBODY = frozenset[int]()
-
 
 class Membership:
     """What a robot knows of its team beyond the last messages of its neighbours; this part knows nothing.
 
     Positions are in the frame of the mission [units].
     """
-
-    @property
-    def silent(self) -> frozenset[int]:
-        """Robots whose heartbeats have stopped."""
-        return NOBODY
 
     @property
     def beats(self) -> tuple[int, ...]:

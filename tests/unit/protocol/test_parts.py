@@ -70,7 +70,7 @@ def test_a_robot_that_knows_no_team_proposes_once_and_neither_seeks_nor_waits_el
     assert nobody.places(LINE, None, sees_bodies=True) == 3 and nobody.places(LINE, PLAN, sees_bodies=True) is None
     assert nobody.seek(LINE, HERE) is None and nobody.wait(LINE, PLAN, claim, HERE, [BESIDE]) == HERE
     assert nobody.still(LINE, {1: BESIDE}) == () and nobody.positions(LINE, PLAN, claim) is None
-    assert not nobody.silent and not nobody.beats and not nobody.lost and not nobody.collecting
+    assert not nobody.beats and not nobody.lost and not nobody.collecting
 
 
 def test_a_far_place_is_approached_along_the_formation() -> None:

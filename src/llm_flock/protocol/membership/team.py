@@ -74,11 +74,6 @@ class TeamMembership(Membership):
         return type(self)(robot, mission, time_out=time_out, gaps=self.gaps, joint=False, liars=liars)
 
     @property
-    def silent(self) -> frozenset[int]:
-        """Robots whose heartbeats have stopped."""
-        return self.liveness.silent
-
-    @property
     def beats(self) -> tuple[int, ...]:
         """The highest heartbeat known of each robot, by id."""
         return self.liveness.beats
