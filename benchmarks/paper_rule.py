@@ -23,9 +23,10 @@ import numpy as np
 from scipy.stats import beta
 
 from llm_flock import formations
+from llm_flock.algorithm1 import nearest_available
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.assignment import NearestAssignment, nearest
+from llm_flock.protocol.agreement.assignment import NearestAssignment
 from llm_flock.protocol.agreement.consensus import InfluenceConsensus, TieBreak
 from llm_flock.protocol.events import (
     AgreementEnded,
@@ -85,7 +86,7 @@ def trial(reading: Reading, rounds: int, seed: int) -> tuple[bool, bool]:
             began = RoundBegan(
                 round=number,
                 position=seen.position,
-                neighbors=len(bodies.in_radio_range[i]),
+                degree=len(bodies.in_radio_range[i]),
                 sensed=seen.sensed,
                 observed=(),
             )
@@ -118,7 +119,7 @@ def propose(
     plan = Plan.of(turned.round(2).tolist())
     if index in ("id", "first"):
         return PlanAnswer(plan=plan, slot=robot if index == "id" else 0)
-    slot = int(rng.integers(0, len(plan))) if index == "random" else nearest(position, plan)
+    slot = int(rng.integers(0, len(plan))) if index == "random" else nearest_available(position, plan.points)
     return PlanAnswer(plan=plan, slot=slot)
 
 

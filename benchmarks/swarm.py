@@ -276,7 +276,7 @@ def _flood(config: SwarmConfig, rate: float, lasts_s: float) -> int:
         link = open_link(config, config.mission.n_robots - 1, listen="tcp/127.0.0.1:0")
         member, sent, began = config.mission.n_robots - 1, 0, time.monotonic()
         stamp = MissionStamp(0, config.mission.digest)
-        said = wrap(encode(Message(sender=member, sequence=0, neighbors=1, stamp=stamp)), Proofs())
+        said = wrap(encode(Message(sender=member, sequence=0, degree=1, stamp=stamp)), Proofs())
         await asyncio.sleep(1.0)
         while (now := time.monotonic()) - began < lasts_s:
             due = min(1000.0, rate * (now - began) - sent)

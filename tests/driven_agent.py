@@ -25,8 +25,8 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, PositionReport, Provenance, encode
+from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
 
@@ -101,12 +101,12 @@ def says(
     epoch: int = 0,
 ) -> bytes:
     origin = Provenance(
-        mission=counter, mission_digest=mission.digest, epoch=epoch, neighbors=0, proposer=sender, sequence=0
+        mission=counter, mission_digest=mission.digest, epoch=epoch, degree=0, proposer=sender, sequence=0
     )
     said = Message(
         sender=sender,
         sequence=sequence,
-        neighbors=0,
+        degree=0,
         stamp=MissionStamp(counter, mission.digest),
         mission_text=text,
         plan=None if named_only else plan,

@@ -89,7 +89,7 @@ class DrivenTeam:
             began = RoundBegan(
                 round=1,
                 position=positions[i],
-                neighbors=len(heard_by),
+                degree=len(heard_by),
                 sensed=sensed,
                 observed=tuple(sensed[j] for j in heard_by),
             )

@@ -218,7 +218,7 @@ class Gang:
             **{
                 "sender": member,
                 "sequence": self.sequence,
-                "neighbors": self.mission.n_robots - 1,
+                "degree": self.mission.n_robots - 1,
                 **({"beats": self._beats(member)} if claims else {}),
                 **same,
                 **told(more.pop("table", tuple(table))),

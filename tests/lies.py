@@ -247,7 +247,7 @@ def another_mission(gang: Gang, member: int) -> list[Said]:
     assert gang.known is not None
     mission = gang.mission.change(spacing=gang.mission.spacing + 1.0)
     stamp = MissionStamp(gang.known.mission.counter + gang.rounds, mission.digest)
-    said = Message(sender=member, sequence=gang.rounds, neighbors=1, stamp=stamp, mission_text=mission_text(mission))
+    said = Message(sender=member, sequence=gang.rounds, degree=1, stamp=stamp, mission_text=mission_text(mission))
     return [(member, wrap(encode(said), Proofs(mission=gang.keys[member].sign(b"mission"))), None)]
 
 

@@ -21,7 +21,7 @@ def _origin(gang: Gang, member: int, epoch: int = 0, sequence: int = 0) -> Prove
         mission=gang.known.mission.counter,
         mission_digest=gang.known.mission.digest,
         epoch=epoch,
-        neighbors=gang.mission.n_robots - 1,
+        degree=gang.mission.n_robots - 1,
         proposer=member,
         sequence=sequence,
     )

@@ -34,7 +34,7 @@ def began(round_number: int = 1, **sensed: tuple[float, float]) -> RoundBegan:
 
 
 def origin(proposer: int, digest: str = MISSION.digest) -> Provenance:
-    return Provenance(mission=0, mission_digest=digest, epoch=0, neighbors=2, proposer=proposer, sequence=0)
+    return Provenance(mission=0, mission_digest=digest, epoch=0, degree=2, proposer=proposer, sequence=0)
 
 
 def foreign(
@@ -44,7 +44,7 @@ def foreign(
     message = Message(
         sender=sender,
         sequence=sequence,
-        neighbors=2,
+        degree=2,
         plan=plan,
         provenance=provenance,
         stamp=MissionStamp(0 if mission_text is None else 7, "0" * 16),

@@ -11,7 +11,7 @@ from llm_flock.protocol.motion.observation import Observation
 
 
 def round_began(
-    number: int, position: Point, sensed: Mapping[int, Point] | None = None, neighbors: int | None = None
+    number: int, position: Point, sensed: Mapping[int, Point] | None = None, degree: int | None = None
 ) -> RoundBegan:
     """The beginning of a round.
 
@@ -19,13 +19,13 @@ def round_began(
         number: of the round.
         position: of the robot [units].
         sensed: positions of the robots that it senses, by id [units]; all of them are shown to its planner.
-        neighbors: number of robots that the radio counts within range; as many as are sensed if left out.
+        degree: number of robots that the radio counts within range; as many as are sensed if left out.
     """
     others = sensed or {}
     return RoundBegan(
         round=number,
         position=position,
-        neighbors=len(others) if neighbors is None else neighbors,
+        degree=len(others) if degree is None else degree,
         sensed=others,
         observed=tuple(others.values()),
     )

@@ -33,7 +33,6 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.membership.replanning import Gaps
 from llm_flock.protocol.messages.message import (
     NO_OWNER,
     UNSAID,
@@ -44,6 +43,7 @@ from llm_flock.protocol.messages.message import (
     Provenance,
     encode,
 )
+from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 from llm_flock.protocol.signed.certificates import (
@@ -287,7 +287,7 @@ class Liar:
             **{
                 "sender": self.robot,
                 "sequence": self.sequence,
-                "neighbors": self.team.mission.n_robots - 1,
+                "degree": self.team.mission.n_robots - 1,
                 "plan": agent.plan,
                 "provenance": agent.provenance,
                 "slot": slot,
@@ -320,7 +320,7 @@ class Liar:
             mission=stamp.counter,
             mission_digest=stamp.digest,
             epoch=epoch,
-            neighbors=self.team.mission.n_robots - 1,
+            degree=self.team.mission.n_robots - 1,
             proposer=self.robot if proposer is None else proposer,
             sequence=sequence,
         )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from llm_flock.bounds import TIME_OUT
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentRule
 from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.protocol.breaker import Fallback
-from llm_flock.protocol.membership.liveness import TIME_OUT
-from llm_flock.protocol.membership.replanning import Gaps
+from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.signed.certificates import LIARS, Authenticator
 from llm_flock.protocol.signed.parts import signed_parts
 from llm_flock.runtime.roster import make_parts

@@ -21,6 +21,10 @@ MIN_LENGTH = 1e-3
 MAX_LENGTH = 1e9
 """Largest length in a mission [units]: far more than any arena, and its square is no trouble for a double."""
 
+TIME_OUT = 10
+"""Default of the rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave
+every other robot's range for a while."""
+
 
 def max_places(n_robots: int) -> int:
     """Most places of a mission. Messages of a larger one would exceed their own limit, and no robot would hear any."""

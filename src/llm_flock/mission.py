@@ -6,7 +6,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Iterator, Sized
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -15,11 +15,12 @@ from llm_flock import formations
 from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
 from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places
 from llm_flock.errors import InputError
-from llm_flock.obstacles import Obstacle, Roadmap, clearance
-from llm_flock.obstacles.regions import free_regions, region_of
-from llm_flock.obstacles.roadmap import roadmap_of, shortest_ways
+from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.printable import hidden
 from llm_flock.validation import input_error
+
+if TYPE_CHECKING:
+    from llm_flock.obstacles.roadmap import Roadmap  # imported where it is used: few missions have obstacles
 
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
@@ -238,16 +239,26 @@ class Mission(BaseModel):
         """
         if not self.obstacles or self.dim != 2:
             return frozenset()
+        from llm_flock.obstacles.regions import free_regions, region_of
+
         regions = free_regions(self.arena, self.obstacles, self.body_radius)
         return frozenset(region_of(point, regions) for point in points)
 
     @property
     def roadmap(self) -> Roadmap | None:
         """The ways round the obstacles [world frame]; None without any."""
-        return roadmap_of(self.arena, self.obstacles, self.body_radius) if self.obstacles else None
+        if not self.obstacles:
+            return None
+        from llm_flock.obstacles.roadmap import roadmap_of
+
+        return roadmap_of(self.arena, self.obstacles, self.body_radius)
 
     def shortest_ways(self, starts: Points, goals: Points) -> Pairwise:
         """As `llm_flock.obstacles.roadmap.shortest_ways`, among the obstacles of this mission."""
+        if not self.obstacles:
+            return np.linalg.norm(starts[:, None] - goals[None], axis=2)
+        from llm_flock.obstacles.roadmap import shortest_ways
+
         return shortest_ways(self.arena, self.obstacles, self.body_radius, starts, goals)
 
     @property

@@ -31,9 +31,9 @@ async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
         member = open_link(swarm.config, 3, listen="tcp/127.0.0.1:0")
         try:
             stranger.listen("say", None, lambda _, payload: heard.append(payload))
-            said = saying(Message(sender=1, sequence=0, neighbors=0))
+            said = saying(Message(sender=1, sequence=0, degree=0))
             for _ in range(20):
-                stranger.publish("say", 2, saying(Message(sender=2, sequence=0, neighbors=0)))
+                stranger.publish("say", 2, saying(Message(sender=2, sequence=0, degree=0)))
                 member.publish("say", 1, said)
                 member.publish("say", 3, said)
                 await asyncio.sleep(0.1)

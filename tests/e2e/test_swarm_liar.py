@@ -97,7 +97,7 @@ class Liar:
             mission=known.mission.counter,
             mission_digest=known.mission.digest,
             epoch=0,
-            neighbors=N - 1,
+            degree=N - 1,
             proposer=LIAR,
             sequence=0,
         )
@@ -109,7 +109,7 @@ class Liar:
     ) -> bytes:
         same = {"plan": known.plan, "provenance": known.provenance}
         whole: dict[str, object] = {**same, **fields}
-        message = Message(sender=LIAR, sequence=next(self.counts), neighbors=N - 1, **whole)  # type: ignore[arg-type]
+        message = Message(sender=LIAR, sequence=next(self.counts), degree=N - 1, **whole)  # type: ignore[arg-type]
         assert message.provenance is not None and message.plan is not None
         own = self.keys.sign(origin_statement(message.provenance, message.plan.digest))
         numbers, grants = claims_of(certificates or {})

@@ -30,7 +30,7 @@ from whole_agent import whole_agent
 from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import show_conversation, show_overview
 from llm_flock.errors import AnswerError, FlockError, InputError, MessageError, RecordError
-from llm_flock.formations import load_points
+from llm_flock.formations.files import load_points
 from llm_flock.foxglove.file import write_file
 from llm_flock.llm.local.gguf import read_header
 from llm_flock.mission import Mission

@@ -220,9 +220,9 @@ def test_no_mission_over_the_radio_changes_a_robots_limits(
     fields = MISSION_FIELDS | (changed if spelled else set())
     stamp = MissionStamp(counter, evil.digest)
     attack = Message(
-        sender=3, sequence=0, neighbors=3, stamp=stamp, mission_text=evil.model_dump_json(include=set(fields))
+        sender=3, sequence=0, degree=3, stamp=stamp, mission_text=evil.model_dump_json(include=set(fields))
     )
-    hidden = Message(sender=3, sequence=0, neighbors=3, stamp=stamp)
+    hidden = Message(sender=3, sequence=0, degree=3, stamp=stamp)
     team.silent.add(3)
     for _ in range(12):
         team.round(junk=[encode(attack), encode(hidden)])

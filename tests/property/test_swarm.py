@@ -35,9 +35,7 @@ def swarm(
     for i, agent in enumerate(agents):
         sensed = {j: tuple(positions[j].tolist()) for j in near[i]}
         agent.handle(
-            RoundBegan(
-                round=1, position=tuple(positions[i].tolist()), neighbors=len(sensed), sensed=sensed, observed=()
-            )
+            RoundBegan(round=1, position=tuple(positions[i].tolist()), degree=len(sensed), sensed=sensed, observed=())
         )
         angle = rng.uniform(0, 2 * np.pi, 1) + 2 * np.pi * np.arange(n) / n
         radius = 5 / np.sin(np.pi / max(n, 2))

@@ -42,7 +42,7 @@ def sealed(message: bytes | None, by: int = LIAR, topic: str | None = None) -> b
 
 def said(sender: int) -> bytes:
     """A message that says nothing but who sends it."""
-    return wrap(encode(Message(sender=sender, sequence=0, neighbors=1, stamp=STAMP)), Proofs())
+    return wrap(encode(Message(sender=sender, sequence=0, degree=1, stamp=STAMP)), Proofs())
 
 
 FORGED = sealed(said(1))
@@ -84,8 +84,8 @@ def test_messages_of_another_flight_prove_nothing(other: dict[str, Any]) -> None
 
 def test_where_plans_are_not_verified_none_proves_anything() -> None:
     bad = Plan.of([(50.0, 50.0)] * N)
-    origin = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=1, proposer=LIAR, sequence=0)
-    message = Message(sender=LIAR, sequence=0, neighbors=1, plan=bad, provenance=origin)
+    origin = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, degree=1, proposer=LIAR, sequence=0)
+    message = Message(sender=LIAR, sequence=0, degree=1, plan=bad, provenance=origin)
     proofs = Proofs(origin=ToyKeys(LIAR).sign(origin_statement(origin, bad.digest)))
     for verify, expected in ((True, "unverified_plan"), (False, None)):
         config = SwarmConfig.build({}, shape="triangle", n_robots=N, model="simulated:ideal", verify=verify)

@@ -27,7 +27,7 @@ class Mind(Agent):
         agreement.plan, agreement.claim = plan, Claim(slot=0, table=table)
         if plan is not None:
             agreement.provenance = Provenance(
-                mission=0, mission_digest=mission.digest, epoch=0, neighbors=0, proposer=0, sequence=0
+                mission=0, mission_digest=mission.digest, epoch=0, degree=0, proposer=0, sequence=0
             )
 
 

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, ReplayDrift
-from llm_flock.llm.planner import LanguagePlanner, parse_history
+from llm_flock.llm.models import parse_history
+from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import Attempt, Call, Reply, Usage
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter, ReplayModel

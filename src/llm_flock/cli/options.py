@@ -172,9 +172,9 @@ def _corners(field: str, text: str) -> tuple[tuple[float, ...], tuple[float, ...
 
 
 def _points(field: str, name: str) -> Any:
-    from llm_flock import formations
+    from llm_flock.formations.files import load_points
 
-    return formations.load_points(Path(name), field)
+    return load_points(Path(name), field)
 
 
 def _json_list(field: str, text: str) -> list[Any]:

@@ -17,6 +17,7 @@ from llm_flock import formations
 from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
+from llm_flock.formations.files import load_points
 from llm_flock.llm.models import model_digests, parse_models, waits
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model
@@ -177,7 +178,7 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
         raise InputError("places", places, f"a number from 1 to {MAX_ROBOTS}")
     # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
     team = load(**{**fields, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
-    points = formations.load_points(points_file(shape), "shape") if shape.startswith("points:") else None
+    points = load_points(points_file(shape), "shape") if shape.startswith("points:") else None
     return fitted_arena(team, shape if points is None else "points", n_robots, points)
 
 

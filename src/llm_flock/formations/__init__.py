@@ -1,6 +1,5 @@
 """Named shapes and their ideal target points, points from a file, and the geometry of a set of points."""
 
-from llm_flock.formations.files import load_points
 from llm_flock.formations.geometry import circumradius, distances, rotated, rotational_symmetry, smallest_distance
 from llm_flock.formations.shapes import ShapeInfo, describe, ideal_points, shape_name, shapes
 
@@ -10,7 +9,6 @@ __all__ = [
     "describe",
     "distances",
     "ideal_points",
-    "load_points",
     "rotated",
     "rotational_symmetry",
     "shape_name",

@@ -11,17 +11,15 @@ from typing import TYPE_CHECKING, Any, Self, get_args
 import numpy as np
 
 from llm_flock.errors import InputError, unknown
-from llm_flock.extras import require
 from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
-from llm_flock.llm.simulated.model import SimulatedModel
-from llm_flock.llm.simulated.profiles import parse_profile
 from llm_flock.llm.sources import ModelHost, source_of
 
 if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
+
 
 _RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="
 _STARTS_WITH_RANGE = re.compile(_RANGE)
@@ -108,6 +106,8 @@ def waits(model: str) -> bool:
     name = parse_model(model)
     if name.kind != "simulated":
         return name.kind in ("provider", "plugin", "own")
+    from llm_flock.llm.simulated.profiles import parse_profile
+
     return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
 
 
@@ -119,6 +119,20 @@ def model_digests(model: str) -> Mapping[str, str]:
     """
     name = parse_model(model)
     return source_of(name.provider).digests(name.model) if name.kind == "plugin" else {}
+
+
+def parse_history(text: str) -> int | None:
+    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
+
+    Raises:
+        InputError: for field `history`.
+    """
+    if text in ("none", "full"):
+        return 0 if text == "none" else None
+    last, _, count = text.partition(":")
+    if last != "last" or not (count.isascii() and count.isdecimal() and len(count) <= 9 and int(count) >= 1):
+        raise InputError("history", text, "none, full, or last:K with a whole number K >= 1")
+    return int(count)
 
 
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
@@ -221,6 +235,9 @@ class ModelPool:
         if name.kind == "provider" and not self._asks:
             return _NeverAsked(name.text)
         if name.kind == "simulated":
+            from llm_flock.llm.simulated.model import SimulatedModel
+            from llm_flock.llm.simulated.profiles import parse_profile
+
             return SimulatedModel(parse_profile(name.model), rng, settings)
         hosted = self._hosted(name)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
@@ -247,6 +264,9 @@ class ModelPool:
         address = self._base_urls.get(name.provider, info.base_url)
         if address is None:
             raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
+
+        from llm_flock.extras import require
+
         require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")
         # The SDKs take most of a second to import: a run with simulated models needs none of them.
         from llm_flock.llm import hosted

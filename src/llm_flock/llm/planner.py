@@ -30,20 +30,6 @@ CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 Judge: TypeAlias = Callable[[StepQuestion, StepAnswer], Verdict]
 
 
-def parse_history(text: str) -> int | None:
-    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
-
-    Raises:
-        InputError: for field `history`.
-    """
-    if text in ("none", "full"):
-        return 0 if text == "none" else None
-    last, _, count = text.partition(":")
-    if last != "last" or not (count.isascii() and count.isdecimal() and len(count) <= 9 and int(count) >= 1):
-        raise InputError("history", text, "none, full, or last:K with a whole number K >= 1")
-    return int(count)
-
-
 def _same_task(one: Mission, other: Mission) -> bool:
     """Whether two missions are the same apart from the position of a moving centre."""
     if one.digest == other.digest:

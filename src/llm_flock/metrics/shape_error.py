@@ -17,7 +17,6 @@ from llm_flock import formations
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.metrics.plane import as_complex, longest, proven_match
-from llm_flock.metrics.space import best_in_space
 
 SYMMETRY_TOLERANCE = 1e-12
 """A shape counts as symmetric if a rotation maps its points to within this share of its radius."""
@@ -74,7 +73,12 @@ class ShapeTarget:
         if rows.shape != shape:
             raise InputError("positions", rows.shape, f"an array of shape {shape}, the shape of the target")
         rows = rows - rows.mean(axis=0)
-        columns, rotation = self._best_in_plane(rows) if rows.shape[1] == 2 else best_in_space(rows, self._target)
+        if rows.shape[1] == 2:
+            columns, rotation = self._best_in_plane(rows)
+        else:
+            from llm_flock.metrics.space import best_in_space
+
+            columns, rotation = best_in_space(rows, self._target)
         squared = ((rows @ rotation.T - self._target[columns]) ** 2).sum(axis=1)
         return ShapeError(
             mean=float(np.sqrt(squared).mean()),

@@ -238,11 +238,11 @@ def shortest_ways(
 ) -> Pairwise:
     """Lengths of the shortest ways for one body alone from each start to each goal, shape (n, m) [units].
 
-    Straight ones without obstacles, where there is no way, and in space; never longer than the true ones by more than a
+    Straight ones where there is no way, and in space; never longer than the true ones by more than a
     few thousandths.
     """
     apart = np.linalg.norm(starts[:, None] - goals[None], axis=2)
-    if not obstacles or len(arena[0]) != 2:
+    if len(arena[0]) != 2:
         return apart
     roadmap = roadmap_of(arena, obstacles, radius, exact=True)
     lengths = np.array([roadmap.lengths(tuple(start), goals) for start in starts.tolist()])

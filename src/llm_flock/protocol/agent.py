@@ -143,9 +143,9 @@ class Agent:
         return self._agreement.claim
 
     @property
-    def neighbors(self) -> int:
+    def degree(self) -> int:
         """Number of robots within its radio range, |N_i|."""
-        return self._agreement.neighbors
+        return self._agreement.degree
 
     @property
     def rejected(self) -> Counter[str]:
@@ -155,7 +155,7 @@ class Agent:
     @property
     def influence(self) -> float:
         """I_i = |N_i| / N (paper, eq. 1)."""
-        return self.neighbors / self.mission.n_robots
+        return self.degree / self.mission.n_robots
 
     @property
     def goal(self) -> Point | None:
@@ -208,7 +208,7 @@ class Agent:
         return effects
 
     def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
-        listening = event.neighbors > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
+        listening = event.degree > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
@@ -228,7 +228,7 @@ class Agent:
         agreement, event = self._agreement, self._seen[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
-        agreement.begin_round(event.neighbors)
+        agreement.begin_round(event.degree)
         self._membership.begin_round(
             number,
             near,

@@ -49,14 +49,14 @@ class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         round: number of the round, from 1.
         position: own believed position [units; world frame].
-        neighbors: number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
+        degree: number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
         sensed: believed positions of the robots within sensing range, by id [units; world frame].
         observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
     """
 
     round: int
     position: Point
-    neighbors: int
+    degree: int
     sensed: Mapping[int, Point]
     observed: tuple[Point, ...]
 
@@ -65,7 +65,7 @@ class Sensed(msgspec.Struct, frozen=True, kw_only=True):
     """Sensor values between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
 
     position: Point
-    neighbors: int
+    degree: int
     sensed: Mapping[int, Point]
     observed: tuple[Point, ...]
 

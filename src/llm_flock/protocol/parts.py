@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -28,7 +29,8 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import Verdict
 
-NOBODY = frozenset[int]()
+Gaps: TypeAlias = Literal["report", "replan"]
+"""What to do about slots that no living robot can take."""
 
 
 class Membership:
@@ -36,11 +38,6 @@ class Membership:
 
     Positions are in the frame of the mission [units].
     """
-
-    @property
-    def silent(self) -> frozenset[int]:
-        """Robots whose heartbeats have stopped."""
-        return NOBODY
 
     @property
     def beats(self) -> tuple[int, ...]:
@@ -172,7 +169,7 @@ class Safety:
         return SafeStep(waypoint=wish, origin=Origin.MODEL)
 
 
-class Verifier:
+class Checker:
     """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything.
 
     Attributes:
@@ -224,4 +221,4 @@ class Parts:
     channel: Channel | None = None
     membership: Membership = field(default_factory=Membership)
     safety: Safety = field(default_factory=Safety)
-    verifier: Verifier = field(default_factory=Verifier)
+    verifier: Checker = field(default_factory=Checker)

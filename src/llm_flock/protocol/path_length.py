@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy
@@ -17,8 +18,10 @@ from numpy.typing import NDArray
 
 from llm_flock import graph
 from llm_flock.arrays import Pairwise, Point, Points, Vector
-from llm_flock.obstacles import Roadmap
 from llm_flock.protocol.plan import Plan
+
+if TYPE_CHECKING:
+    from llm_flock.obstacles.roadmap import Roadmap  # only missions with obstacles need it
 
 REACH = 1.5
 """A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""

@@ -14,13 +14,11 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 from mcap.writer import IndexType, Writer
 
 from llm_flock.errors import InputError, RecordError
-from llm_flock.file_lock import lock_file
-from llm_flock.record.scene import SceneDrawer, scene_schema
 from llm_flock.record.schema import (
     CHANNELS,
     ROUND_NS,
@@ -35,6 +33,9 @@ from llm_flock.record.schema import (
     SummaryMessage,
     channel_schema,
 )
+
+if TYPE_CHECKING:
+    from llm_flock.record.scene import SceneDrawer
 
 LIBRARY = "llm-flock"
 BUFFER_BYTES = 1 << 20
@@ -116,6 +117,8 @@ def check_new(path: Path) -> None:
 @cache
 def _schemas() -> tuple[tuple[str, str, bytes], ...]:
     """Topic, name and JSON schema of every channel: the same in each record of a process."""
+    from llm_flock.record.scene import scene_schema
+
     ours = [(topic, "llm_flock.", channel_schema(model)) for topic, model in CHANNELS.items()]
     return tuple(
         (topic, package + schema["title"], json.dumps(schema, separators=(",", ":")).encode())
@@ -140,6 +143,8 @@ class RecordWriter:
             if os.path.lexists(path):  # says no where the system does not take the name at all
                 raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
             raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+        from llm_flock.file_lock import lock_file
+
         lock_file(self._file.fileno())
         self._mcap = Writer(
             self._file, use_chunking=False, index_types=IndexType.NONE, use_summary_offsets=False, enable_crcs=True
@@ -183,6 +188,8 @@ class RecordWriter:
             raise self._failure(error) from error
         if isinstance(entry, MissionInfo):
             # Plans keep their colours in the next mission; sizes and ranges never change.
+            from llm_flock.record.scene import SceneDrawer
+
             self._scene = self._scene or SceneDrawer(entry)
         elif isinstance(entry, PlanInfo) and self._scene is not None:
             self._scene.know([entry.plan_id])

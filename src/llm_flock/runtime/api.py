@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -9,7 +10,6 @@ from typing import Any, Unpack, cast
 
 from llm_flock.errors import FieldError, FlockError, InputError, RecordError
 from llm_flock.llm.own import split_choice
-from llm_flock.llm.replay import CassetteWriter
 from llm_flock.llm.sharing import CallLane
 from llm_flock.mission import Mission
 from llm_flock.record.writer import GivenUp, NullWriter, RecordSink, RecordWriter, Tee
@@ -19,7 +19,6 @@ from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
 from llm_flock.runtime.entries import run_info
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.loops import wait_for
-from llm_flock.runtime.notebook import notebook_progress
 from llm_flock.runtime.parameters import Parameters, plain
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
@@ -118,7 +117,9 @@ async def _fly(
     with ExitStack() as stack:
         outputs = open_outputs(config, planners, sink, trace=trace, unrepeatable=code)
         journal, record = stack.enter_context(outputs)
-        if progress:
+        if progress and "IPython" in sys.modules:
+            from llm_flock.runtime.notebook import notebook_progress
+
             on_round = stack.enter_context(notebook_progress(config.mission.shape, on_round))
         trial = Trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
         try:
@@ -153,6 +154,8 @@ def open_outputs(
     with ExitStack() as stack:
         path, cassette = config.record, config.model.record_llm
         if cassette is not None:
+            from llm_flock.llm.replay import CassetteWriter
+
             planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
         try:
             writer: RecordSink = NullWriter() if path is None else stack.enter_context(RecordWriter(path))

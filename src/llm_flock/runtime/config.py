@@ -13,17 +13,16 @@ from typing import Annotated, Any, Literal, Self, cast
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
+from llm_flock import graph
+from llm_flock.bounds import TIME_OUT
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.llm.frame import FrameName
 from llm_flock.metrics import deadline
-from llm_flock.mission import Coordinate, Mission
+from llm_flock.mission import Mission
 from llm_flock.protocol.breaker import Fallback
-from llm_flock.protocol.membership.liveness import TIME_OUT
-from llm_flock.protocol.membership.occupancy import in_radio_contact
-from llm_flock.protocol.plan import Plan
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
-from llm_flock.runtime.schedule import MOST_ROUNDS, Change, Schedule, build_schedule, load_points
+from llm_flock.runtime.schedule import MOST_ROUNDS, Schedule, TrialConfig, build_schedule, load_points
 from llm_flock.transport.memory import LinkFaults
 from llm_flock.validation import fields_of, input_error, unknown_section
 
@@ -168,42 +167,6 @@ class LimitConfig(ConfigSection):
     )
 
 
-class TrialConfig(ConfigSection):
-    """One seeded run: its length, starts and faults."""
-
-    rounds: int | None = Field(
-        default=None,
-        ge=0,
-        le=MOST_ROUNDS,
-        description="Largest number of motion rounds [3 * lower bound + 20, from the last event on]",
-    )
-    stop_when_formed: bool = Field(default=True, description="End the run as soon as the formation has been held")
-    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
-    start: Literal["separated", "uniform", "connected"] = Field(
-        default="separated",
-        description="Random starts: at least safe_distance apart; uniform, as in the paper; or all in radio contact",
-    )
-    start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
-        default=None, description="Start positions, instead of random ones [units]"
-    )
-    start_area: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] | None = Field(
-        default=None, description="Two opposite corners of the area of random starts [the arena]"
-    )
-    kill: str | None = Field(
-        default=None, description="Kill these robots, each at the start of a round: ID@ROUND,ID@ROUND,..."
-    )
-    join: str | None = Field(
-        default=None, description="Let these robots join, or join again, at the start of a round: ID@ROUND,..."
-    )
-    kill_random: int = Field(default=0, ge=0, description="Kill this many more robots, drawn from the seed")
-    join_random: int = Field(default=0, ge=0, description="Let this many more robots join late, drawn from the seed")
-    changes: tuple[Change, ...] = Field(
-        default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
-    )
-    noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
-    out: str | None = Field(default=None, description="Folder for the record (run.mcap) and the figures drawn from it")
-
-
 class RunConfig(ConfigSection):
     """Everything that defines a run. Field names are unique over all sections, so a flag needs no section.
 
@@ -341,7 +304,8 @@ ROOM = 1.05
 @cache
 def warn_of_mission(mission: Mission) -> None:
     """Log a warning, once for each mission, if it may not form: for want of radio contact, or of room to move."""
-    if mission.ideal is not None and not in_radio_contact(Plan.of(mission.ideal), mission.comm_range):
+    ideal = mission.ideal
+    if ideal is not None and not graph.is_connected(graph.distances(ideal) <= mission.comm_range):
         logger.warning(
             "comm_range = %g is too short for this formation: robots at its places, %g apart, are not all in radio "
             "contact. The team may take long to agree or never form, and cannot notice a dead robot.",

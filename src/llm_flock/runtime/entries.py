@@ -14,7 +14,6 @@ from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import MoveTo, Origin
 from llm_flock.record.schema import CallUsage, ChatLine, LlmEntry, MetricsRow, MissionInfo, RunInfo, State
-from llm_flock.runtime import versions
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.roster import Roster
@@ -33,6 +32,8 @@ def run_info(
 
     Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
+    from llm_flock.runtime import versions
+
     machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
     return RunInfo(
         format_version=1,

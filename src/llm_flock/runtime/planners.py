@@ -5,27 +5,24 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
-from llm_flock.llm.geometry import GeometryPlanner, KnownPlans
-from llm_flock.llm.letter_planner import LetterPlanner
-from llm_flock.llm.letters import check_wish
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
-from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings
+from llm_flock.llm.models import ModelPool, check_priced, parse_history, parse_models, parse_settings
 from llm_flock.llm.own import OwnModel
-from llm_flock.llm.planner import LanguagePlanner, parse_history
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
-from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.providers import ModelName, parse_base_urls, parse_model
-from llm_flock.llm.replay import ReplayModel
 from llm_flock.llm.sharing import CallLane, Pools
-from llm_flock.llm.simulated.prompt_reader import check_prompts
 from llm_flock.llm.sources import habits_of, source_of
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol.verification.plans import check_proposal
-from llm_flock.protocol.verification.steps import Verdict, judge
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.seeds import Stream, stream
+
+if TYPE_CHECKING:
+    from llm_flock.llm.prompting import PromptSet
+    from llm_flock.llm.replay import ReplayModel  # each kind of model is imported where a robot asks one
+    from llm_flock.protocol.verification.steps import Verdict
 
 
 class TeamPlanners:
@@ -88,9 +85,15 @@ class TeamPlanners:
             max_tokens=limits.max_answer_tokens,
         )
 
-        wish = check_wish(model.wish or "")
+        wish = model.wish or ""
+        if wish:
+            from llm_flock.llm.letters import check_wish
+
+            wish = check_wish(wish)
 
         def prompts_of(text: str) -> PromptSet:
+            from llm_flock.llm.prompting import PromptSet
+
             words = model.prompts or habits_of(text).prompts
             prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
             if wish and words in ("full", "brief"):
@@ -98,17 +101,25 @@ class TeamPlanners:
                     "wish", wish, f"no wish with the prompts {words!r}, which do not name it: use 'letters'"
                 )
             if parse_model(text).kind == "simulated":
+                from llm_flock.llm.simulated.prompt_reader import check_prompts
+
                 check_prompts(prompts, config.mission)
             return prompts
 
-        self._prompts = {text: prompts_of(text) for text in dict.fromkeys(self.names)}
+        given = bool(model.prompts or wish)  # then they are checked, even if nobody is asked
+        asked_by = [text for text in dict.fromkeys(self.names) if given or parse_model(text).kind != "geometry"]
+        self._prompts = {text: prompts_of(text) for text in asked_by}
         history = parse_history(model.history)
         shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
 
         def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+            from llm_flock.protocol.verification.plans import check_proposal
+
             return check_proposal(question.mission, answer.plan, question.still, question.position)
 
         def judged(question: StepQuestion, answer: StepAnswer) -> Verdict:
+            from llm_flock.protocol.verification.steps import judge
+
             return judge(question, answer, shield_on=shield_on)
 
         def planner_of(robot: int, text: str) -> Planner:
@@ -117,8 +128,12 @@ class TeamPlanners:
             knows = habits_of(text).plans
             asked: LanguageModel
             if name.kind == "geometry":
+                from llm_flock.llm.geometry import GeometryPlanner
+
                 return GeometryPlanner(rng)
             if name.kind == "replay":
+                from llm_flock.llm.replay import ReplayModel
+
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
                 replay = self._replays[text]
@@ -131,7 +146,13 @@ class TeamPlanners:
                 remote = self._pool.model(text, rng=rng, settings=settings[robot])
                 asked = Limited(remote, limits_for(name))
             prompts = self._prompts[text]
-            kind = LetterPlanner if prompts.letters else LanguagePlanner
+            from llm_flock.llm.planner import LanguagePlanner
+
+            kind = LanguagePlanner
+            if prompts.letters:
+                from llm_flock.llm.letter_planner import LetterPlanner
+
+                kind = LetterPlanner
             planner = kind(
                 robot,
                 asked,
@@ -144,7 +165,11 @@ class TeamPlanners:
                 clips=config.protocol.fallback != "hold",
                 frame=model.frame or habits_of(text).frame,
             )
-            return planner if knows is None else KnownPlans(planner, knows)
+            if knows is None:
+                return planner
+            from llm_flock.llm.geometry import KnownPlans
+
+            return KnownPlans(planner, knows)
 
         self._planner_of: Callable[[int, str], Planner] = planner_of
         self._prompts_of = prompts_of
@@ -166,7 +191,7 @@ class TeamPlanners:
     def replace(self, robot: int, model: str) -> None:
         """Give a robot another model from its next question on; `InputError` if there is no such model."""
         self._replaced[robot] = model
-        if model not in self._prompts:
+        if model not in self._prompts and parse_model(model).kind != "geometry":
             self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
 

@@ -14,15 +14,16 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.reader import RunRecord, gather_record
 from llm_flock.record.schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
-from llm_flock.record.tables import TableName
 from llm_flock.record.words import formed_in
 from llm_flock.runtime.config import RunConfig
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
     import polars
+
+    from llm_flock.record.reader import RunRecord
+    from llm_flock.record.tables import TableName
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -266,6 +267,8 @@ def trace_record(
     config: RunConfig, trace: Iterable[Entry], summary: Summary | None = None, unrepeatable: Sequence[str] = ()
 ) -> RunRecord:
     """A record in memory of the entries that a run has kept; without a summary, it is still under way."""
+    from llm_flock.record.reader import gather_record
+
     about = RunInfo(
         format_version=FORMAT_VERSION,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),

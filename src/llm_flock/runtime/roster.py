@@ -5,18 +5,14 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Iterable
 
+from llm_flock.bounds import TIME_OUT
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.membership.liveness import TIME_OUT
-from llm_flock.protocol.membership.replanning import Gaps
-from llm_flock.protocol.membership.team import TeamMembership
-from llm_flock.protocol.motion.safety import ShieldedSafety
-from llm_flock.protocol.parts import Membership, Parts, Safety, Verifier
-from llm_flock.protocol.verification.validator import Validator
+from llm_flock.protocol.parts import Checker, Gaps, Membership, Parts, Safety
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
-from llm_flock.runtime.rules import Rules
+from llm_flock.runtime.rules import Rules, are_the_papers
 
 SOLVERS = ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial")
 """What agents compute with. scipy imports each at its first use, which takes up to half a second."""
@@ -46,19 +42,25 @@ def make_parts(
     Bodies pass each other if they are `apart` [units], the safe distance if not given. With `gaps` of "replan", plans
     for fewer robots are accepted. Without `membership` a robot knows its neighbours only.
     """
+    team, safety, verifier = Membership(), Safety(), Checker(any_size=gaps == "replan")
+    if membership:
+        from llm_flock.protocol.membership.team import TeamMembership
+
+        team = TeamMembership(robot, mission, time_out=time_out, gaps=gaps)
+    if shield:
+        from llm_flock.protocol.motion.safety import ShieldedSafety
+
+        safety = ShieldedSafety(robot, mission, noise_bound, apart)
+    if verify:
+        from llm_flock.protocol.verification.validator import Validator
+
+        verifier = Validator(shield_on=shield, any_size=gaps == "replan")
     consensus, assignment = rules
-    replans = gaps == "replan"
-    return Parts(
-        consensus=consensus,
-        assignment=assignment,
-        membership=TeamMembership(robot, mission, time_out=time_out, gaps=gaps) if membership else Membership(),
-        safety=ShieldedSafety(robot, mission, noise_bound, apart) if shield else Safety(),
-        verifier=Validator(shield_on=shield, any_size=replans) if verify else Verifier(any_size=replans),
-    )
+    return Parts(consensus=consensus, assignment=assignment, membership=team, safety=safety, verifier=verifier)
 
 
 def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
-    """The parts of a robot as configured."""
+    """The parts of a robot as configured. The paper's rules know of no team, so there they have no membership."""
     protocol = config.protocol
     return make_parts(
         robot,
@@ -66,6 +68,7 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
         rules,
         shield=bool(protocol.shield),
         verify=bool(protocol.verify),
+        membership=protocol.gaps == "replan" or not are_the_papers(rules),
         noise_bound=config.trial.noise,
         time_out=protocol.time_out,
         gaps=protocol.gaps,

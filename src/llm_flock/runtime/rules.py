@@ -15,12 +15,18 @@ from llm_flock.protocol.agreement.assignment import (
     NearestAssignment,
     NearestFreeAssignment,
 )
-from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
 from llm_flock.record.words import PRESET_RULES
 
 Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
 """The two rules of an agent."""
+
+
+def _auction() -> AssignmentRule:
+    from llm_flock.protocol.agreement.auction import AuctionAssignment
+
+    return AuctionAssignment()
+
 
 CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
     {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}
@@ -30,7 +36,7 @@ ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
         "index": IndexAssignment,
         "nearest": NearestAssignment,
         "nearest-free": NearestFreeAssignment,
-        "auction": AuctionAssignment,
+        "auction": _auction,
     }
 )
 
@@ -73,14 +79,21 @@ def assignment_rule(name: str | AssignmentRule) -> AssignmentRule:
     return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 
+def are_the_papers(rules: Rules) -> bool:
+    """Whether these rules are those of the paper or its baseline, in any of their readings."""
+    consensus, assignment = rules
+    papers = IndexAssignment | NearestAssignment | NearestFreeAssignment
+    return isinstance(consensus, NoConsensus | InfluenceConsensus) and isinstance(assignment, papers)
+
+
 def own_rules(rules: Rules) -> list[str]:
     """Which of these rules a record cannot repeat, because they are code of the user's own, in sentences."""
-    known = {*CONSENSUS.values(), *ASSIGNMENT.values()}
+    ours = "llm_flock.protocol.agreement."
     return [
         f"The rule {type(rule).__module__}:{type(rule).__qualname__} is code of the user's own, of which only the name "
         "is recorded."
         for rule in rules
-        if type(rule) not in known
+        if not type(rule).__module__.startswith(ours)
     ]
 
 

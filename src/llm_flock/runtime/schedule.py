@@ -7,18 +7,14 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from llm_flock import formations
 from llm_flock.errors import InputError
-from llm_flock.mission import Mission
+from llm_flock.mission import Coordinate, Mission
 from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
 from llm_flock.runtime.seeds import Stream, stream
-
-if TYPE_CHECKING:
-    from llm_flock.runtime.config import TrialConfig
 
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
@@ -38,6 +34,44 @@ class Change(BaseModel):
     round: Annotated[int, Field(ge=1)]
     robot: Annotated[int, Field(ge=0)]
     set: dict[str, Any]
+
+
+class TrialConfig(BaseModel):
+    """One seeded run: its length, starts and faults."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rounds: int | None = Field(
+        default=None,
+        ge=0,
+        le=MOST_ROUNDS,
+        description="Largest number of motion rounds [3 * lower bound + 20, from the last event on]",
+    )
+    stop_when_formed: bool = Field(default=True, description="End the run as soon as the formation has been held")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
+    start: Literal["separated", "uniform", "connected"] = Field(
+        default="separated",
+        description="Random starts: at least safe_distance apart; uniform, as in the paper; or all in radio contact",
+    )
+    start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
+        default=None, description="Start positions, instead of random ones [units]"
+    )
+    start_area: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] | None = Field(
+        default=None, description="Two opposite corners of the area of random starts [the arena]"
+    )
+    kill: str | None = Field(
+        default=None, description="Kill these robots, each at the start of a round: ID@ROUND,ID@ROUND,..."
+    )
+    join: str | None = Field(
+        default=None, description="Let these robots join, or join again, at the start of a round: ID@ROUND,..."
+    )
+    kill_random: int = Field(default=0, ge=0, description="Kill this many more robots, drawn from the seed")
+    join_random: int = Field(default=0, ge=0, description="Let this many more robots join late, drawn from the seed")
+    changes: tuple[Change, ...] = Field(
+        default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
+    )
+    noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
+    out: str | None = Field(default=None, description="Folder for the record (run.mcap) and the figures drawn from it")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,7 +219,9 @@ def load_points(fields: dict[str, Any]) -> bool:
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False
-    fields.update(shape="points", points=formations.load_points(points_file(shape), "shape"))
+    from llm_flock.formations.files import load_points as read_points
+
+    fields.update(shape="points", points=read_points(points_file(shape), "shape"))
     return True
 
 

@@ -3,32 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 from llm_flock import metrics
 from llm_flock.protocol.events import Origin
+from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.entries import finite
+from llm_flock.runtime.journal import Journal
+from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import FlightFigures, MissionOutcome, Summary, by_origin, waypoint_shares
-
-if TYPE_CHECKING:
-    from llm_flock.runtime.trial import Trial
-
+from llm_flock.runtime.roster import Roster
+from llm_flock.runtime.schedule import Schedule
+from llm_flock.transport.memory import Traffic
 
 GEOMETRY = "geometry"
 """Supplier of a plan that no model made."""
 
 
-def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFigures | None) -> Summary:
-    """The summary of a trial that has ended: its duration [s], the path of its record, the figures of a real flight."""
-    config, journal, traffic, rounds = trial.config, trial.journal, trial.transport.traffic, trial.round
-    agents, episode = trial.roster.awake_agents(), journal.episode
+def summarize(
+    config: RunConfig,
+    schedule: Schedule,
+    journal: Journal,
+    roster: Roster,
+    planners: TeamPlanners,
+    traffic: Traffic,
+    *,
+    rounds: int,
+    stopped: str,
+    reason: str | None,
+    wall_s: float,
+    record: str | None,
+    flight: FlightFigures | None,
+) -> Summary:
+    """The summary of a run that stopped for a reason: its duration [s], the path of its record, a flight's figures."""
+    agents, episode = roster.awake_agents(), journal.episode
     plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
     slots = [a.claim.slot for a in agents]
     plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
     origin = None if plan is None else agents[0].provenance
     by = None if plan is None or origin is None else journal.suppliers.get((plan.digest, origin.proposer))
     waypoints = by_origin(journal.waypoints)
-    journal.close_episode(trial.roster)
+    journal.close_episode(roster)
     error = journal.errors[-1]
     return Summary(
         shape=config.mission.shape,
@@ -37,14 +51,14 @@ def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFig
         consensus=config.protocol.consensus or "",
         assignment=config.protocol.assignment or "",
         shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(trial.planners.names)),
-        simulated=trial.planners.simulated,
-        stopped=trial.stopped,
-        reason=trial.reason,
+        models=tuple(dict.fromkeys(planners.names)),
+        simulated=planners.simulated,
+        stopped=stopped,
+        reason=reason,
         rounds=rounds,
         formed=episode.formed_at is not None,
         formed_by_models=episode.formed_at is not None
-        and GEOMETRY not in (by, *trial.planners.names)
+        and GEOMETRY not in (by, *planners.names)
         and not journal.breakers_opened
         and not journal.waypoints[Origin.GEOMETRY.value],
         rounds_to_formed=episode.rounds_to_formed,
@@ -76,11 +90,11 @@ def summarize(trial: Trial, wall_s: float, record: str | None, flight: FlightFig
         breakers_opened=tuple(sorted(journal.breakers_opened)),
         messages_sent=traffic.sent,
         bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
-        messages_rejected=dict(sorted(journal.rejected(trial.roster).items())),
+        messages_rejected=dict(sorted(journal.rejected(roster).items())),
         wall_s=wall_s,
         record=record,
-        killed=_turns(trial.schedule.kills, rounds),
-        joined=_turns(trial.schedule.joins, rounds),
+        killed=_turns(schedule.kills, rounds),
+        joined=_turns(schedule.joins, rounds),
         missions=tuple(
             MissionOutcome(
                 round=part.flown + 1 if part.flown else 0,

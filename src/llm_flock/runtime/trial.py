@@ -17,8 +17,6 @@ from llm_flock.arrays import Points
 from llm_flock.own_code import shown
 from llm_flock.protocol import events
 from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
-from llm_flock.protocol.membership.liveness import patience
-from llm_flock.protocol.messages.order_time import order_time
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.schema import MetricsRow, SummaryMessage
 from llm_flock.runtime.bodies import Bodies
@@ -180,9 +178,13 @@ class Trial:
     @property
     def _noticed(self) -> int:
         """The round by which the other robots have noticed the last death, and searched for the missing robot."""
-        time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
         kills = self.schedule.kills
-        return max(kills) + time_out + ROUNDS_TO_LOOK if kills else 0
+        if not kills:
+            return 0
+        from llm_flock.protocol.membership.liveness import patience
+
+        time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
+        return max(kills) + time_out + ROUNDS_TO_LOOK
 
     @property
     def _done(self) -> bool:
@@ -204,7 +206,12 @@ class Trial:
             journal.note(number, None, robot, Note("joined", {}))
         if killed or joined:
             journal.episode.disturb(number - 1)
-        for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
+        given = schedule.missions.get(number, ())
+        if not given:
+            return
+        from llm_flock.protocol.messages.order_time import order_time
+
+        for count, (robot, mission) in enumerate(given):
             journal.close_episode(roster)
             journal.mission_given(mission, number - 1, self.bodies.positions)
             self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
@@ -235,7 +242,7 @@ class Trial:
             began = events.RoundBegan(
                 round=number,
                 position=seen.position,
-                neighbors=len(self.roster.hears(self.bodies, robot)),
+                degree=len(self.roster.hears(self.bodies, robot)),
                 sensed=seen.sensed,
                 observed=observed,
             )
@@ -321,7 +328,20 @@ class Trial:
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
             self.journal.measure_error(self.roster)
-        summary = summarize(self, time.perf_counter() - self._began, record, flight)
+        summary = summarize(
+            self.config,
+            self.schedule,
+            self.journal,
+            self.roster,
+            self.planners,
+            self.transport.traffic,
+            rounds=self.round,
+            stopped=self.stopped,
+            reason=self.reason,
+            wall_s=time.perf_counter() - self._began,
+            record=record,
+            flight=flight,
+        )
         self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,

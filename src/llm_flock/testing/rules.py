@@ -23,13 +23,13 @@ def random_message(sender: int, n: int, plan: Plan | None, rng: np.random.Genera
     def draw() -> int:
         return int(rng.integers(0, n))
 
-    origin = None if plan is None else _origin(neighbors=draw(), proposer=draw())
+    origin = None if plan is None else _origin(degree=draw(), proposer=draw())
     slot = None if plan is None or rng.random() < 0.2 else draw()
-    return Message(sender=sender, sequence=0, neighbors=draw(), plan=plan, provenance=origin, slot=slot)
+    return Message(sender=sender, sequence=0, degree=draw(), plan=plan, provenance=origin, slot=slot)
 
 
-def _origin(neighbors: int, proposer: int) -> Provenance:
-    return Provenance(mission=0, mission_digest=DIGEST, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0)
+def _origin(degree: int, proposer: int) -> Provenance:
+    return Provenance(mission=0, mission_digest=DIGEST, epoch=0, degree=degree, proposer=proposer, sequence=0)
 
 
 def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 0) -> None:
@@ -45,7 +45,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
         n = int(rng.integers(1, 8))
         plans = [random_plan(n, rng), random_plan(n, rng), None]
         own_message = random_message(0, n, plans[int(rng.integers(0, 3))], rng)
-        own = Standing(plan=own_message.plan, provenance=own_message.provenance, neighbors=own_message.neighbors)
+        own = Standing(plan=own_message.plan, provenance=own_message.provenance, degree=own_message.degree)
         assert rule.choose(own, []) is None, f"{rule.name} chose although nothing was heard"
         heard = [random_message(j, n, plans[int(rng.integers(0, 3))], rng) for j in range(1, n)]
         choice = rule.choose(own, heard)
@@ -57,7 +57,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
         shuffled = [heard[int(k)] for k in rng.permutation(len(heard))]
         again = rule.choose(own, shuffled)
         assert again is not None and again.plan == choice.plan, f"{rule.name} depends on the order of messages"
-        settled = Standing(plan=choice.plan, provenance=choice.provenance, neighbors=own.neighbors)
+        settled = Standing(plan=choice.plan, provenance=choice.provenance, degree=own.degree)
         assert rule.choose(settled, [choice]) is None, f"{rule.name} adopts again what it just adopted"
 
 
@@ -118,9 +118,9 @@ def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     message = Message(
         sender=robot,
         sequence=0,
-        neighbors=0,
+        degree=0,
         plan=plan,
-        provenance=_origin(neighbors=0, proposer=0),
+        provenance=_origin(degree=0, proposer=0),
         slot=claim.slot,
         claims=None if table is None else claims_in(table),
         table_digest=None if table is None else table_digest(table),

@@ -46,18 +46,18 @@ def make(robot: int = 0) -> Agent:
 
 def seen(at: tuple[float, float] = HERE, **others: tuple[float, float]) -> Sensed:
     sensed = {int(name[1:]): x for name, x in others.items()}
-    return Sensed(position=at, neighbors=len(sensed), sensed=sensed, observed=tuple(sensed.values()))
+    return Sensed(position=at, degree=len(sensed), sensed=sensed, observed=tuple(sensed.values()))
 
 
 def began(number: int = 1, at: tuple[float, float] = HERE) -> RoundBegan:
-    return RoundBegan(round=number, position=at, neighbors=0, sensed={}, observed=())
+    return RoundBegan(round=number, position=at, degree=0, sensed={}, observed=())
 
 
-def said_by(robot: int, plan: Plan, *, neighbors: int) -> bytes:
+def said_by(robot: int, plan: Plan, *, degree: int) -> bytes:
     """What another robot says that has proposed a plan."""
     other = make(robot)
     others = {f"r{j}": (50.0 + j, 60.0) for j in range(3) if j != robot}
-    other.handle(seen((50.0 + robot, 55.0), **dict(list(others.items())[:neighbors])))
+    other.handle(seen((50.0 + robot, 55.0), **dict(list(others.items())[:degree])))
     other.handle(HeartbeatDue(1))
     other.handle(began())
     other.handle(Planned(PlanAnswer(plan=plan, slot=robot)))
@@ -84,7 +84,7 @@ def test_it_sends_and_receives_before_its_first_round() -> None:
     agent = make()
     agent.handle(seen())
     agent.handle(HeartbeatDue(1))
-    agent.handle(Received(said_by(1, PLAN, neighbors=2)))
+    agent.handle(Received(said_by(1, PLAN, degree=2)))
     assert "adopted" in kinds(agent.handle(CommRoundEnded()))
     assert agent.phase is Phase.IDLE and agent.plan == PLAN
     assert agent.handle(began()) == [] and agent.phase is Phase.AGREEING
@@ -114,7 +114,7 @@ def test_a_plan_that_was_overtaken_is_dropped() -> None:
     agent.handle(HeartbeatDue(1))
     (ask,) = agent.handle(began())
     assert isinstance(ask, AskPlan)
-    agent.handle(Received(said_by(2, BETTER, neighbors=2)))
+    agent.handle(Received(said_by(2, BETTER, degree=2)))
     agent.handle(CommRoundEnded())
     assert agent.phase is Phase.PLANNING and agent.plan == BETTER
     assert agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0))) == [Note("stale_answer", {"about": "plan"})]
@@ -123,7 +123,7 @@ def test_a_plan_that_was_overtaken_is_dropped() -> None:
 
 def test_a_step_is_asked_for_again_when_its_plan_has_changed() -> None:
     agent = deciding(make())
-    agent.handle(Received(said_by(2, BETTER, neighbors=2)))
+    agent.handle(Received(said_by(2, BETTER, degree=2)))
     effects = agent.handle(CommRoundEnded())
     assert kinds(effects)[-1] == "stale_question"
     assert isinstance(effects[-1], AskStep) and effects[-1].question.plan == BETTER
@@ -151,7 +151,7 @@ def test_a_step_is_flown_from_what_is_seen_when_it_is_decided() -> None:
 def test_it_sends_and_receives_while_it_flies() -> None:
     agent = deciding(make())
     agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
-    agent.handle(Received(said_by(2, BETTER, neighbors=2)))
+    agent.handle(Received(said_by(2, BETTER, degree=2)))
     assert "adopted" in kinds(agent.handle(CommRoundEnded())) and agent.phase is Phase.MOVING
     agent.handle(Arrived())
     assert agent.phase is Phase.IDLE

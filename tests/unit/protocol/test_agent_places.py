@@ -45,7 +45,7 @@ def test_a_lost_auction_is_noted() -> None:
         Message(
             sender=1,
             sequence=0,
-            neighbors=2,
+            degree=2,
             plan=PLAN,
             provenance=origin(1),
             slot=0,
@@ -63,8 +63,8 @@ def test_claims_on_another_plan_are_not_merged() -> None:
     planned(agent)
     before = agent.claim
     won = ((9, 0.0, 1), (9, 0.0, 0), (0, 0.0, -1))
-    weak = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
-    standing = Message(sender=1, sequence=0, neighbors=0, plan=BETTER, provenance=weak, slot=0, **told(won))
+    weak = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, degree=0, proposer=0, sequence=0)
+    standing = Message(sender=1, sequence=0, degree=0, plan=BETTER, provenance=weak, slot=0, **told(won))
     agent.handle(Received(encode(standing)))
     agent.handle(CommRoundEnded())
     assert agent.plan == PLAN, "the other plan ranks lower"
@@ -76,9 +76,7 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
     agent.handle(
-        Received(
-            encode(Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, **told(won)))
-        )
+        Received(encode(Message(sender=1, sequence=0, degree=2, plan=PLAN, provenance=origin(1), slot=0, **told(won))))
     )
     agent.handle(CommRoundEnded())
     assert agent.claim.slot is None
@@ -87,7 +85,7 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     assert min(math.dist(ask.question.goal, x) for x in PLAN.points) >= 2 * MISSION.safe_distance
     agent.handle(Decided(StepAnswer(waypoint=ask.question.goal)))
     agent.handle(Arrived())
-    agent.handle(RoundBegan(round=2, position=ask.question.goal, neighbors=0, sensed={}, observed=()))
+    agent.handle(RoundBegan(round=2, position=ask.question.goal, degree=0, sensed={}, observed=()))
     note, _ = agent.handle(AgreementEnded())
     assert isinstance(note, Note) and "taken by others" in note.detail["reason"]
 
@@ -97,7 +95,7 @@ def test_a_robot_without_a_place_that_hears_nobody_goes_to_find_the_others() -> 
     agent = make(2)
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
-    message = Message(sender=1, sequence=0, neighbors=2, plan=PLAN, provenance=origin(1), slot=0, **told(won))
+    message = Message(sender=1, sequence=0, degree=2, plan=PLAN, provenance=origin(1), slot=0, **told(won))
     agent.handle(Received(encode(message)))
     agent.handle(CommRoundEnded())
     here, moves = (12.0, 12.0), list[MoveTo]()
@@ -108,7 +106,7 @@ def test_a_robot_without_a_place_that_hears_nobody_goes_to_find_the_others() -> 
             *_, last = agent.handle(Decided(StepAnswer(waypoint=here)))
         assert isinstance(last, MoveTo)
         agent.handle(Arrived())
-        agent.handle(RoundBegan(round=number, position=here, neighbors=len(sensed), sensed=sensed, observed=()))
+        agent.handle(RoundBegan(round=number, position=here, degree=len(sensed), sensed=sensed, observed=()))
         return last
 
     assert agent.claim.slot is None
@@ -128,7 +126,7 @@ def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:
     kinds: list[str] = []
     for number in range(1, 12):
         here = (50.0, 50.0) if number < 8 else goals[-1]
-        agent.handle(RoundBegan(round=number, position=here, neighbors=0, sensed={}, observed=()))
+        agent.handle(RoundBegan(round=number, position=here, degree=0, sensed={}, observed=()))
         if number == 1:
             agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
         *said, ask = agent.handle(AgreementEnded())

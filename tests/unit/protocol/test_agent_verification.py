@@ -88,7 +88,7 @@ def test_an_exact_plan_beats_a_crude_one_of_higher_influence() -> None:
     agent.handle(began(r1=(58.0, 50.0)))
     agent.handle(Planned(PlanAnswer(plan=CRUDE, slot=0)))
     assert agent.plan == CRUDE
-    low = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
+    low = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, degree=0, proposer=0, sequence=0)
     agent.handle(Received(foreign(1, CRUDE, origin(1))))
     agent.handle(Received(foreign(0, TURNED, low)))
     agent.handle(CommRoundEnded())

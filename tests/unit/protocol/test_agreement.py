@@ -230,12 +230,12 @@ def test_a_rule_is_asked_as_soon_as_an_argument_changes() -> None:
     for _ in range(2):
         driven.comm_round(other)
     assert asked_by(driven, rule, other) == 0
-    driven.agent.handle(Sensed(position=(30.0, 50.0), neighbors=1, sensed={1: PLAN.points[2]}, observed=()))
+    driven.agent.handle(Sensed(position=(30.0, 50.0), degree=1, sensed={1: PLAN.points[2]}, observed=()))
     assert asked_by(driven, rule, other) == 1, "another position"
     for _ in range(2):
         driven.comm_round(other)
     assert asked_by(driven, rule, other) == 0
-    driven.agent.handle(Sensed(position=(30.0, 50.0), neighbors=1, sensed={1: (40.0, 50.0)}, observed=()))
+    driven.agent.handle(Sensed(position=(30.0, 50.0), degree=1, sensed={1: (40.0, 50.0)}, observed=()))
     assert asked_by(driven, rule, other) == 1, "a sensed robot has moved"
 
 

@@ -268,8 +268,8 @@ def test_a_jointly_assigned_place_is_not_handed_on_along_the_formation(version: 
     """Across a ring, a robot flies straight to an assigned place; a place won by bids is handed on one by one."""
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     table = tuple((version, -1.0, {30: 0, 1: 1}.get(slot, k)) for slot, k in zip(range(60), range(2, 62), strict=True))
-    origin = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
-    heard = Message(sender=1, sequence=0, neighbors=0, plan=ring, provenance=origin, slot=1, **told(table))
+    origin = Provenance(mission=0, mission_digest="0" * 16, epoch=0, degree=0, proposer=0, sequence=0)
+    heard = Message(sender=1, sequence=0, degree=0, plan=ring, provenance=origin, slot=1, **told(table))
     now = replace(moment(None), robot=0, position=(99.0, 0.0), plan=ring, heard=(heard,), sensed={1: ring.points[1]})
     claim = AuctionAssignment().update(Claim(slot=30, table=table, bids=(-1.0,) * 60), now)
     assert claim.slot == 30 and (claim.offer is not None) == offered
@@ -288,9 +288,9 @@ def test_places_given_to_robots_in_touch_are_exchanged_along_the_formation() -> 
 def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:
     mission = Mission(shape="circle", n_robots=N, spacing=6.0)
     agent = whole_agent(0, mission, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
-    agent.handle(RoundBegan(round=1, position=(48.0, 50.0), neighbors=1, sensed={1: (50.0, 50.0)}, observed=()))
+    agent.handle(RoundBegan(round=1, position=(48.0, 50.0), degree=1, sensed={1: (50.0, 50.0)}, observed=()))
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
-    message = Message(sender=1, sequence=0, neighbors=1, stamp=MissionStamp(0, mission.digest), positions=heard)
+    message = Message(sender=1, sequence=0, degree=1, stamp=MissionStamp(0, mission.digest), positions=heard)
     agent.handle(Received(encode(message)))
     assert {robot: agent._membership.all_to_all.known[robot] for robot in heard} == heard
     elsewhere = msgspec.structs.replace(message, stamp=MissionStamp(0, "0" * 16), positions={3: (0, (9.0, 9.0), ())})

@@ -9,7 +9,6 @@ from llm_flock.protocol.agreement.assignment import (
     IndexAssignment,
     NearestAssignment,
     NearestFreeAssignment,
-    nearest,
 )
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.protocol.messages.message import Message, Provenance
@@ -17,7 +16,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.testing import check_assignment_rule
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0]])
-ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, degree=0, proposer=0, sequence=0)
 
 
 def at(
@@ -36,7 +35,7 @@ def at(
 
 
 def says(sender: int, slot: int | None) -> Message:
-    return Message(sender=sender, sequence=0, neighbors=0, plan=PLAN, provenance=ORIGIN, slot=slot)
+    return Message(sender=sender, sequence=0, degree=0, plan=PLAN, provenance=ORIGIN, slot=slot)
 
 
 @pytest.mark.parametrize("rule", [IndexAssignment(), NearestAssignment(), NearestFreeAssignment(), AuctionAssignment()])
@@ -66,8 +65,3 @@ def test_nearest_free_respects_claims_that_were_heard() -> None:
     assert rule.update(Claim(slot=1), at(3, 9.0, heard=(says(1, 1),))).slot == 0
     assert rule.update(Claim(slot=1), at(0, 9.0, heard=(says(1, 1),))).slot == 1
     assert rule.update(Claim(slot=1), at(3, 9.0, heard=(says(1, None),))).slot == 1
-
-
-def test_nearest_falls_back_to_the_closest_when_all_are_taken() -> None:
-    assert nearest((9.0, 0.0), PLAN, frozenset({0, 1, 2})) == 1
-    assert nearest((5.0, 0.0), PLAN) == 0

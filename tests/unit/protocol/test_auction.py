@@ -13,7 +13,7 @@ from llm_flock.protocol.messages.message import BidTable, Message, Offer, Proven
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0]])
-ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=0, proposer=0, sequence=0)
+ORIGIN = Provenance(mission=0, mission_digest="0" * 16, epoch=0, degree=0, proposer=0, sequence=0)
 RULE = AuctionAssignment()
 FREE: BidTable = ((0, 0.0, -1), (0, 0.0, -1), (0, 0.0, -1))
 
@@ -35,7 +35,7 @@ def says(sender: int, claim: Claim) -> Message:
     return Message(
         sender=sender,
         sequence=0,
-        neighbors=0,
+        degree=0,
         plan=PLAN,
         provenance=ORIGIN,
         slot=claim.slot,

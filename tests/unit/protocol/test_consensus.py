@@ -18,18 +18,18 @@ A = Plan.of([[0, 0], [10, 0], [5, 8]])
 B = Plan.of([[1, 1], [11, 1], [6, 9]])
 
 
-def origin(proposer: int, neighbors: int) -> Provenance:
-    return Provenance(mission=0, mission_digest="0" * 16, epoch=0, neighbors=neighbors, proposer=proposer, sequence=0)
+def origin(proposer: int, degree: int) -> Provenance:
+    return Provenance(mission=0, mission_digest="0" * 16, epoch=0, degree=degree, proposer=proposer, sequence=0)
 
 
-def says(sender: int, neighbors: int, plan: Plan | None, provenance: Provenance | None = None) -> Message:
+def says(sender: int, degree: int, plan: Plan | None, provenance: Provenance | None = None) -> Message:
     if plan is not None and provenance is None:
-        provenance = origin(sender, neighbors)
-    return Message(sender=sender, sequence=0, neighbors=neighbors, plan=plan, provenance=provenance)
+        provenance = origin(sender, degree)
+    return Message(sender=sender, sequence=0, degree=degree, plan=plan, provenance=provenance)
 
 
-def holds(plan: Plan | None, neighbors: int, proposer: int = 0) -> Standing:
-    return Standing(plan=plan, provenance=None if plan is None else origin(proposer, neighbors), neighbors=neighbors)
+def holds(plan: Plan | None, degree: int, proposer: int = 0) -> Standing:
+    return Standing(plan=plan, provenance=None if plan is None else origin(proposer, degree), degree=degree)
 
 
 @pytest.mark.parametrize(
@@ -94,8 +94,8 @@ def test_among_equals_the_proposer_decides_and_then_the_digest() -> None:
 
 def test_provenance_is_decided_by_the_proposer_not_the_carrier() -> None:
     """A hub that carries a weak robot's plan does not lend it its own influence."""
-    weak_plan_on_hub = says(2, 9, A, origin(proposer=1, neighbors=1))
-    strong_plan_on_loner = says(3, 1, B, origin(proposer=0, neighbors=5))
+    weak_plan_on_hub = says(2, 9, A, origin(proposer=1, degree=1))
+    strong_plan_on_loner = says(3, 1, B, origin(proposer=0, degree=5))
     choice = ProvenanceConsensus().choose(holds(None, 0), [weak_plan_on_hub, strong_plan_on_loner])
     assert choice == strong_plan_on_loner
 
@@ -104,11 +104,11 @@ def test_provenance_converges_within_the_diameter_on_a_path() -> None:
     n = 9
     rng = np.random.default_rng(3)
     plans = [Plan.of(rng.uniform(0, 50, (n, 2)).tolist()) for _ in range(n)]
-    standing = [Standing(plan=plans[i], provenance=origin(i, 1), neighbors=1) for i in range(n)]
+    standing = [Standing(plan=plans[i], provenance=origin(i, 1), degree=1) for i in range(n)]
     for _ in range(n - 1):
-        spoken = [says(i, s.neighbors, s.plan, s.provenance) for i, s in enumerate(standing)]
+        spoken = [says(i, s.degree, s.plan, s.provenance) for i, s in enumerate(standing)]
         for i in range(n):
             choice = ProvenanceConsensus().choose(standing[i], [spoken[j] for j in (i - 1, i + 1) if 0 <= j < n])
             if choice is not None:
-                standing[i] = Standing(plan=choice.plan, provenance=choice.provenance, neighbors=1)
+                standing[i] = Standing(plan=choice.plan, provenance=choice.provenance, degree=1)
     assert {s.plan for s in standing} == {plans[n - 1]}

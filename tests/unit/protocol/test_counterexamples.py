@@ -68,7 +68,7 @@ def test_two_hubs_hold_two_plans_for_ever() -> None:
     plans = turned(nine, 9)
     paper = DrivenTeam(nine, "paper", plans)
     paper.begin(HUBS)
-    assert [agent.neighbors for agent in paper.agents] == [3, 2, 2, 4, 1, 1, 1, 1, 1]
+    assert [agent.degree for agent in paper.agents] == [3, 2, 2, 4, 1, 1, 1, 1, 1]
     settle(paper)
     left, right = {0, 1, 4, 5}, {2, 3, 6, 7, 8}
     assert {paper.plans[i] for i in left} == {plans[0]}

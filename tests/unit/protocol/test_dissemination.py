@@ -54,11 +54,11 @@ def standing(
 ) -> Message:
     """A robot's whole knowledge, by default with one plan and an empty table."""
     plan = plan_of(mission) if plan is None else plan
-    origin = Provenance(mission=counter, mission_digest=mission.digest, epoch=0, neighbors=1, proposer=0, sequence=0)
+    origin = Provenance(mission=counter, mission_digest=mission.digest, epoch=0, degree=1, proposer=0, sequence=0)
     return Message(
         sender=sender,
         sequence=0,
-        neighbors=1,
+        degree=1,
         stamp=MissionStamp(counter, mission.digest),
         plan=plan,
         provenance=origin,
@@ -264,7 +264,7 @@ def test_a_large_table_that_never_rests_is_spelled_out_at_the_start_of_every_fou
 
 def test_a_robot_without_plan_and_table_sends_neither() -> None:
     sender = Sender()
-    bare = Message(sender=0, sequence=0, neighbors=1, stamp=MissionStamp(0, MISSION.digest))
+    bare = Message(sender=0, sequence=0, degree=1, stamp=MissionStamp(0, MISSION.digest))
     said = sender.send(bare)
     assert said.plan is said.table is said.plan_digest is said.table_digest is None and said.places == 0
 

@@ -61,12 +61,12 @@ def plan_of(liar: Liar, angle: int, **origin: int) -> bytes:
     return liar.says(plan=good_plan(MISSION, angle), provenance=liar.provenance(**origin), table=None)
 
 
-def signed(proposer: int, plan: str, *, epoch: int = 0, neighbors: int = 1, by: int | None = None) -> SignedPlan:
+def signed(proposer: int, plan: str, *, epoch: int = 0, degree: int = 1, by: int | None = None) -> SignedPlan:
     origin = Provenance(
-        mission=0, mission_digest=MISSION.digest, epoch=epoch, neighbors=neighbors, proposer=proposer, sequence=0
+        mission=0, mission_digest=MISSION.digest, epoch=epoch, degree=degree, proposer=proposer, sequence=0
     )
     keys = ToyKeys(proposer if by is None else by)
-    return SignedPlan(plan, epoch, neighbors, 0, keys.sign(origin_statement(origin, plan)))
+    return SignedPlan(plan, epoch, degree, 0, keys.sign(origin_statement(origin, plan)))
 
 
 def shown(*proofs: Equivocation) -> Equivocations:
@@ -184,7 +184,7 @@ def test_void_plans_do_not_spread_from_those_who_do_not_know(team: SignedTeam, l
     team.tell(0, said.payload, 1)
     (heard,) = team.agents[0]._messaging.drain()
     assert (heard.sender, heard.plan, heard.slot, heard.table) == (1, None, None, None) and before is not None
-    assert heard.neighbors == team.agents[1].neighbors and channel_of(team.agents[0]).void(STAMP) == {N - 1}
+    assert heard.degree == team.agents[1].degree and channel_of(team.agents[0]).void(STAMP) == {N - 1}
 
 
 def test_forged_proofs_are_no_proofs(team: SignedTeam, liar: Liar) -> None:

@@ -27,12 +27,12 @@ from llm_flock.protocol.messages.order_time import LATEST
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
-ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, neighbors=1, proposer=1, sequence=0)
+ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, degree=1, proposer=1, sequence=0)
 TABLE = ((0, -1.5, 1), UNSAID)
 FULL = Message(
     sender=1,
     sequence=3,
-    neighbors=1,
+    degree=1,
     mission_text='{"shape": "circle"}',
     plan=PLAN,
     provenance=ORIGIN,
@@ -62,13 +62,13 @@ def provenance(**changes: Any) -> list[Any]:
     "message",
     [
         FULL,
-        Message(sender=0, sequence=0, neighbors=0),
-        Message(sender=0, sequence=0, neighbors=0, stamp=MissionStamp(4, "cd" * 8)),
-        Message(sender=0, sequence=1, neighbors=1, plan_digest=PLAN.digest, places=2, provenance=ORIGIN, slot=1),
+        Message(sender=0, sequence=0, degree=0),
+        Message(sender=0, sequence=0, degree=0, stamp=MissionStamp(4, "cd" * 8)),
+        Message(sender=0, sequence=1, degree=1, plan_digest=PLAN.digest, places=2, provenance=ORIGIN, slot=1),
         Message(
             sender=0,
             sequence=1,
-            neighbors=1,
+            degree=1,
             plan=PLAN,
             provenance=ORIGIN,
             **told((UNSAID, (3, 0.0, BLOCKED)), b"\x0f" * 8),
@@ -82,11 +82,11 @@ def test_a_message_is_decoded_as_it_was_encoded(message: Message) -> None:
 def test_slots_left_out_cost_nothing() -> None:
     table = ((1, -2.0, 0), *(UNSAID for _ in range(99)))
     plan = Plan.of([[float(k), 0.0] for k in range(100)])
-    said = Message(sender=0, sequence=0, neighbors=0, plan=plan, provenance=ORIGIN, **told(table, b"\0" * 8))
+    said = Message(sender=0, sequence=0, degree=0, plan=plan, provenance=ORIGIN, **told(table, b"\0" * 8))
     named = Message(
         sender=0,
         sequence=0,
-        neighbors=0,
+        degree=0,
         plan_digest=plan.digest,
         places=100,
         provenance=ORIGIN,
@@ -123,11 +123,11 @@ def test_slots_left_out_cost_nothing() -> None:
         (spoiled(provenance=provenance(mission_digest="ABABABABABABABAB")), "malformed"),
         (spoiled(mission_text=b"\xff\xff"), "malformed"),
         (spoiled(sender=2), "unknown_id"),
-        (spoiled(neighbors=2), "unknown_id"),
+        (spoiled(degree=2), "unknown_id"),
         (spoiled(claims=[[0, 0, -1.0, 7]]), "unknown_id"),
         (spoiled(claims=[[0, 0, -1.0, -3]]), "malformed"),
         (spoiled(provenance=provenance(proposer=9)), "unknown_id"),
-        (spoiled(provenance=provenance(neighbors=2)), "unknown_id"),
+        (spoiled(provenance=provenance(degree=2)), "unknown_id"),
         (spoiled(provenance=None), "malformed"),
         (spoiled(plan=None, plan_digest=None, provenance=None), "malformed"),
         (spoiled(plan=None, plan_digest=None), "malformed"),
@@ -186,7 +186,7 @@ def test_a_full_table_of_a_large_team_fits() -> None:
     message = Message(
         sender=0,
         sequence=0,
-        neighbors=n - 1,
+        degree=n - 1,
         mission_text=str(plan.points),
         plan=plan,
         provenance=ORIGIN,

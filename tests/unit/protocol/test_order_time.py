@@ -56,9 +56,9 @@ def test_an_older_order_is_refused_with_both_times() -> None:
 
 
 def test_times_of_orders_fit_the_wire_and_nothing_above_them_does() -> None:
-    message = Message(sender=1, sequence=0, neighbors=0, stamp=MissionStamp(LATEST - 1, "0" * 16))
+    message = Message(sender=1, sequence=0, degree=0, stamp=MissionStamp(LATEST - 1, "0" * 16))
     assert decode(encode(message), 3, 2).mission.counter == LATEST - 1
-    beyond = Message(sender=1, sequence=0, neighbors=0, stamp=MissionStamp(LATEST, "0" * 16))
+    beyond = Message(sender=1, sequence=0, degree=0, stamp=MissionStamp(LATEST, "0" * 16))
     with pytest.raises(MessageError, match="malformed"):
         decode(encode(beyond), 3, 2)
     assert time_text(LATEST - 1).startswith("2527")

@@ -159,7 +159,7 @@ def test_a_release_needs_one_witness_more_than_may_lie() -> None:
     def admits(robots: tuple[int, ...]) -> bool:
         claims, grants = claims_of({slot: release(team, slot, robots)})
         said = tuple(entry if a == slot else UNSAID for a in range(N))
-        message = Message(sender=5, sequence=0, neighbors=0, plan=team.agents[0].plan, **told(said))
+        message = Message(sender=5, sequence=0, degree=0, plan=team.agents[0].plan, **told(said))
         admitted = evidence.admit(message, Proofs(claims=claims, grants=grants), table).table
         return admitted is not None and admitted[slot] == entry
 

@@ -84,7 +84,7 @@ def test_an_obstacle_on_the_circle_keeps_the_places_where_they_are() -> None:
 def test_a_robot_that_misses_most_of_a_large_team_goes_there() -> None:
     agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[0]
-    agent.handle(RoundBegan(round=1, position=here, sensed={}, observed=(), neighbors=0))
+    agent.handle(RoundBegan(round=1, position=here, sensed={}, observed=(), degree=0))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
     for event in (CommRoundBegan(), CommRoundEnded()):
         agent.handle(event)
@@ -177,17 +177,15 @@ def test_robots_off_the_circle_do_not_count() -> None:
 
 def message(sender: int, version: int) -> bytes:
     """A robot at its own place of the plan; all claims are of this version."""
-    origin = Provenance(mission=0, mission_digest=SQUARE.digest, epoch=0, neighbors=0, proposer=0, sequence=0)
+    origin = Provenance(mission=0, mission_digest=SQUARE.digest, epoch=0, degree=0, proposer=0, sequence=0)
     table = tuple((version, -1.0, (a + 1) % len(PLAN)) for a in range(len(PLAN)))
     slot = (sender - 1) % len(PLAN)
-    return encode(
-        Message(sender=sender, sequence=0, neighbors=1, plan=PLAN, provenance=origin, slot=slot, **told(table))
-    )
+    return encode(Message(sender=sender, sequence=0, degree=1, plan=PLAN, provenance=origin, slot=slot, **told(table)))
 
 
 def flown(agent: Agent, number: int, here: Point, *heard: bytes) -> list[Effect]:
     """One round on the spot; what is decided at its end."""
-    asked = agent.handle(RoundBegan(round=number, position=here, sensed={}, observed=(), neighbors=len(heard)))
+    asked = agent.handle(RoundBegan(round=number, position=here, sensed={}, observed=(), degree=len(heard)))
     if asked:
         agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))
     agent.handle(CommRoundBegan())

@@ -148,7 +148,7 @@ def test_a_plan_of_the_last_epoch_gives_way_to_one_for_more_robots_only(places: 
 def test_a_plan_of_unknown_origin_is_passed_on_without_signature(team: SignedTeam, liar: Liar) -> None:
     """Receivers refuse it; it never happens as long as origins are kept."""
     plan, origin = good_plan(MISSION, 9), liar.provenance(epoch=2)
-    content = encode(Message(sender=0, sequence=1, neighbors=1, plan=plan, provenance=origin))
+    content = encode(Message(sender=0, sequence=1, degree=1, plan=plan, provenance=origin))
     sealed = channel_of(team.agents[0]).seal(content)
     assert unwrap(sealed, 5)[1].origin is None
 
@@ -206,7 +206,7 @@ def test_unsigned_and_broken_messages_are_refused(team: SignedTeam, liar: Liar) 
 def test_a_robot_without_a_plan_sends_no_signature_of_one() -> None:
     team = SignedTeam(MISSION, line_up(5))
     agent = team.agents[0]
-    agent.handle(RoundBegan(round=1, position=team.positions[0], neighbors=0, sensed={}, observed=()))
+    agent.handle(RoundBegan(round=1, position=team.positions[0], degree=0, sensed={}, observed=()))
     agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
     (sent,) = agent.handle(CommRoundBegan())
     assert isinstance(sent, Broadcast) and unwrap(sent.payload, 5)[1].origin is None
@@ -320,7 +320,7 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
         (note,) = team.agents[0].handle(order)
         assert (note.kind, note.detail["reason"]) == ("rejected_message", "no_order")  # type: ignore[union-attr]
     text = mission_text(square)
-    lie = encode(Message(sender=4, sequence=0, neighbors=0, stamp=stamp, mission_text=text))
+    lie = encode(Message(sender=4, sequence=0, degree=0, stamp=stamp, mission_text=text))
     for proofs in (Proofs(), Proofs(mission=forged.signature)):
         assert team.tell(0, wrap(lie, proofs), team.liar) == ["no_order"]
     assert team.agents[0].mission == MISSION
@@ -341,7 +341,7 @@ def test_only_the_operator_gives_missions(team: SignedTeam, liar: Liar) -> None:
 def test_a_mission_is_not_read_before_its_signature_is_checked(team: SignedTeam, liar: Liar) -> None:
     """To read one takes up to a hundred times as long."""
     stamp = MissionStamp(10**9, "0" * 16)
-    lie = encode(Message(sender=4, sequence=0, neighbors=0, stamp=stamp, mission_text="no mission"))
+    lie = encode(Message(sender=4, sequence=0, degree=0, stamp=stamp, mission_text="no mission"))
     assert team.tell(0, wrap(lie, Proofs(mission=liar.keys.sign(mission_statement(stamp)))), team.liar) == ["no_order"]
 
 
@@ -350,7 +350,7 @@ def test_an_order_whose_mission_is_refused_is_not_passed_on(team: SignedTeam, li
     stamp = MissionStamp(10**9, MISSION.change(center=(52.0, 50.0)).digest)
     proofs = Proofs(mission=ToyKeys(OPERATOR).sign(mission_statement(stamp)))
     for text, reason in (("{}", "other_mission"), ("[", "malformed")):
-        lie = encode(Message(sender=4, sequence=0, neighbors=0, stamp=stamp, mission_text=text))
+        lie = encode(Message(sender=4, sequence=0, degree=0, stamp=stamp, mission_text=text))
         assert team.tell(0, wrap(lie, proofs), team.liar) == [reason]
     assert team.agents[0].authorization == b"" and team.agents[0].mission == MISSION
 

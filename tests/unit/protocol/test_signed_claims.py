@@ -126,7 +126,7 @@ def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: L
     slot = free_slot(team)
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=-1.0, number=41)}, slot=slot)])
     other, table = evidence_of(team.agents[1]), team.agents[1].claim.table or ()
-    message = Message(sender=1, sequence=0, neighbors=0, plan=team.agents[1].plan, **told(table))
+    message = Message(sender=1, sequence=0, degree=0, plan=team.agents[1].plan, **told(table))
     assert other.prove(message).last == ()
     first = (slot + 1) % 5
     team.begin()
@@ -138,7 +138,7 @@ def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: L
 
     fresh = Evidence(4, ToyKeys(4))
     fresh.turn_to(team.context)
-    fresh.admit(Message(sender=1, sequence=0, neighbors=0, plan=message.plan), proofs, (UNSAID,) * 5)
+    fresh.admit(Message(sender=1, sequence=0, degree=0, plan=message.plan), proofs, (UNSAID,) * 5)
     assert fresh._page.number == 42
 
 
@@ -152,7 +152,7 @@ def test_a_robot_without_a_place_takes_the_one_that_others_give_it_though_it_cla
         signature = ToyKeys(0).sign(claim_statement(team.context, slot, entry, number))
         claims, grants = claims_of({slot: Certificate(number=number, signature=signature)})
         said = tuple(entry if a == slot else UNSAID for a in range(5))
-        message = Message(sender=1, sequence=0, neighbors=0, plan=plan, **told(said))
+        message = Message(sender=1, sequence=0, degree=0, plan=plan, **told(said))
         assert evidence.admit(message, Proofs(claims=claims, grants=grants), (UNSAID,) * 5).table == said
         assert evidence._page.last[0] == (7, 1)
     assert evidence._page.number == 7
@@ -164,7 +164,7 @@ def test_nobody_is_told_a_number_by_another(team: SignedTeam, liar: Liar) -> Non
     forged = LastClaim(1, *entry, 50, liar.keys.sign(claim_statement(team.context, 1, entry, 50)), None)
     own = ToyKeys(0).sign(claim_statement(team.context, 1, entry, 10**6))
     for last in (forged, msgspec.structs.replace(forged, owner=4), LastClaim(1, *entry, 10**6, own, None)):
-        message = Message(sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan)
+        message = Message(sender=4, sequence=0, degree=0, plan=team.agents[0].plan)
         evidence.admit(message, Proofs(last=(last,)), table)
         assert evidence._page.number == before
     true = LastClaim(1, *entry, 50, ToyKeys(0).sign(claim_statement(team.context, 1, entry, 50)), None)

@@ -201,7 +201,7 @@ def test_offers_without_a_signature_are_not_heard(team: SignedTeam, liar: Liar) 
     assert table is not None
     evidence = evidence_of(team.agents[0])
     message = Message(
-        sender=4, sequence=0, neighbors=0, plan=team.agents[0].plan, provenance=team.agents[0].provenance, offer=offer
+        sender=4, sequence=0, degree=0, plan=team.agents[0].plan, provenance=team.agents[0].provenance, offer=offer
     )
     assert evidence.admit(message, good[1], table).offer == offer
     statement = offer_statement(team.context, 4, offer, 10**6)

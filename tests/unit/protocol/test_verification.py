@@ -11,7 +11,7 @@ from scipy.spatial.distance import pdist
 
 from llm_flock import formations
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.parts import Verifier
+from llm_flock.protocol.parts import Checker
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol.verification.plans import PlanClass, blocked_within, check_plan, check_proposal, plan_class
@@ -121,7 +121,7 @@ def test_where_the_spacing_is_the_safe_distance_rounding_is_forgiven() -> None:
 def with_room(mission: Mission, points: Any, verify: bool = True) -> Plan:
     """A plan as a robot proposes it after its model has answered with these points."""
     question = PlanQuestion(mission=mission, robot=0, round=1, position=(5.0, 5.0), neighbors=())
-    validator = Validator(shield_on=True) if verify else Verifier()
+    validator = Validator(shield_on=True) if verify else Checker()
     answer = PlanAnswer(plan=plan(points), slot=0)
     assert not isinstance(validator.plan(question, answer), NoAnswer)
     return validator.with_room(question, answer).plan

@@ -31,7 +31,7 @@ class Agreement:
         self.plan: Plan | None = None
         self.provenance: Provenance | None = None
         self.claim = Claim(slot=None)
-        self.neighbors = 0
+        self.degree = 0
         self.position: Point = ()
         self._robot = robot
         self._consensus, self._assignment = parts.consensus, parts.assignment
@@ -52,9 +52,9 @@ class Agreement:
         """Take the own believed position and those of sensed robots, by id [units; frame of the mission]."""
         self.position, self._sensed = position, sensed
 
-    def begin_round(self, neighbors: int) -> None:
-        """Begin a round with |N_i| neighbours, as the radio counts them. Call after `sense`."""
-        self.neighbors = neighbors
+    def begin_round(self, degree: int) -> None:
+        """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
+        self.degree = degree
         self._occupancy_due = True
         self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
 
@@ -102,7 +102,7 @@ class Agreement:
             mission=self.stamp.counter,
             mission_digest=self.stamp.digest,
             epoch=self._next_epoch,
-            neighbors=self.neighbors,
+            degree=self.degree,
             proposer=self._robot,
             sequence=self._proposals,
         )
@@ -186,13 +186,13 @@ class Agreement:
         withdrawn = list[Note]()
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
-        standing = (self.claim, self.plan, self.provenance, self.neighbors, self.position, self._sensed)
+        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self._sensed)
         arguments = (*standing, self._membership.known, *heard)
         due = self._occupancy_due or self._membership.collecting
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
         own_class = self._verifier.plan_class(self.mission, self.plan)
-        own = Standing(plan=self.plan, provenance=self.provenance, neighbors=self.neighbors, plan_class=own_class)
+        own = Standing(plan=self.plan, provenance=self.provenance, degree=self.degree, plan_class=own_class)
         before = self.claim
         source = self._consensus.choose(own, heard)
         adopted = [] if source is None else self._adopt(source, heard)

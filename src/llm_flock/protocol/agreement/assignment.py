@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 import msgspec
 
+from llm_flock.algorithm1 import nearest_available
 from llm_flock.arrays import Point
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.protocol.messages.message import (
@@ -24,7 +24,7 @@ from llm_flock.protocol.messages.message import (
 from llm_flock.protocol.plan import Plan
 
 if TYPE_CHECKING:
-    from llm_flock.obstacles import Roadmap  # only missions with obstacles need it
+    from llm_flock.obstacles.roadmap import Roadmap  # only missions with obstacles need it
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
@@ -126,13 +126,10 @@ class AssignmentRule(Protocol):
         ...
 
 
-def nearest(position: Point, plan: Plan, taken: frozenset[int] = frozenset()) -> int:
-    """Index of the plan's point closest to `position` that is not in `taken`; the lowest index among equals.
-
-    If every point is taken, the closest of all.
-    """
-    free = [a for a in range(len(plan)) if a not in taken] or range(len(plan))
-    return min(free, key=lambda a: (math.dist(position, plan.points[a]), a))
+def _nearest_unclaimed(now: AssignmentInput) -> Claim:
+    """The nearest place that no neighbour on the same plan claims."""
+    taken = {m.slot for m in now.heard if m.slot is not None}
+    return Claim(slot=nearest_available(now.position, now.plan.points, taken))
 
 
 def _own_choice(now: AssignmentInput) -> int:
@@ -168,7 +165,7 @@ class NearestAssignment:
 
     def take(self, now: AssignmentInput) -> Claim:
         """The model's index on its own plan; the nearest of all points on an adopted one."""
-        return Claim(slot=_own_choice(now) if not now.adopted else nearest(now.position, now.plan))
+        return Claim(slot=nearest_available(now.position, now.plan.points) if now.adopted else _own_choice(now))
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
         """Unchanged: equal plans never trigger a new assignment."""
@@ -190,12 +187,10 @@ class NearestFreeAssignment:
         """The model's index on its own plan; the nearest unclaimed point on an adopted one."""
         if not now.adopted:
             return Claim(slot=_own_choice(now))
-        taken = frozenset(m.slot for m in now.heard if m.slot is not None)
-        return Claim(slot=nearest(now.position, now.plan, taken))
+        return _nearest_unclaimed(now)
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
         """Yield to a neighbour of lower id on the same goal."""
         if not any(m.slot == claim.slot and m.sender < now.robot for m in now.heard):
             return claim
-        taken = frozenset(m.slot for m in now.heard if m.slot is not None)
-        return Claim(slot=nearest(now.position, now.plan, taken))
+        return _nearest_unclaimed(now)

@@ -8,6 +8,7 @@ from typing import Literal, Protocol, TypeAlias
 
 import msgspec
 
+from llm_flock.algorithm1 import adopt
 from llm_flock.protocol.messages.message import Message, Provenance
 from llm_flock.protocol.plan import Plan
 
@@ -21,13 +22,13 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         plan: the plan that it follows, None before it has one.
         provenance: origin of that plan.
-        neighbors: number of robots within its radio range, that is N times its influence (paper, eq. 1).
+        degree: number of robots within its radio range, that is N times its influence (paper, eq. 1).
         plan_class: class of that plan (`verification.plans.PlanClass`); 0 where nothing is checked.
     """
 
     plan: Plan | None
     provenance: Provenance | None
-    neighbors: int
+    degree: int
     plan_class: int = 0
 
 
@@ -73,11 +74,7 @@ class InfluenceConsensus:
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
         """Adopt the plan of the most influential neighbour if it outranks this robot."""
-        sign = -1 if self.tie == "lowest" else 1
-        k = max(heard, key=lambda m: (m.neighbors, sign * m.sender), default=None)
-        if k is None or k.plan is None or k.neighbors <= own.neighbors or k.plan == own.plan:
-            return None
-        return k
+        return adopt(own.degree, own.plan, heard, lowest=self.tie == "lowest")
 
 
 def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
@@ -88,7 +85,7 @@ def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
         origin.epoch,
         len(plan),
         plan_class,
-        origin.neighbors,
+        origin.degree,
         origin.proposer,
         origin.sequence,
         plan.digest,

@@ -17,7 +17,6 @@ from llm_flock.protocol.messages.channel import Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
 from llm_flock.protocol.messages.message import Course, Message, MissionStamp, PositionReport
 from llm_flock.protocol.messages.mission_update import received_mission
-from llm_flock.protocol.messages.order_time import time_text
 from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 
@@ -77,7 +76,7 @@ class Messaging:
         positions = self._membership.report(
             agreement.mission, agreement.plan, claim, agreement.position, greeting=self._dissemination.greets
         )
-        standing = agreement.neighbors, agreement.stamp, agreement.plan, agreement.provenance, claim, course
+        standing = agreement.degree, agreement.stamp, agreement.plan, agreement.provenance, claim, course
         payload = self._dissemination.unchanged(*standing)
         if payload is None or positions is not None:
             payload = self._compose(claim, course, positions)
@@ -88,7 +87,7 @@ class Messaging:
         whole = Message(
             sender=self._robot,
             sequence=0,
-            neighbors=agreement.neighbors,
+            degree=agreement.degree,
             stamp=agreement.stamp,
             plan=agreement.plan,
             provenance=agreement.provenance,
@@ -182,6 +181,8 @@ class Messaging:
         stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
         try:
             if stamp <= current:  # first: an older signature must not replace that of the mission in force
+                from llm_flock.protocol.messages.order_time import time_text
+
                 later = f"an order of {time_text(current.counter)} is in force, this one is of"
                 raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
             self._channel.check_mission(stamp, signed)

@@ -26,7 +26,7 @@ import scipy
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Roadmap
+from llm_flock.obstacles.roadmap import Roadmap
 from llm_flock.protocol.membership.rendezvous import landing
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions

@@ -13,10 +13,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-TIME_OUT = 10
-"""Rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave every other
-robot's range for a while."""
-
 CANNOT_FLY, NO_PLAN = 1, 2
 """States that a heartbeat tells of its robot, to be added: geometry flies it because its model's answers are unusable;
 it follows no plan."""

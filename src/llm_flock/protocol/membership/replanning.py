@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
-
 from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, BidTable
+from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.verification.validator import resized
-
-Gaps: TypeAlias = Literal["report", "replan"]
-"""What to do about slots that no living robot can take."""
 
 REPLAN_PATIENCE = 2
 """Rounds for which a plan must not fit the team before a robot plans again. Robots with higher ids wait one more round

@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from llm_flock.arrays import Point
+from llm_flock.bounds import TIME_OUT
 from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import Claim, Occupancy
 from llm_flock.protocol.agreement.auction import changed
@@ -17,9 +18,9 @@ from llm_flock.protocol.events import Note
 from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol.membership.in_touch import InTouch
-from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, TIME_OUT, Liveness
+from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, Liveness
 from llm_flock.protocol.membership.occupancy import observe, still_bodies
-from llm_flock.protocol.membership.replanning import Gaps, Replanning
+from llm_flock.protocol.membership.replanning import Replanning
 from llm_flock.protocol.membership.seeking import Seeking
 from llm_flock.protocol.membership.waiting import waiting_place
 from llm_flock.protocol.messages.message import (
@@ -30,7 +31,7 @@ from llm_flock.protocol.messages.message import (
     PositionReport,
     TeamPositions,
 )
-from llm_flock.protocol.parts import Membership
+from llm_flock.protocol.parts import Gaps, Membership
 from llm_flock.protocol.plan import Plan
 
 
@@ -71,11 +72,6 @@ class TeamMembership(Membership):
         """The same for a team with keys, before its first round. Positions are not reported: reports are unsigned."""
         robot, mission, time_out = self._made_of
         return type(self)(robot, mission, time_out=time_out, gaps=self.gaps, joint=False, liars=liars)
-
-    @property
-    def silent(self) -> frozenset[int]:
-        """Robots whose heartbeats have stopped."""
-        return self.liveness.silent
 
     @property
     def beats(self) -> tuple[int, ...]:

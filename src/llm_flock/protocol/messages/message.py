@@ -104,7 +104,7 @@ class Provenance(_OnWire, frozen=True, kw_only=True):
         mission: time of the order for the mission that the plan was made for.
         mission_digest: content of that mission.
         epoch: counter of plans for that mission.
-        neighbors: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
+        degree: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
         proposer: id of the robot that proposed.
         sequence: counts the proposals of that robot.
     """
@@ -112,7 +112,7 @@ class Provenance(_OnWire, frozen=True, kw_only=True):
     mission: OrderTime
     mission_digest: Digest
     epoch: Counter
-    neighbors: Id
+    degree: Id
     proposer: Id
     sequence: Counter
 
@@ -160,7 +160,7 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
     Attributes:
         sender: id of the robot.
         sequence: counts the changes of the content; equal content is equal bytes.
-        neighbors: number of robots within the sender's radio range; its influence is neighbors / N (paper, eq. 1).
+        degree: number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
         stamp: the sender's mission; None with a provenance, which has it.
         provenance: origin of the plan that the sender follows, present with it.
         places: number of places of that plan; that of `plan` if left out.
@@ -180,7 +180,7 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
 
     sender: Id
     sequence: Counter
-    neighbors: Id
+    degree: Id
     stamp: MissionStamp | None = None
     provenance: Provenance | None = None
     places: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROBOTS)] = 0
@@ -321,7 +321,7 @@ def _check_ids(message: Message, n_robots: int) -> None:
     named += [] if course is None else [course.of]
     if max(named) >= n_robots:
         raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
-    if max(message.neighbors, 0 if origin is None else origin.neighbors) >= n_robots:
+    if max(message.degree, 0 if origin is None else origin.degree) >= n_robots:
         raise MessageError("unknown_id", f"more neighbours than a team of {n_robots} has")
 
 

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from llm_flock.arrays import Point, moved
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Obstacle, Roadmap
-from llm_flock.obstacles.roadmap import roadmap_of
+from llm_flock.obstacles import Obstacle
+
+if TYPE_CHECKING:
+    from llm_flock.obstacles.roadmap import Roadmap  # only missions with obstacles or still bodies need it
 
 STEP = 0.25
 """With uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs."""
@@ -58,6 +61,10 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
 
     With positions known to within `noise` [units], ways lie farther away from them.
     """
+    if not mission.obstacles and not still:
+        return None
+    from llm_flock.obstacles.roadmap import roadmap_of
+
     radius = mission.body_radius
     if noise > 0.0:
         radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)

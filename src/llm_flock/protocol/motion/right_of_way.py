@@ -23,7 +23,8 @@ import numpy as np
 
 from llm_flock.arrays import Point, Points, Vector
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Roadmap, clearance
+from llm_flock.obstacles import clearance
+from llm_flock.obstacles.roadmap import Roadmap
 from llm_flock.protocol.messages.message import HIGHEST, Course
 
 AHEAD = 3.0

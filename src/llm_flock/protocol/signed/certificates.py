@@ -245,7 +245,7 @@ class SignedPlan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fr
 
     plan: Annotated[str, msgspec.Meta(max_length=16)]
     epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
-    neighbors: Id
+    degree: Id
     sequence: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
     signature: Signature
 
@@ -363,7 +363,7 @@ def acceptance_statement(context: Context, exchange: ExchangeGrant) -> bytes:
 def origin_statement(origin: Provenance, plan: str) -> bytes:
     """Signed by a proposer: this plan is mine."""
     stamp = origin.stamp
-    place = (origin.epoch, origin.neighbors, origin.proposer, origin.sequence)
+    place = (origin.epoch, origin.degree, origin.proposer, origin.sequence)
     return _statement("origin", Context(stamp, plan), *place)
 
 
@@ -379,7 +379,7 @@ def mission_statement(stamp: MissionStamp) -> bytes:
 
 def _statement(kind: str, context: Context, *values: float) -> bytes:
     origin = context.origin
-    proposal = () if origin is None else (origin.epoch, origin.neighbors, origin.proposer, origin.sequence)
+    proposal = () if origin is None else (origin.epoch, origin.degree, origin.proposer, origin.sequence)
     about = context.mission.counter, context.mission.digest, context.plan, proposal
     return _ENCODER.encode((kind, *about, *values))
 

@@ -32,7 +32,7 @@ class Equivocations:
     def note(self, origin: Provenance, plan: str, signature: bytes) -> None:
         """Take note of a plan's origin and its proposer's signature, which has been checked."""
         self._turn_to(origin.stamp)
-        signed = SignedPlan(plan, origin.epoch, origin.neighbors, origin.sequence, signature)
+        signed = SignedPlan(plan, origin.epoch, origin.degree, origin.sequence, signature)
         first = self._seen.setdefault((origin.proposer, origin.epoch), signed)
         if _exclude(first, signed):
             self._proofs.setdefault(origin.proposer, Equivocation(origin.proposer, (first, signed)))
@@ -42,7 +42,7 @@ class Equivocations:
         if origin.stamp != self._mission:
             return None
         first = self._seen.get((origin.proposer, origin.epoch))
-        same = first is not None and _content(first) == (plan, origin.neighbors, origin.sequence)
+        same = first is not None and _content(first) == (plan, origin.degree, origin.sequence)
         return first.signature if first is not None and same else None
 
     def hear(self, mission: MissionStamp, proofs: Proofs) -> None:
@@ -69,7 +69,7 @@ class Equivocations:
             mission=mission.counter,
             mission_digest=mission.digest,
             epoch=signed.epoch,
-            neighbors=signed.neighbors,
+            degree=signed.degree,
             proposer=proposer,
             sequence=signed.sequence,
         )
@@ -77,7 +77,7 @@ class Equivocations:
 
 
 def _content(signed: SignedPlan) -> tuple[str, int, int]:
-    return signed.plan, signed.neighbors, signed.sequence
+    return signed.plan, signed.degree, signed.sequence
 
 
 def _exclude(one: SignedPlan, other: SignedPlan) -> bool:

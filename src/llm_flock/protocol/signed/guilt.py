@@ -14,10 +14,10 @@ import msgspec
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol import parts
 from llm_flock.protocol.membership.team import TeamMembership
 from llm_flock.protocol.messages.channel import Inbound
 from llm_flock.protocol.messages.message import UNSAID, Message
+from llm_flock.protocol.parts import Checker
 from llm_flock.protocol.signed.certificates import (
     LIARS,
     Context,
@@ -53,7 +53,7 @@ def guilt(
     payload: bytes,
     sender: int,
     missions: Sequence[Mission],
-    validator: parts.Verifier,
+    validator: Checker,
     verifier: Verifier,
     liars: int = LIARS,
 ) -> str | None:

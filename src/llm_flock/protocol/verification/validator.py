@@ -6,14 +6,14 @@ from dataclasses import replace
 
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
-from llm_flock.protocol.parts import Verifier
+from llm_flock.protocol.parts import Checker
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import check_plan, check_proposal, enlarged, plan_class
 from llm_flock.protocol.verification.steps import Verdict, judge
 
 
-class Validator(Verifier):
+class Validator(Checker):
     """Checks plans and steps.
 
     With `shield_on` the shield takes care of waypoints that only lack separation. With `any_size` a plan may have fewer

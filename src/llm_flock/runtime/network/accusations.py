@@ -14,8 +14,8 @@ from typing import Any
 
 from llm_flock.errors import MessageError
 from llm_flock.mission import Mission
-from llm_flock.protocol import parts
 from llm_flock.protocol.events import Note
+from llm_flock.protocol.parts import Checker
 from llm_flock.protocol.signed.certificates import Verifier
 from llm_flock.protocol.signed.guilt import guilt
 from llm_flock.protocol.verification.validator import Validator
@@ -51,7 +51,7 @@ class Judge:
         self._verifier, self._liars = verifier, config.network.liars
         self._contexts = contexts(config)
         any_size = protocol.gaps == "replan"
-        self._validator = parts.Verifier(any_size=any_size)
+        self._validator = Checker(any_size=any_size)
         if protocol.verify:
             self._validator = Validator(shield_on=bool(protocol.shield), any_size=any_size)
 

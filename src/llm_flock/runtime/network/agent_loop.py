@@ -322,7 +322,7 @@ class AgentLoop:
             blocked=tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
             waypoint=None if move is None else move.waypoint,
             origin="start" if move is None else move.origin.value,
-            neighbors=agent.neighbors,
+            neighbors=agent.degree,
             happened=tuple(notes),
             calls=tuple(calls),
             waypoints=dict(self.waypoints),
