@@ -72,8 +72,8 @@ CASES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
 }
 
 
-def fingerprint(mission: dict[str, Any], options: dict[str, Any]) -> str:
-    """Hash of one run."""
+def fingerprint(mission: dict[str, Any], options: dict[str, Any], *, sizes: bool = True) -> str:
+    """Hash of one run, with or without the sizes of its messages."""
     result = llm_flock.run(llm_flock.Mission(**mission), **options)
     summary = result.summary
     content = {
@@ -82,7 +82,11 @@ def fingerprint(mission: dict[str, Any], options: dict[str, Any]) -> str:
         "rounds": [summary.rounds, summary.rounds_to_formed, summary.lower_bound_rounds],
         "calls": [summary.model_calls, summary.calls_rejected, summary.calls_failed, summary.tokens],
         "waypoints": sorted(summary.waypoints.items()),
-        "messages": [summary.messages_sent, summary.bytes_per_robot_round, sorted(summary.messages_rejected.items())],
+        "messages": [
+            summary.messages_sent,
+            *([summary.bytes_per_robot_round] if sizes else []),
+            sorted(summary.messages_rejected.items()),
+        ],
     }
     digest = hashlib.blake2b(result.positions.tobytes(), digest_size=12)
     digest.update(json.dumps(content).encode())
@@ -94,13 +98,14 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks same", description=__doc__)
     parser.add_argument("--check", type=Path, help="output of another commit")
     parser.add_argument("--only", default="", help="only cases whose name contains this")
+    parser.add_argument("--no-sizes", action="store_true", help="leave the sizes of messages out")
     chosen = parser.parse_args(arguments)
     known = {} if chosen.check is None else dict(_lines(chosen.check.read_text()))
     different = []
     for name, (mission, options) in CASES.items():
         if chosen.only not in name:
             continue
-        found = fingerprint(mission, options)
+        found = fingerprint(mission, options, sizes=not chosen.no_sizes)
         verdict = "" if not known else "  same" if known.get(name) == found else "  DIFFERENT"
         different += [name] if verdict.endswith("DIFFERENT") else []
         print(f"{found}  {name}{verdict}", flush=True)
