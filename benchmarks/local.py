@@ -38,7 +38,7 @@ from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import AnswerForm, Attempt
 from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.sharing import CallLane, Pools
+from llm_flock.llm.sharing import CallLane
 from llm_flock.runtime.api import run_async
 from llm_flock.runtime.result import Summary
 
@@ -91,15 +91,15 @@ def fly(model: str, shape: str, n: int, seeds: range, **options: Any) -> Flown:
     """One mission after the other, on one engine."""
 
     async def all_of_them() -> list[tuple[Summary, float]]:
-        pools, out = Pools(), []
+        pool, out = ModelPool(), []
         try:
             for seed in seeds:
                 began = time.perf_counter()
-                lane = CallLane(pools=pools)
+                lane = CallLane(pool=pool)
                 result = await run_async(model=model, shape=shape, n_robots=n, seed=seed, lane=lane, **options)
                 out.append((result.summary, time.perf_counter() - began))
         finally:
-            await pools.aclose()
+            await pool.aclose()
         return out
 
     summaries, seconds = zip(*asyncio.run(all_of_them()), strict=True)

@@ -35,12 +35,15 @@ def test_whatever_a_provider_sends_is_an_answer_or_a_failed_call(seed: int, prov
     headers = {"content-type": rng.choice(("application/json", "text/html", "\x7f")), "retry-after": rng.choice(RETRY)}
 
     async def ask() -> None:
-        http = new_http_client(5.0)
+        http = new_http_client()
         http._mounts = {}
         http._transport = httpx2.MockTransport(lambda request: httpx2.Response(status, content=body, headers=headers))
         async with http:
             model = PydanticModel(
-                build_model(provider, "some-model", base_url="http://127.0.0.1:9/v1", key="k", http=http), name="x:y"
+                build_model(
+                    provider, "some-model", base_url="http://127.0.0.1:9/v1", key="k", http=http, timeout_s=5.0
+                ),
+                name="x:y",
             )
             reply = await model.ask(CALL)
             assert isinstance(reply.text, str) and reply.usage.total >= 0
@@ -59,11 +62,13 @@ def test_a_server_does_not_choose_how_its_words_are_read(charset: str) -> None:
     body = b"a-" + b"z" * 100_000
 
     async def ask() -> None:
-        http = new_http_client(5.0)
+        http = new_http_client()
         http._mounts = {}
         http._transport = httpx2.MockTransport(lambda request: httpx2.Response(500, stream=Stream(), headers=headers))
         async with http:
-            model = build_model("openai-compatible", "m", base_url="http://127.0.0.1:9/v1", key="k", http=http)
+            model = build_model(
+                "openai-compatible", "m", base_url="http://127.0.0.1:9/v1", key="k", http=http, timeout_s=5.0
+            )
             await PydanticModel(model, name="x:y").ask(CALL)
 
     class Stream(httpx2.AsyncByteStream):

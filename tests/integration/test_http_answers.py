@@ -46,8 +46,8 @@ def talk(
         provider = name.partition(":")[0]
         urls = {provider: f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/v1"}
         environ = {info.key_env: KEY for info in PROVIDERS.values()}
-        async with server, ModelPool(base_urls=urls, timeout_s=5, environ=environ) as pool:
-            model = pool.model(name, rng=np.random.default_rng(0), settings=settings)
+        async with server, ModelPool(environ=environ) as pool:
+            model = pool.model(name, rng=np.random.default_rng(0), settings=settings, base_urls=urls, timeout_s=5)
             messages = (ChatMessage("system", "You are a robot."), ChatMessage("user", "Where to?"))
             question = Call(robot=0, round=0, kind="step", attempt=0, messages=messages, schema=SCHEMA)
             try:

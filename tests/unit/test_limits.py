@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from llm_flock.errors import BudgetExceeded, ModelError
-from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy, Spent
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 
 QUESTION = Call(robot=0, round=0, kind="step", attempt=0, messages=(ChatMessage("user", "?"),))
@@ -101,8 +101,7 @@ def test_faults_are_retried_collected_and_counted() -> None:
     assert reply.text == "ok"
     assert reply.faults == ("server", "connection", "garbage", "timeout", "rate_limit")
     assert reply.latency_s == pytest.approx(sum(time.sleeps))
-    assert shared.meter.calls == shared.meter.answered == 1
-    assert shared.meter.faults == dict.fromkeys(reply.faults, 1)
+    assert shared.meter.spent == Spent(calls=1, tokens=40, cost_usd=0.25)
 
 
 def test_waits_double_within_their_jitter_and_stop_growing() -> None:
@@ -156,7 +155,7 @@ def test_a_refusal_is_final() -> None:
     (error,) = outcomes(model, shared)
     assert isinstance(error, ModelError)
     assert (error.kind, error.faults, model.asked) == ("refused", ("server", "refused"), 2)
-    assert shared.meter.calls == 1 and shared.meter.answered == 0
+    assert shared.meter.spent == Spent(calls=1)
 
 
 def test_no_more_than_allowed_at_once() -> None:
@@ -202,16 +201,16 @@ def test_a_try_times_out_but_standing_in_the_queue_does_not_count() -> None:
 
 
 def test_cancelling_is_not_a_fault() -> None:
-    async def scenario() -> CallLimits:
-        shared = CallLimits(rng=np.random.default_rng(0))
-        task = asyncio.create_task(Limited(Scripted(delay_s=5), shared).ask(QUESTION))
+    async def scenario() -> None:
+        model = Scripted(delay_s=5)
+        task = asyncio.create_task(Limited(model, CallLimits(rng=np.random.default_rng(0))).ask(QUESTION))
         await asyncio.sleep(0)
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task
-        return shared
+        assert (model.asked, model.inside) == (1, 0), "it is not asked again"
 
-    assert not asyncio.run(scenario()).meter.faults
+    asyncio.run(scenario())
 
 
 def test_max_calls_is_never_overrun() -> None:
@@ -220,7 +219,7 @@ def test_max_calls_is_never_overrun() -> None:
     results = outcomes(model, shared, calls=10)
     assert model.asked == 4
     assert sum(isinstance(result, BudgetExceeded) for result in results) == 6
-    assert shared.meter.calls == 4 and shared.meter.exhausted
+    assert shared.meter.spent.calls == 4
     assert shared.meter.reason == "max_calls = 4 is used up"
 
 
@@ -228,7 +227,7 @@ def test_a_retried_call_counts_once() -> None:
     shared = limits(meter=BudgetMeter(Budget(max_calls=1)))
     (reply,) = outcomes(Scripted(*faults("server", "server")), shared)
     assert isinstance(reply, Reply)
-    assert shared.meter.calls == 1 and not shared.meter.exhausted
+    assert shared.meter.spent.calls == 1 and shared.meter.reason is None
 
 
 @pytest.mark.parametrize(
@@ -241,38 +240,11 @@ def test_tokens_and_money_stop_calls_that_stand_in_the_queue(budget: Budget, say
     assert model.asked == 3  # 3 x 40 tokens, 3 x 0.25 dollars
     refused = [result for result in results if isinstance(result, BudgetExceeded)]
     assert len(refused) == 7 and all(says in str(error) for error in refused)
-    assert shared.meter.calls == 3  # those turned away in the queue were taken back
-    assert shared.meter.usage == Usage(input=90, output=30, cached=15)
-    assert shared.meter.known_cost_usd == 0.75
+    # Those turned away in the queue were taken back.
+    assert shared.meter.spent == Spent(calls=3, tokens=120, cost_usd=0.75)
 
 
 def test_a_reply_without_a_price_adds_nothing_to_the_known_cost() -> None:
-    meter = BudgetMeter()
-    meter.settle(Reply(text="", model="m"))
-    assert meter.known_cost_usd == 0.0
-    meter.settle(ANSWER)
-    assert meter.known_cost_usd == 0.25
-
-
-def test_a_replay_counts_as_the_recorded_run_did() -> None:
-    """The same outcomes, once live under limits and once passed on as recorded, give the same counters."""
-    live = limits(meter=BudgetMeter(Budget(max_calls=3)), retry=RetryPolicy(max_tries=2))
-    script = [*faults("server"), ANSWER, *faults("server", "timeout", "refused")]
-    recorded = outcomes(Scripted(*script), live) + outcomes(Scripted(*script[2:4]), live)
-    recorded += outcomes(Scripted(*script[4:]), live) + outcomes(Scripted(), live)
-    meter = BudgetMeter(Budget(max_calls=1))
-
-    async def replay() -> None:
-        model = Metered(Scripted(*[r for r in recorded if isinstance(r, Reply | ModelError)]), meter)
-        assert model.name == "m:x"
-        for outcome in recorded:
-            if isinstance(outcome, Reply):
-                assert await model.ask(QUESTION) == outcome
-            else:
-                with pytest.raises(ModelError):
-                    await model.ask(QUESTION)
-
-    asyncio.run(replay())
-    for name in ("calls", "answered", "usage", "known_cost_usd", "faults", "reason"):
-        assert getattr(meter, name) == getattr(live.meter, name), name
-    assert meter.reason == "max_calls = 3 is used up" and meter.calls == 3
+    shared = limits()
+    outcomes(Scripted(replace(ANSWER, cost_usd=None), ANSWER), shared, calls=2)
+    assert shared.meter.spent == Spent(calls=2, tokens=80, cost_usd=0.25)

@@ -30,11 +30,13 @@ def test_every_provider_in_the_table_can_be_built(info) -> None:
 
     async def build() -> str:
         urls = {} if info.base_url else {info.name: "http://localhost:9/v1"}
-        async with ModelPool(base_urls=urls, environ={info.key_env: "key-0123456789"}) as pool:
-            first = pool.model(info.example, rng=np.random.default_rng(0))
-            second = pool.model(info.example, rng=np.random.default_rng(1))
+        async with ModelPool(environ={info.key_env: "key-0123456789"}) as pool:
+            first = pool.model(info.example, rng=np.random.default_rng(0), base_urls=urls)
+            second = pool.model(info.example, rng=np.random.default_rng(1), base_urls=urls)
+            other = pool.model(info.example, rng=RNG, base_urls={info.name: "http://localhost:8/v1"})
             assert isinstance(first, PydanticModel) and isinstance(second, PydanticModel)
             assert first._model is second._model  # one model, one set of connections, for all robots
+            assert isinstance(other, PydanticModel) and other._model is not first._model  # at another address
             assert first._model.model_name == name.model
             assert first._model.client.max_retries == 0  # pyright: ignore[reportAttributeAccessIssue]
             return first.name
@@ -140,16 +142,16 @@ def test_a_bad_setting_names_itself(field: str, text: str) -> None:
 
 def test_a_missing_key_names_its_variable() -> None:
     for info in PROVIDERS.values():
-        pool = ModelPool(environ={}, base_urls={} if info.base_url else {info.name: "http://localhost:9"})
+        pool, urls = ModelPool(environ={}), {} if info.base_url else {info.name: "http://localhost:9"}
         if info.key_required:
             with pytest.raises(InputError, match=info.key_env):
-                pool.model(info.example, rng=RNG)
+                pool.model(info.example, rng=RNG, base_urls=urls)
         else:
-            assert pool.model(info.example, rng=RNG).name == info.example
+            assert pool.model(info.example, rng=RNG, base_urls=urls).name == info.example
 
 
 def test_no_key_is_needed_at_another_address_and_no_address_is_invented() -> None:
-    ModelPool(environ={}, base_urls={"openai": "http://localhost:9/v1"}).model("openai:o3-mini", rng=RNG)
+    ModelPool(environ={}).model("openai:o3-mini", rng=RNG, base_urls={"openai": "http://localhost:9/v1"})
     with pytest.raises(InputError, match="an address for 'llama'"):
         ModelPool(environ={}).model("llama:any", rng=RNG)
 

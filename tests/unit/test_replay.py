@@ -106,9 +106,14 @@ def test_an_error_happens_again(tmp_path: Path, kind: str) -> None:
 
 
 def test_a_used_up_budget_is_used_up_again(tmp_path: Path) -> None:
-    path = record(tmp_path / "a.jsonl", failed(call(), "budget"))
-    with pytest.raises(BudgetExceeded, match="so it was"):
-        ask(path, call())
+    path = record(tmp_path / "a.jsonl", failed(call(), "timeout"), failed(call(robot=1), "budget"))
+    with ReplayModel(path) as model:
+        with pytest.raises(ModelError, match="timeout"):
+            asyncio.run(model.ask(call()))
+        assert not model.exhausted
+        with pytest.raises(BudgetExceeded, match="so it was"):
+            asyncio.run(model.ask(call(robot=1)))
+        assert model.exhausted
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, CallLimits, Limited, Spent
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
-from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
+from llm_flock.llm.sharing import CallLane, Rate, SharedGate
 from llm_flock.runtime.seeds import Stream, stream
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=(ChatMessage("user", "x" * 400),))
@@ -142,12 +142,3 @@ def test_a_lane_knows_that_it_was_cut() -> None:
 
     assert asyncio.run(go()).cut
     assert not CallLane().cut
-
-
-def test_connections_are_shared_by_those_who_go_to_the_same_place() -> None:
-    pools = Pools()
-    one = pools.pool({"openai": "http://a"}, 1.0)
-    assert pools.pool({"openai": "http://a"}, 1.0) is one
-    assert pools.pool({"openai": "http://b"}, 1.0) is not one
-    asyncio.run(pools.aclose())
-    assert pools.pool({"openai": "http://a"}, 1.0) is not one

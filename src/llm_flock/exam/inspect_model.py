@@ -105,7 +105,7 @@ class FlockModel(ModelAPI):
         self.kind = name.kind
         self.limits = CallLimits(rng=np.random.default_rng(0))
         self._urls = parse_base_urls(base_url, (model_name,))
-        self._pool = ModelPool(base_urls=self._urls)
+        self._pool = ModelPool()
         self._name = name
         self._source = source_of(name.provider) if name.kind == "plugin" else None
         self._own = OwnModel.load(model_name) if name.kind == "own" else None
@@ -142,10 +142,9 @@ class FlockModel(ModelAPI):
         check_priced(budget.max_cost_usd, (self.model_name,), self._urls)
         if self._source is not None:
             max_concurrent = min(max_concurrent, self._source.at_once)
-        # A wait that is too long belongs to the limits, so the connection's own is longer.
-        self._pool = ModelPool(base_urls=self._urls, timeout_s=2 * timeout_s)
         if self.kind in ("plugin", "provider", "simulated"):
-            self._pool.model(self.model_name, rng=np.random.default_rng(0), settings=settings)
+            rng = np.random.default_rng(0)
+            self._pool.model(self.model_name, rng=rng, settings=settings, base_urls=self._urls)
         self.limits = CallLimits(
             rng=np.random.default_rng(0),
             max_concurrent=max_concurrent,
@@ -168,7 +167,9 @@ class FlockModel(ModelAPI):
         )
         # The answers to a question must not depend on which others were asked before it.
         rng = np.random.default_rng([0, round_, robot])
-        return Limited(self._pool.model(self.model_name, rng=rng, settings=settings), self.limits)
+        # A wait that is too long belongs to the limits, so the connection's own is longer.
+        options: Any = {"base_urls": self._urls, "timeout_s": 2 * self.limits.timeout_s}
+        return Limited(self._pool.model(self.model_name, rng=rng, settings=settings, **options), self.limits)
 
     async def generate(self, input: Any, tools: Any, tool_choice: Any, config: Any) -> Any:
         """Answer the call of the question under way, as Inspect asks for it.

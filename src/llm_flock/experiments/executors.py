@@ -26,7 +26,8 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.store import SpendingLog, Store
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, fly
 from llm_flock.llm.limits import Budget, Spent
-from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
+from llm_flock.llm.models import ModelPool
+from llm_flock.llm.sharing import CallLane, Rate, SharedGate
 from llm_flock.runtime.trial import TrialProgress
 
 try:
@@ -138,12 +139,12 @@ def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
 
 async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
     assert session.store is not None
-    store, gate, pools = session.store, SharedGate(session.budget, session.rates), Pools()
+    store, gate, pool = session.store, SharedGate(session.budget, session.rates), ModelPool()
 
     async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
         return await fly(
             spec,
-            lane=CallLane(gate, pools),
+            lane=CallLane(gate, pool),
             keep=session.keep,
             scratch=store.scratch(spec.id),
             earlier=earlier,
@@ -157,7 +158,7 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
     try:
         await drive(specs, session, fly_it, state, computing=1)
     finally:
-        await pools.aclose()
+        await pool.aclose()
 
 
 async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:

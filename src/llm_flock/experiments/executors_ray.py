@@ -22,8 +22,9 @@ from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.trial import Earlier, KeepRecords, TrialResult, code_version, fly
 from llm_flock.extras import require
 from llm_flock.llm.limits import Budget, Spent
+from llm_flock.llm.models import ModelPool
 from llm_flock.llm.port import Usage
-from llm_flock.llm.sharing import CallLane, Pools, Rate, SharedGate
+from llm_flock.llm.sharing import CallLane, Rate, SharedGate
 
 TRIES = 3
 """How often a trial is flown before the sweep gives up, if its worker is lost each time."""
@@ -106,7 +107,7 @@ class _Worker:
     def __init__(self, keep: KeepRecords, gate: Any, name: int) -> None:
         self._keep: KeepRecords = keep
         self._gate = _RemoteGate(gate, name)
-        self._pools = Pools()
+        self._pool = ModelPool()
 
     async def version(self) -> str:
         return code_version()
@@ -114,7 +115,7 @@ class _Worker:
     async def fly(self, spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[bytes, bytes | None]:
         """Fly one trial; returns its result, and its record if that is to be kept."""
         with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder:
-            lane, scratch = CallLane(self._gate, self._pools), Path(folder) / "record"
+            lane, scratch = CallLane(self._gate, self._pool), Path(folder) / "record"
             result, record = await fly(spec, lane=lane, keep=self._keep, scratch=scratch, earlier=earlier)
             return msgspec.json.encode(result), None if record is None else record.read_bytes()
 

@@ -23,6 +23,9 @@ NO_KEY = "no-key"
 """The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
 
 
+_UNLIMITED = httpx2.Limits(max_connections=None, max_keepalive_connections=None)
+
+
 class ManyPools(httpx2.AsyncBaseTransport):
     """A transport that spreads requests over small connection pools, as many as are needed.
 
@@ -32,26 +35,22 @@ class ManyPools(httpx2.AsyncBaseTransport):
     """
 
     def __init__(self) -> None:
-        self._pools: list[httpx2.AsyncHTTPTransport] = []
-        self._busy: list[int] = []
+        self._busy: dict[httpx2.AsyncHTTPTransport, int] = {}
         self._tls = httpx2.create_ssl_context()
-        self._limits = httpx2.Limits(max_connections=None, max_keepalive_connections=None)
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
         """Send the request through the first pool that has room."""
-        number = next((number for number, busy in enumerate(self._busy) if busy < PER_POOL), len(self._pools))
-        if number == len(self._pools):
-            self._pools.append(httpx2.AsyncHTTPTransport(verify=self._tls, limits=self._limits))
-            self._busy.append(0)
-        self._busy[number] += 1
+        pool = next((pool for pool, busy in self._busy.items() if busy < PER_POOL), None)
+        pool = pool or httpx2.AsyncHTTPTransport(verify=self._tls, limits=_UNLIMITED)
+        self._busy[pool] = self._busy.get(pool, 0) + 1
         try:
-            return await self._pools[number].handle_async_request(request)
+            return await pool.handle_async_request(request)
         finally:
-            self._busy[number] -= 1
+            self._busy[pool] -= 1
 
     async def aclose(self) -> None:
         """Close all connections."""
-        for pool in self._pools:
+        for pool in self._busy:
             await pool.aclose()
 
 
@@ -84,7 +83,7 @@ async def _bound(response: httpx2.Response) -> None:
     response.encoding = "utf-8"
 
 
-def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
+def new_http_client() -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
 
     A response has at most `MOST_ANSWER_BYTES`, and is not compressed: a few kilobytes can unpack to gigabytes.
@@ -92,15 +91,16 @@ def new_http_client(timeout_s: float) -> httpx2.AsyncClient:
     Proxies from the environment (HTTPS_PROXY and its relatives) are honoured; requests through one share its pool.
     """
     return httpx2.AsyncClient(
-        timeout=httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
-        limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
+        limits=_UNLIMITED,
         mounts={"all://": ManyPools()},
         headers={"Accept-Encoding": "identity"},
         event_hooks={"response": [_bound]},
     )
 
 
-def build_model(provider: str, model: str, *, base_url: str, key: str, http: httpx2.AsyncClient) -> Model[Any]:
+def build_model(
+    provider: str, model: str, *, base_url: str, key: str, http: httpx2.AsyncClient, timeout_s: float
+) -> Model[Any]:
     """The pydantic-ai model for a provider of the table in `providers`.
 
     The SDKs' own retries (2 by default) are switched off: they would hide faults from the record, and give up earlier
@@ -111,7 +111,7 @@ def build_model(provider: str, model: str, *, base_url: str, key: str, http: htt
         "base_url": base_url,
         "http_client": http,
         "max_retries": 0,
-        "timeout": http.timeout,
+        "timeout": httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
     }
     if provider == "anthropic":
         # Its SDK takes longer to import than all the others together.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections import Counter
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -89,50 +88,26 @@ class Budget:
 
 
 class BudgetMeter:
-    """Counts what a run has used and enforces its budget.
+    """Counts what the models of a run were asked and have used, and enforces its budget.
 
     Calls are counted when they begin, so that many at once cannot overrun `max_calls`. Tokens and money are known
     only with the answer: calls under way at that moment may overrun those two.
 
     Attributes:
-        known_cost_usd: sum of the known prices [US dollars].
-        faults: number of faults of each kind, retried or not.
         reason: which limit turned a call away, None while none has.
     """
 
     def __init__(self, budget: Budget | None = None) -> None:
         self.budget = budget or Budget()
-        self.calls = 0
-        self.answered = 0
-        self.usage = Usage()
-        self.known_cost_usd = 0.0
-        self.faults: Counter[str] = Counter()
+        self.spent = Spent()
         self.reason: str | None = None
 
-    @property
-    def exhausted(self) -> bool:
-        """Whether a call was turned away."""
-        return self.reason is not None
-
-    def reserve(self) -> None:
-        """Count a call that is about to begin; BudgetExceeded, and no count, if nothing is left for it."""
-        self.check(new_call=True)
-        self.calls += 1
-
-    def check(self, *, new_call: bool = False) -> None:
+    def check(self, *, new_call: bool) -> None:
         """Raise BudgetExceeded when a limit is reached, as far as replies have told."""
-        spent = Spent(calls=self.calls, tokens=self.usage.total, cost_usd=self.known_cost_usd)
-        reason = self.budget.exhausted(spent, new_call=new_call)
+        reason = self.budget.exhausted(self.spent, new_call=new_call)
         if reason is not None:
             self.reason = reason
             raise BudgetExceeded(reason)
-
-    def settle(self, reply: Reply) -> None:
-        """Count a reply."""
-        self.answered += 1
-        self.usage += reply.usage
-        if reply.cost_usd is not None:
-            self.known_cost_usd += reply.cost_usd
 
 
 class CallGate(Protocol):
@@ -197,7 +172,8 @@ class Limited:
             ModelError: the last fault, with all of them in `faults`.
         """
         limits = self._limits
-        limits.meter.reserve()
+        limits.meter.check(new_call=True)
+        limits.meter.spent += Spent(calls=1)
         faults: tuple[str, ...] = ()
         started: float | None = None
         while True:
@@ -205,13 +181,13 @@ class Limited:
                 ticket: int | None = None
                 try:
                     # Other calls may have used up the budget while this one was in the queue.
-                    limits.meter.check()
+                    limits.meter.check(new_call=False)
                     if limits.gate is not None:
                         chars = sum(len(message.text) for message in call.messages)
                         ticket = await limits.gate.enter(self.name, chars, again=bool(faults))
                 except BudgetExceeded as error:
                     if not faults:
-                        limits.meter.calls -= 1  # it was never sent
+                        limits.meter.spent += Spent(calls=-1)  # it was never sent
                     error.faults = faults
                     raise
                 if started is None:
@@ -224,12 +200,11 @@ class Limited:
                         used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
                         limits.gate.leave(ticket, *used)
             if isinstance(outcome, Reply):
-                limits.meter.settle(outcome)
+                limits.meter.spent += Spent(tokens=outcome.usage.total, cost_usd=outcome.cost_usd or 0.0)
                 if not faults and outcome.latency_s:
                     return outcome  # a single try, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            limits.meter.faults.update(outcome.faults or (outcome.kind,))
             if outcome.kind in FINAL or limits.retry.gives_up(faults):
                 outcome.faults = faults
                 raise outcome
@@ -245,28 +220,3 @@ class Limited:
             return error
         except TimeoutError:
             return ModelError("timeout", f"no answer within {limits.timeout_s:g} s")
-
-
-class Metered:
-    """A `LanguageModel` that only counts: for recordings, which hold faults, waits and refusals already."""
-
-    def __init__(self, model: LanguageModel, meter: BudgetMeter) -> None:
-        self.name = model.name
-        self._model = model
-        self._meter = meter
-
-    async def ask(self, call: Call) -> Reply:
-        """Pass the call on, and count the outcome as the recorded run did."""
-        try:
-            reply = await self._model.ask(call)
-        except ModelError as error:
-            self._meter.faults.update(error.faults)
-            if isinstance(error, BudgetExceeded):
-                self._meter.reason = error.detail
-            if error.faults or not isinstance(error, BudgetExceeded):
-                self._meter.calls += 1  # it was sent at least once
-            raise
-        self._meter.calls += 1
-        self._meter.faults.update(reply.faults)
-        self._meter.settle(reply)
-        return reply

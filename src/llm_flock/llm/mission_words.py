@@ -73,9 +73,9 @@ class MissionReader:
             ModelError: no answer came.
         """
         call = mission_call(text)
-        async with ModelPool(base_urls=self._base_urls, timeout_s=2 * TIMEOUT_S) as pool:
-            model = Limited(pool.model(self.model, rng=np.random.default_rng(0)), self._limits)
-            reply = await model.ask(call)
+        async with ModelPool() as pool:
+            model = pool.model(self.model, rng=np.random.default_rng(0), base_urls=self._base_urls)
+            reply = await Limited(model, self._limits).ask(call)
         return draft_of(reply.text)
 
 

@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, get_args
 
 import numpy as np
@@ -169,32 +170,21 @@ class _NeverAsked:
 
 
 class ModelPool:
-    """Builds models, one for each (provider, model), on one HTTP client and a host for each plug-in.
+    """Builds models on one HTTP client, and a host for each plug-in; many runs of one event loop may share them.
 
     It is an async context manager. Keys are read from the environment when a model is first needed, and removed from
     all texts of its replies.
     A pool for which `asks` is false needs no keys: its models of providers check a configuration, and are never asked.
 
     Args:
-        base_urls: addresses that replace the providers' own (`parse_base_urls`).
-        timeout_s: longest wait for a response, should `limits` fail to end it [s].
         environ: environment variables with keys; those of the process by default.
         asks: whether models of providers will be asked.
     """
 
-    def __init__(
-        self,
-        *,
-        base_urls: Mapping[str, str] | None = None,
-        timeout_s: float = 600.0,
-        environ: Mapping[str, str] | None = None,
-        asks: bool = True,
-    ) -> None:
+    def __init__(self, *, environ: Mapping[str, str] | None = None, asks: bool = True) -> None:
         self._asks = asks
-        self._base_urls = dict(base_urls or {})
-        self._timeout_s = timeout_s
         self._environ = os.environ if environ is None else environ
-        self._models: dict[tuple[str, str], Model[Any]] = {}
+        self._models: dict[tuple[str, str, str, float], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
         self._hosts: dict[str, ModelHost] = {}
 
@@ -213,13 +203,23 @@ class ModelPool:
         self._http = None
         self._models.clear()
 
-    def model(self, text: str, *, rng: np.random.Generator, settings: CallSettings | None = None) -> LanguageModel:
+    def model(
+        self,
+        text: str,
+        *,
+        rng: np.random.Generator,
+        settings: CallSettings | None = None,
+        base_urls: Mapping[str, str] = MappingProxyType({}),
+        timeout_s: float = 600.0,
+    ) -> LanguageModel:
         """The language model of one robot.
 
         Args:
             text: `provider:model`, `simulated:PROFILE`, or the name of a plug-in's model.
             rng: chance of a simulated model; others do not use it.
             settings: how to sample.
+            base_urls: addresses that replace the providers' own (`parse_base_urls`).
+            timeout_s: longest wait for a response, should `limits` fail to end it [s].
 
         Raises:
             InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
@@ -239,7 +239,7 @@ class ModelPool:
             from llm_flock.llm.simulated.profiles import parse_profile
 
             return SimulatedModel(parse_profile(name.model), rng, settings)
-        hosted = self._hosted(name)
+        hosted = self._hosted(name, base_urls, timeout_s)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
         from llm_flock.llm.client import PydanticModel
 
@@ -248,7 +248,7 @@ class ModelPool:
             name=name.text,
             settings=settings,
             secrets=self._secrets(),
-            priced=name.provider not in self._base_urls,
+            priced=name.provider not in base_urls,
         )
 
     def _secrets(self) -> tuple[str, ...]:
@@ -256,12 +256,12 @@ class ModelPool:
         values = (self._environ.get(info.key_env, "").strip() for info in PROVIDERS.values())
         return tuple(value for value in values if value)
 
-    def _hosted(self, name: ModelName) -> Model[Any]:
+    def _hosted(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float) -> Model[Any]:
         info = name.info
         key = self._environ.get(info.key_env, "").strip()
-        if not key and info.key_required and name.provider not in self._base_urls:
+        if not key and info.key_required and name.provider not in base_urls:
             raise InputError("model", name.text, says=f"needs a key: export {info.key_env}=...")
-        address = self._base_urls.get(name.provider, info.base_url)
+        address = base_urls.get(name.provider, info.base_url)
         if address is None:
             raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
 
@@ -272,9 +272,10 @@ class ModelPool:
         from llm_flock.llm import hosted
 
         if self._http is None:
-            self._http = hosted.new_http_client(self._timeout_s)
-        known = self._models.get((name.provider, name.model))
-        if known is None:
-            known = hosted.build_model(name.provider, name.model, base_url=address, key=key, http=self._http)
-            self._models[name.provider, name.model] = known
-        return known
+            self._http = hosted.new_http_client()
+        place = (name.provider, name.model, address, timeout_s)
+        if place not in self._models:
+            self._models[place] = hosted.build_model(
+                name.provider, name.model, base_url=address, key=key, http=self._http, timeout_s=timeout_s
+            )
+        return self._models[place]

@@ -8,12 +8,9 @@ LISTED = frozenset({"openai", "anthropic", "deepseek"})
 """Providers with a price list, which holds at their own addresses."""
 
 
-_SAME_LIST = {"openai-responses": "openai"}
-
-
 def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
     """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
-    provider = _SAME_LIST.get(provider or "", provider)
+    provider = (provider or "").removesuffix("-responses")  # the same list, whichever interface is asked
     if provider not in LISTED:
         return None
     from genai_prices import calc_price

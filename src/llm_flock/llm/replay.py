@@ -9,6 +9,8 @@ from __future__ import annotations
 import difflib
 import json
 import logging
+from contextlib import ExitStack
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import IO, Annotated, Any, Self
 
@@ -105,34 +107,17 @@ class CassetteWriter(_Cassette):
     def __call__(self, attempt: Attempt) -> None:
         """Write one line, the fields of a `CassetteLine`."""
         call, reply = attempt.call, attempt.reply
-        usage = reply.usage if reply else Usage()
-        line: dict[str, Any] = {
-            "robot": call.robot,
-            "round": call.round,
-            "attempt": call.attempt,
-            "kind": call.kind,
-            "request_hash": call.request_hash,
-            "messages": [{"role": message.role, "text": message.text} for message in call.messages],
-            "answer_schema": call.schema,
-            "model": reply.model if reply else attempt.model,
-            "settings": dict(reply.settings) if reply else {},
-            "text": reply.text if reply else None,
-            "parsed": attempt.parsed,
-            "rejected": attempt.rejected,
-            "error": attempt.error,
-            "usage": {"input": usage.input, "output": usage.output, "cached": usage.cached},
-            "cost_usd": reply.cost_usd if reply else None,
-            "latency_s": reply.latency_s if reply else attempt.latency_s,
-            "faults": reply.faults if reply else attempt.faults,
-            "finish_reason": reply.finish_reason if reply else None,
-            "thought": reply.thought if reply else False,
-            "clipped": attempt.clipped,
-        }
-        self._write(line)
+        # Without an answer, the attempt itself tells the model, the faults and the duration.
+        answer = reply or Reply(text="", model=attempt.model, faults=attempt.faults, latency_s=attempt.latency_s)
+        told = _fields(attempt) | _fields(call) | _fields(answer)
+        told |= {"request_hash": call.request_hash, "answer_schema": call.schema}
+        told |= {"settings": dict(answer.settings), "text": reply.text if reply else None}
+        self._write({name: told[name] for name in CassetteLine.model_fields})
 
     def _write(self, line: dict[str, Any]) -> None:
         # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.
-        self._file.write(json.dumps(line, separators=(",", ":"), allow_nan=False) + "\n")
+        text = json.dumps(line, separators=(",", ":"), allow_nan=False, default=asdict)
+        self._file.write(text + "\n")
         self._file.flush()
 
 
@@ -140,7 +125,7 @@ class ReplayModel(_Cassette):
     """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
 
     Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
-    failures are repeated. Ask it directly or through `limits.Metered`: `limits.Limited` would retry a second time.
+    failures are repeated. Ask it directly: `limits.Limited` would retry a second time.
 
     Raises:
         InputError: for field `model`: there is no such file.
@@ -152,20 +137,17 @@ class ReplayModel(_Cassette):
         self._path = path
         self.models: set[str] = set()
         """Names of the models that answered when the cassette was recorded."""
+        self.exhausted = False
+        """Whether it has repeated that the recorded run's budget was used up."""
         self._plans: set[tuple[int, int]] = set()
         self._marked = False
         try:
-            self._file = path.open("rb")
+            with ExitStack() as opened:
+                self._file = opened.enter_context(path.open("rb"))
+                self._offsets = self._index()
+                opened.pop_all()
         except OSError as error:
             raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
-        try:
-            self._offsets = self._index()
-        except OSError as error:
-            self._file.close()
-            raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
-        except BaseException:
-            self._file.close()
-            raise
 
     @property
     def simulated(self) -> bool:
@@ -186,21 +168,14 @@ class ReplayModel(_Cassette):
         line = self._read(call)
         if line.error is not None:
             kind, detail = line.error
+            self.exhausted |= kind == "budget"
             error = BudgetExceeded(detail) if kind == "budget" else ModelError(kind, detail)
             error.faults = line.faults
             error.model = line.model
             raise error
-        return Reply(
-            text=line.text or "",
-            model=line.model,
-            settings=line.settings,
-            usage=line.usage,
-            cost_usd=line.cost_usd,
-            latency_s=line.latency_s,
-            faults=line.faults,
-            finish_reason=line.finish_reason,
-            thought=line.thought,
-        )
+        told: dict[str, Any] = {field.name: getattr(line, field.name) for field in fields(Reply)}
+        told["text"] = line.text or ""
+        return Reply(**told)
 
     def _read(self, call: Call) -> CassetteLine:
         where = f"robot {call.robot}, round {call.round}, attempt {call.attempt}"
@@ -256,6 +231,10 @@ class ReplayModel(_Cassette):
             raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
         if version != VERSION:
             raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")
+
+
+def _fields(value: Attempt | Call | Reply) -> dict[str, Any]:
+    return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
 def _difference(line: CassetteLine, call: Call) -> str:

@@ -1,4 +1,4 @@
-"""A budget, the rates of providers, and connections that the runs of a sweep share."""
+"""A budget, the rates of providers, and models that the runs of a sweep share."""
 
 from __future__ import annotations
 
@@ -185,14 +185,14 @@ class SharedGate:
 
 
 class CallLane:
-    """One run's access to the shared gate and connections.
+    """One run's access to the shared gate and models.
 
-    Without gate, all calls are admitted; without pools, the run makes its own. `cut` tells whether the shared budget
+    Without gate, all calls are admitted; without pool, the run makes its own. `cut` tells whether the shared budget
     turned away a call of this run.
     """
 
-    def __init__(self, gate: CallGate | None = None, pools: Pools | None = None) -> None:
-        self.pools = pools
+    def __init__(self, gate: CallGate | None = None, pool: ModelPool | None = None) -> None:
+        self.pool = pool
         self.cut = False
         self._gate = gate
 
@@ -210,24 +210,3 @@ class CallLane:
         """See `CallGate`."""
         if self._gate is not None:
             self._gate.leave(ticket, usage, cost_usd)
-
-
-class Pools:
-    """Connections that many runs of one event loop share; see `ModelPool` for `asks`."""
-
-    def __init__(self, *, asks: bool = True) -> None:
-        self._asks = asks
-        self._pools: dict[tuple[frozenset[tuple[str, str]], float], ModelPool] = {}
-
-    def pool(self, base_urls: Mapping[str, str], timeout_s: float) -> ModelPool:
-        """The pool for these addresses; `aclose` of this object closes it."""
-        key = frozenset(base_urls.items()), timeout_s
-        if key not in self._pools:
-            self._pools[key] = ModelPool(base_urls=base_urls, timeout_s=timeout_s, asks=self._asks)
-        return self._pools[key]
-
-    async def aclose(self) -> None:
-        """Close all connections."""
-        for pool in self._pools.values():
-            await pool.aclose()
-        self._pools.clear()

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
-from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, Metered, RetryPolicy
+from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool, check_priced, parse_history, parse_models, parse_settings
 from llm_flock.llm.own import OwnModel
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.providers import ModelName, parse_base_urls, parse_model
-from llm_flock.llm.sharing import CallLane, Pools
+from llm_flock.llm.sharing import CallLane
 from llm_flock.llm.sources import habits_of, source_of
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime.config import RunConfig
@@ -51,9 +51,8 @@ class TeamPlanners:
         base_urls = parse_base_urls(model.base_url, self.names)
         check_priced(limits.max_cost, self.names, base_urls)
         self._lane = lane
-        self._own_pool = lane is None or lane.pools is None
-        make = ModelPool if lane is None or lane.pools is None else lane.pools.pool
-        self._pool = make(base_urls=base_urls, timeout_s=2 * limits.timeout_s)
+        self._shares = lane is not None and lane.pool is not None
+        self._pool = (lane and lane.pool) or ModelPool()
         seed = config.trial.seed
 
         def limits_of(at_once: int) -> CallLimits:
@@ -136,14 +135,15 @@ class TeamPlanners:
 
                 if text not in self._replays:
                     self._replays[text] = ReplayModel(Path(name.model))
-                replay = self._replays[text]
-                asked = Metered(replay, self._meter)
+                asked = replay = self._replays[text]
                 if any(habits_of(model).plans for model in replay.models):
                     knows = replay.was_asked
             elif name.kind == "own":
                 asked = Limited(self._own_model(robot, text), self._limits)
             else:
-                remote = self._pool.model(text, rng=rng, settings=settings[robot])
+                remote = self._pool.model(
+                    text, rng=rng, settings=settings[robot], base_urls=base_urls, timeout_s=2 * limits.timeout_s
+                )
                 asked = Limited(remote, limits_for(name))
             prompts = self._prompts[text]
             from llm_flock.llm.planner import LanguagePlanner
@@ -231,8 +231,9 @@ class TeamPlanners:
 
     @property
     def exhausted(self) -> bool:
-        """Whether the run's budget, or the one that it shares, is used up."""
-        return self._meter.exhausted or (self._lane is not None and self._lane.cut)
+        """Whether the run's budget, the one that it shares, or that of a recorded run is used up."""
+        shared = self._lane is not None and self._lane.cut
+        return shared or self._meter.reason is not None or any(replay.exhausted for replay in self._replays.values())
 
     def listen(self, sink: AttemptSink) -> None:
         """Pass every model call from now on to `sink`."""
@@ -244,7 +245,7 @@ class TeamPlanners:
 
     async def close(self) -> None:
         """Close connections and cassettes."""
-        if self._own_pool:
+        if not self._shares:
             await self._pool.aclose()
         for replay in self._replays.values():
             replay.close()
@@ -262,5 +263,5 @@ def check_planners(config: RunConfig, *, asks: bool = True) -> None:
     Raises:
         InputError: a model cannot work, as far as that is known before asking it.
     """
-    lane = None if asks else CallLane(pools=Pools(asks=False))
+    lane = None if asks else CallLane(pool=ModelPool(asks=False))
     asyncio.run(TeamPlanners(config, lane).close())
