@@ -22,7 +22,8 @@ STARTS = ((30.0, 60.0), (43.0, 64.0), (57.0, 58.0), (72.0, 62.0))
 
 
 def fly(mission: llm_flock.Mission = NEAR, **options: Any) -> llm_flock.RunResult:
-    return llm_flock.run(mission, **{"start_positions": STARTS, "model": "geometry", "seed": 1, **options})
+    given: dict[str, Any] = {"start_positions": STARTS, "model": "geometry", "seed": 1, **options}
+    return llm_flock.run(mission, **given)
 
 
 def test_only_robots_that_are_awake_are_driven_and_their_bodies_stay(

@@ -18,6 +18,7 @@ from flights import STOCK, Robots, Sabotage, figures, flight_config, flown, fly,
 from slowness import slowness
 
 from llm_flock.errors import RecordError
+from llm_flock.llm import geometry
 from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer
 from llm_flock.record.reader import read_record
@@ -206,14 +207,12 @@ class Mute(GeometryPlanner):
 
 
 def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
-    from llm_flock.runtime import planners
-
-    plain, count = planners.GeometryPlanner, itertools.count()
+    plain, count = geometry.GeometryPlanner, itertools.count()
 
     def made(rng: np.random.Generator) -> object:
         return (Mute if next(count) % 3 == 2 else plain)(rng)
 
-    monkeypatch.setattr(planners, "GeometryPlanner", made)
+    monkeypatch.setattr(geometry, "GeometryPlanner", made)
     config = {"model": "geometry", "think_s": 0.3, "silent_rounds": 2}
     flight = figures(flown(flight_config(**config, fallback="hold")))
     assert flight.ended == "model_silent" and flight.safe and "2 rounds in a row" in (flight.reason or "")

@@ -16,7 +16,8 @@ SAFE = 3 - 1e-6
 
 def flown(mission: llm_flock.Mission, seed: int, **options: Any) -> llm_flock.RunResult:
     """A run that has to form, and to keep the safe distance all the way."""
-    result = llm_flock.run(mission, seed=seed, **{"model": "geometry", "rounds": 150, **options})
+    given: dict[str, Any] = {"model": "geometry", "rounds": 150, **options}
+    result = llm_flock.run(mission, seed=seed, **given)
     figures = result.summary
     assert figures.rounds_to_formed is not None, (figures.plans_in_use, figures.distinct_goals)
     assert figures.min_separation is not None and figures.min_separation >= SAFE

@@ -34,7 +34,7 @@ def test_a_result_is_a_picture_and_a_table(flown: tuple[RunResult, Path]) -> Non
 
 def test_a_record_shows_the_same_and_says_where_it_is_from(flown: tuple[RunResult, Path]) -> None:
     record = llm_flock.read_record(flown[1])
-    assert "(simulated language models)" in record._repr_html_()
+    assert "(simulated language models)" in (record._repr_html_() or "")
     assert str(flown[1]) in repr(record) and len(repr(record)) < 400
 
 

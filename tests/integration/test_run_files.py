@@ -56,9 +56,9 @@ def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:
         {"prompts": "none"},
         {"prompts": str(foreign)},
     ):
-        files: dict[str, Any] = {"out": str(tmp_path / "run"), "record_llm": str(tmp_path / "tape")}
+        given: dict[str, Any] = {"out": str(tmp_path / "run"), "record_llm": str(tmp_path / "tape"), **options}
         with pytest.raises(InputError):
-            llm_flock.run(llm_flock.Mission(), **{**files, **options})
+            llm_flock.run(llm_flock.Mission(), **given)
     assert list(tmp_path.iterdir()) == [tmp_path / "old"]
 
 

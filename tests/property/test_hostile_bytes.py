@@ -71,6 +71,7 @@ from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
 from llm_flock.trust.envelope import Envelope
 from llm_flock.viewer import data, events
 from llm_flock.viewer.library import Library, load
+from llm_flock.viewer.mind import mind
 from llm_flock.viewer.replay_page import write_page
 
 CASES = 25
@@ -274,12 +275,13 @@ def watched(path: Path) -> None:
         assert run.failure
         return
     assert run.description
-    for number in range(run.rounds + 1):
-        assert all(events.in_words(event, run.plan_name) for event in run.events(number))
-        for robot in range(run.n_robots):
-            run.provenance(robot, number)
-            run.claims_heard(robot, number)
-            run.breakers(number, robot)
+    history = run.history
+    for number in range(history.rounds + 1):
+        assert all(events.in_words(event, history.plan_name) for event in history.events[number])
+        data.event_lines(history, number)
+        for robot in range(history.n_robots):
+            history.provenance(robot, number)
+            mind(history, robot, number)
 
 
 @cases(CASES)

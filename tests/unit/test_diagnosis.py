@@ -30,9 +30,8 @@ def replayed(path: Path) -> RunHistory:
 def paper(folder: Path, bad: str, **fields: Any) -> RunHistory:
     """Six robots by the paper's protocol; robot 2 has another model."""
     models = f"2={bad},0-1=simulated:ideal,3-5=simulated:ideal"
-    llm_flock.run(
-        out=str(folder), **{"n_robots": 6, "seed": 7, "protocol": "paper", "model": models, "rounds": 30, **fields}
-    )
+    given: dict[str, Any] = {"n_robots": 6, "seed": 7, "protocol": "paper", "model": models, "rounds": 30, **fields}
+    llm_flock.run(out=str(folder), **given)
     return replayed(folder / "run.mcap")
 
 

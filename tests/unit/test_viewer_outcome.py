@@ -29,7 +29,8 @@ def told(run: Recording) -> dict[str, Any]:
 
 
 def flown(folder: Path, **fields: Any) -> Recording:
-    llm_flock.run(out=str(folder), **{"shape": "circle", "n_robots": 6, "seed": 2, **fields})
+    given: dict[str, Any] = {"shape": "circle", "n_robots": 6, "seed": 2, **fields}
+    llm_flock.run(out=str(folder), **given)
     return replayed(folder / "run.mcap")
 
 

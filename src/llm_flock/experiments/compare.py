@@ -53,7 +53,7 @@ FIGURES = (
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Comparison:
     """The figures of one cell; field names are the keys of `--json`.
 
     Attributes:
@@ -145,7 +145,7 @@ class _InOrder(Display):
 
 def compare(
     cells: Sequence[Cell], *, trials: int, first_seed: int = 0, jobs: int = 1, on_result: OnResult | None = None
-) -> list[Row]:
+) -> list[Comparison]:
     """Fly every cell with the seeds first_seed .. first_seed + trials - 1; returns one row for each cell.
 
     All cells get the same seeds, so that protocols start from the same positions. Trials are flown as in a sweep, but
@@ -172,7 +172,7 @@ def compare(
     return [row(cell, dict(zip(seeds, results, strict=False))) for cell in cells]
 
 
-def row(cell: Cell, results: dict[int, TrialResult]) -> Row:
+def row(cell: Cell, results: dict[int, TrialResult]) -> Comparison:
     """The figures of one cell from at least one trial; results are given by seed."""
     known = [r.summary for r in results.values() if r.summary is not None and r.error is None]
     flown = [(s["rounds_to_formed"] or 0, s["lower_bound_rounds"] or 0) for s in known if s["formed"]]
@@ -186,7 +186,7 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Row:
     for seed, result in results.items():
         if result.error is not None:
             errors.setdefault(result.error.partition(":")[0], f"seed {seed}: {result.error}")
-    return Row(
+    return Comparison(
         protocol=cell.protocol,
         shape=cell.shape,
         n_robots=cell.n_robots,
@@ -208,7 +208,7 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Row:
     )
 
 
-COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
+COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (
     ("protocol", lambda row: row.protocol),
     ("shape", lambda row: row.shape),
     ("N", lambda row: str(row.n_robots)),
@@ -223,7 +223,7 @@ COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
 )
 
 
-def markdown(rows: Sequence[Row]) -> str:
+def markdown(rows: Sequence[Comparison]) -> str:
     """The rows as a table with aligned columns, and below it the failed seeds and a note on simulated models."""
     lines = [[name for name, _ in COLUMNS], *([text(row) for _, text in COLUMNS] for row in rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -232,7 +232,7 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n".join([*texts, *notes(rows)])
 
 
-def notes(rows: Sequence[Row]) -> list[str]:
+def notes(rows: Sequence[Comparison]) -> list[str]:
     """The lines below a table of these rows: failed seeds, unsafe starts, and whether models were simulated."""
     simulated = ["", "simulated language models"] if any(row.simulated for row in rows) else []
     return [*simulated, *(note for row in rows for note in _notes(row))]
@@ -256,7 +256,7 @@ def _shares(counts: dict[str, int]) -> str:
     return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items() if count) or "-"
 
 
-def _notes(row: Row) -> list[str]:
+def _notes(row: Comparison) -> list[str]:
     name = f"{row.protocol} {row.shape} {row.n_robots}"
     lines: list[str] = []
     if row.unsafe_starts:

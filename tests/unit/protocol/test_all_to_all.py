@@ -33,6 +33,7 @@ from llm_flock.protocol.membership.all_to_all import (
 from llm_flock.protocol.membership.in_touch import DIGESTS
 from llm_flock.protocol.membership.rendezvous import WITHIN
 from llm_flock.protocol.membership.search import MANY
+from llm_flock.protocol.membership.team import TeamMembership
 from llm_flock.protocol.messages.message import (
     LAST_ROUND,
     NO_OWNER,
@@ -292,7 +293,9 @@ def test_a_robot_keeps_the_reports_of_its_own_mission_only() -> None:
     heard = {1: (0, (50.0, 50.0), ()), 2: (0, (51.0, 40.0), ())}
     message = Message(sender=1, sequence=0, degree=1, stamp=MissionStamp(0, mission.digest), positions=heard)
     agent.handle(Received(encode(message)))
-    assert {robot: agent._membership.all_to_all.known[robot] for robot in heard} == heard
+    membership = agent._membership
+    assert isinstance(membership, TeamMembership)
+    assert {robot: membership.all_to_all.known[robot] for robot in heard} == heard
     elsewhere = msgspec.structs.replace(message, stamp=MissionStamp(0, "0" * 16), positions={3: (0, (9.0, 9.0), ())})
     agent.handle(Received(encode(elsewhere)))
-    assert 3 not in agent._membership.all_to_all.known
+    assert 3 not in membership.all_to_all.known

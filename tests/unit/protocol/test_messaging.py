@@ -35,7 +35,7 @@ def test_another_mission_drops_messages_and_keeps_heartbeats() -> None:
     driven.agent.handle(Received(says(1, plan=PLAN, beats=(0, 7, 3))))
     driven.agent.handle(MissionGiven(mission=LINE.change(center=(60.0, 50.0), since=2), ordered_at=1))
     assert driven.agent._messaging.drain() == []
-    assert driven.agent._membership.liveness.beats[1:] == (7, 3)
+    assert driven.agent._membership.beats[1:] == (7, 3)
 
 
 def test_a_way_that_is_asked_for_is_forgotten_two_rounds_after_its_sender_fell_silent() -> None:

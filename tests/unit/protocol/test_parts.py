@@ -12,13 +12,15 @@ from llm_flock.protocol.agreement.assignment import Claim, IndexAssignment, Near
 from llm_flock.protocol.agreement.consensus import InfluenceConsensus, NoConsensus
 from llm_flock.protocol.events import CommRoundBegan, MoveTo, Note, Origin
 from llm_flock.protocol.membership.team import TeamMembership
-from llm_flock.protocol.messages.codec import decode
+from llm_flock.protocol.messages.message import decode
+from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.parts import Checker, Membership, Parts, Safety
 from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.signed.certificates import Proofs
 from llm_flock.protocol.signed.channel import SignedChannel
 from llm_flock.protocol.signed.parts import signed_parts
+from llm_flock.protocol.verification.steps import Verdict
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.roster import parts_of
 
@@ -88,17 +90,16 @@ def test_an_unverified_answer_is_used_as_it_is() -> None:
     checker, far = Checker(), StepAnswer(waypoint=(1e3, 1e3))
     asked = PlanQuestion(mission=LINE, robot=0, round=1, position=HERE, neighbors=())
     step = StepQuestion(mission=LINE, robot=0, round=1, position=HERE, neighbors=(), plan=PLAN, slot=0)
-    answer, none = PlanAnswer(plan=ELSEWHERE, slot=0), NoAnswer(cause="answer", reason="none")
+    answer = PlanAnswer(plan=ELSEWHERE, slot=0)
     assert checker.plan(asked, answer) is answer and checker.with_room(asked, answer) is answer
     assert checker.objection(LINE, ELSEWHERE) is None and checker.plan_class(LINE, ELSEWHERE) == 0
-    assert checker.fit(step, far) is far
-    assert checker.waypoint(step, far) == far.waypoint and checker.waypoint(step, none) is none
+    assert checker.judge(step, far) == Verdict(reason=None, fit=far)
 
 
 def test_null_safety_asks_nobody_to_make_way() -> None:
     safety = Safety()
     safety.begin_mission()
-    assert safety.course is None and safety.stay(HERE, {1: BESIDE}).waypoint == HERE
+    assert safety.course is None and safety.stay(Observation(position=HERE, sensed={1: BESIDE})).waypoint == HERE
 
 
 @pytest.mark.parametrize("protocol", ["paper", "baseline"])

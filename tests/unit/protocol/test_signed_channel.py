@@ -239,7 +239,7 @@ def test_heartbeats_of_refused_messages_are_not_kept_and_few_of_others(team: Sig
 
 
 def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:
-    before = team.agents[0]._membership.liveness.beats
+    before = team.agents[0]._membership.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
     lie, proofs = unwrap(liar.says(beats=high), 5)
@@ -247,7 +247,7 @@ def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: Signed
     assert team.tell(0, wrap(lie, msgspec.structs.replace(proofs, beats=forged)), team.liar) == ["uncertified"]
     team.begin()
     team.comm_round()
-    after = team.agents[0]._membership.liveness.beats
+    after = team.agents[0]._membership.beats
     assert after[4] == before[4]
     assert max(after) < 100
     team.fly(2)
@@ -305,7 +305,7 @@ def test_a_signed_heartbeat_is_passed_on_by_others(team: SignedTeam, liar: Liar)
         team.comm_round()
     team.end()
     team.fly(2)
-    assert [agent._membership.liveness.beats[4] for agent in team.agents] == [9] * 4
+    assert [agent._membership.beats[4] for agent in team.agents] == [9] * 4
 
 
 # ---------------------------------------------------------------- missions
