@@ -29,25 +29,6 @@ def test_examples_are_written(tmp_path: Path) -> None:
     assert {example["team"].partition(" ")[0] for example in held} <= {"star", "wedge"}
 
 
-def test_figures_are_printed_as_a_table_or_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "160")
-    options = ("simulated:ideal", "--count", "5", "--paths", "2", "--plans", "1", "--frame", "own")
-    more = ("--other-plans", "1", "--far", "2", "--blocked", "2")
-    table = call("eval", *options, *more)
-    assert "plan of" in table and "star 20" in table and "far 25 to 30" in table and "with a robot ahead" in table
-    assert "as flown" in table and "circle 10" in table
-    plain = json.loads(call("eval", *options, "--json"))
-    assert plain["step"]["asked"] == 5 and plain["path"]["parsed"] == 1.0 and len(plain["plans"]) == 5
-    assert (
-        plain["goal_repeated"]["within"] < 1.0
-        and plain["other_plans"] == []
-        and not any(name.startswith("far") for name in plain)
-    )
-    assert plain["plans"][0] == {"team": "triangle 3", "asked": 1, "distinct": 1, "taught": 0, "passed": 1.0}
-    with pytest.raises(InputError, match="frame"):
-        call("eval", "simulated:ideal", "--frame", "mine")
-
-
 def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="adapter"):
         call("export", str(tmp_path), str(tmp_path / "a.gguf"))

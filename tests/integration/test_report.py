@@ -370,13 +370,3 @@ def test_a_trial_has_the_name_of_its_file(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b'"id":"circle10paper1"', b'"id":"../../elsewhere"'))
     with pytest.raises(RecordError, match="another file"):
         Results.read(tmp_path)
-
-
-def test_a_table_that_is_none_is_built_again(tmp_path: Path) -> None:
-    good = write_results(tmp_path)
-    frame = tables.read_trials(good)
-    for name in (tables.TRIALS_NAME, tables.ROUNDS_NAME):
-        (good / name).write_bytes(b"PAR1")
-    assert tables.read_trials(good).equals(frame) and not tables.read_rounds(good).is_empty()
-    frame.with_columns(trial=pl.lit("../elsewhere")).write_parquet(good / tables.TRIALS_NAME)
-    assert tables.read_trials(good).equals(frame)

@@ -1,7 +1,6 @@
 """A directory of results: whole files only, one flyer for each trial, tables that drop nothing."""
 
 import re
-import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -115,34 +114,11 @@ def test_tables_hold_every_trial_in_the_order_of_cells_and_seeds(tmp_path: Path)
     assert not (tmp_path / "trials.parquet").exists()
 
 
-def test_the_files_are_used_while_they_are_as_new_as_the_trials(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    store.save(stored("a"))
+def test_the_files_hold_the_tables(tmp_path: Path) -> None:
+    Store(tmp_path).save(stored("a"))
     tables.build_tables(tmp_path)
     assert tables.read_trials(tmp_path).equals(pl.read_parquet(tmp_path / "trials.parquet"))
-    store.save(stored("b", seed=1))
-    assert tables.read_trials(tmp_path).height == 2
-    assert tables.read_rounds(tmp_path).height == 0
-
-
-def test_tables_are_out_of_date_if_a_trial_comes_while_they_are_built(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    store = Store(tmp_path)
-    store.save(stored("a"))
-    load_all = tables.load_all
-
-    def load_then_save(folder: Path) -> list[TrialResult]:
-        found = load_all(folder)
-        time.sleep(0.05)  # clocks of file systems are coarse
-        store.save(stored("b", seed=1))
-        return found
-
-    with monkeypatch.context() as patch:
-        patch.setattr(tables, "load_all", load_then_save)
-        tables.build_tables(tmp_path)
-    assert pl.read_parquet(tmp_path / "trials.parquet").height == 1
-    assert tables.read_trials(tmp_path).height == 2
+    assert pl.read_parquet(tmp_path / "rounds.parquet").height == 0
 
 
 def test_a_folder_without_results_is_refused(tmp_path: Path) -> None:
@@ -167,8 +143,8 @@ def test_the_data_dictionary_is_drawn_from_the_columns() -> None:
 def test_many_may_write_one_file_at_once(tmp_path: Path) -> None:
     path, data = tmp_path / "table", [bytes([k]) * 200_000 for k in range(8)]
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(lambda each: [write_whole(path, each, dated_ns=10**18) for _ in range(5)], data))
-    assert path.read_bytes() in data and path.stat().st_mtime_ns == 10**18
+        list(pool.map(lambda each: [write_whole(path, each) for _ in range(5)], data))
+    assert path.read_bytes() in data
     assert list(tmp_path.iterdir()) == [path]
 
 

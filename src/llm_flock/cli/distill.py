@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_args
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -17,10 +16,6 @@ from rich.table import Table
 from llm_flock.cli.terminal import Screen
 from llm_flock.errors import InputError
 from llm_flock.flags import PlainHelp
-
-if TYPE_CHECKING:
-    from llm_flock.distill.choices import ChoiceFigures
-    from llm_flock.distill.evaluation import MotionFigures, PlanFigures
 
 MOST = 10_000_000
 """Most examples of one kind."""
@@ -49,7 +44,6 @@ def data(
     """Write examples from our own planner over random missions, and from recorded runs."""
     from llm_flock.distill.choices import choice_examples
     from llm_flock.distill.examples import Split, motion_examples, plan_examples, recorded_examples, write_examples
-    from llm_flock.distill.taught import distinct_prompts
 
     _check_new(out)
     split: Split = "held-out" if held_out else "train"
@@ -61,7 +55,8 @@ def data(
     for kind in ("plan", "step", "path", "choice"):
         found = [example for example in examples if example.kind == kind]
         if found:
-            said.append(f"{len(distinct_prompts(found))} of {len(found)} for a {kind}")
+            distinct = {(example.system, example.user) for example in found}
+            said.append(f"{len(distinct)} of {len(found)} for a {kind}")
     sys.stdout.write(f"{said[0]} {', '.join(said[1:])}\n")
 
 
@@ -113,98 +108,20 @@ def train(
 @distill.command("eval", cls=PlainHelp)
 def evaluate(
     model: Annotated[str, typer.Argument(help="Any model, as for run --model")],
-    count: Annotated[int, typer.Option(min=1, help="Questions for a step")] = 200,
-    paths: Annotated[int, typer.Option(min=0, help="Questions for a path")] = 50,
-    plans: Annotated[int, typer.Option(min=0, help="Questions for a plan of each of the five taught teams")] = 10,
-    other_plans: Annotated[int, typer.Option(min=0, help="Questions for a plan of each of 25 other teams")] = 0,
-    far: Annotated[
-        int, typer.Option(min=0, help="Questions for a step to goals 14, 20 and 25 step limits away and more, each")
-    ] = 0,
-    blocked: Annotated[int, typer.Option(min=0, help="Questions for a step with another robot in the way")] = 0,
-    choices: Annotated[int, typer.Option(min=0, help="Questions for one letter, by a wish in words")] = 0,
-    prompts: Annotated[str | None, typer.Option(help="full, brief or a folder [the model's]")] = None,
-    frame: Annotated[str | None, typer.Option(help="world or own [the model's]")] = None,
+    count: Annotated[int, typer.Option(min=1, max=MOST, help="Questions for one letter, by a wish in words")] = 400,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the questions")] = 0,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
 ) -> None:
-    """Ask a model questions and measure its answers, raw and as they would be flown; count those that were taught."""
+    """Ask a model for letters, with wishes whose wording is not taught; `llm-flock exam` asks for plans and steps."""
     from llm_flock.distill.choices import measure_choices
-    from llm_flock.distill.evaluation import OTHER_TEAMS, Evaluator
-    from llm_flock.llm.frame import FrameName
 
-    if frame is not None and frame not in get_args(FrameName):
-        raise InputError("frame", frame, "world or own")
-    evaluator = Evaluator(model, prompts=prompts, frame=cast("FrameName | None", frame), seed=seed)
-    motion = {"step": evaluator.steps(count, 1), "goal_repeated": evaluator.repeated(count)}
-    if paths:
-        motion["path"] = evaluator.steps(paths, 20)
-    if far:
-        motion |= evaluator.far_steps(far)
-    if blocked:
-        motion["blocked"] = evaluator.blocked_steps(blocked)
-    formations = evaluator.plans(plans) if plans else []
-    others = evaluator.plans(other_plans, OTHER_TEAMS) if other_plans else []
-    chosen = measure_choices(model, choices, seed) if choices else {}
+    found = measure_choices(model, count, seed)
     if json_output:
-        plain = {
-            "model": model,
-            **{name: asdict(m) for name, m in motion.items()},
-            "plans": [asdict(p) for p in formations],
-            "other_plans": [asdict(p) for p in others],
-            "choices": {name: asdict(c) for name, c in chosen.items()},
-        }
-        sys.stdout.write(json.dumps(plain) + "\n")
+        sys.stdout.write(json.dumps({"model": model, **asdict(found)}) + "\n")
         return
-    screen = Screen()
-    screen.show(_motion_table(motion))
-    if formations or others:
-        screen.show(_plan_table([*formations, *others]))
-    if chosen:
-        screen.show(_choice_table(chosen))
-
-
-_MOTIONS = {"goal_repeated": "a program that repeats the goal", "blocked": "step with a robot ahead"}
-"""Rows whose names are not those of the JSON output."""
-
-
-def _motion_table(motion: Mapping[str, MotionFigures]) -> Table:
-    columns = ("asked", "taught", "parsed", "within the step limit", "pass the checks")
-    table = Table("", *columns, r"off course \[degrees]", r"error \[units]", r"as flown \[units]")
-    for name, m in motion.items():
-        shares = (f"{share:.1%}" for share in (m.parsed, m.within, m.passed))
-        degrees = "-" if m.degrees is None else f"{m.degrees:.1f}"
-        numbers = (degrees, f"{m.error:.2f}", f"{m.shielded_error:.2f}")
-        table.add_row(_MOTIONS.get(name, name), str(m.asked), str(m.taught), *shares, *numbers)
-    return table
-
-
-def _plan_table(plans: Sequence[PlanFigures]) -> Table:
-    table = Table("plan of", "asked", "different prompts", "of these taught", "pass at first ask")
-    for p in plans:
-        table.add_row(p.team, str(p.asked), str(p.distinct), str(p.taught), f"{round(p.passed * p.asked)} of {p.asked}")
-    return table
-
-
-_CHOOSERS = {
-    "choice": "the model",
-    "first_way": "the first way",
-    "random_way": "a random way",
-    "wish_alone": "the way of the wish, open or not",
-    "keywords": "a reader of taught words",
-}
-"""Rows of the table of choices."""
-
-
-def _choice_table(chosen: Mapping[str, ChoiceFigures]) -> Table:
-    wishes = tuple(chosen["choice"].by_wish)
-    columns = ("asked", "different prompts", "of these taught", "parsed", "right", "open")
-    columns += ("wish decides", "sentence beside", *(f"wish: {wish}" for wish in wishes))
-    table = Table("choice by", *columns)
-    for name, c in chosen.items():
-        wished = (c.by_wish[wish] for wish in wishes)
-        shares = (f"{share:.1%}" for share in (c.parsed, c.right, c.open, c.turning, c.beside, *wished))
-        table.add_row(_CHOOSERS[name], str(c.asked), str(c.distinct), str(c.taught), *shares)
-    return table
+    table = Table("asked", "parsed", "right", *(f"wish: {wish}" for wish in found.by_wish))
+    table.add_row(str(found.asked), *(f"{share:.1%}" for share in (found.parsed, found.right, *found.by_wish.values())))
+    Screen().show(table)
 
 
 @distill.command(cls=PlainHelp)

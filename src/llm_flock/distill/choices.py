@@ -1,11 +1,11 @@
-"""Examples and figures of questions for one letter (`llm.letters`): what is right follows from the wish by a rule."""
+"""Questions for one letter, to teach and to measure (`llm.letters`): what is right follows from the wish by a rule."""
 
 from __future__ import annotations
 
 import asyncio
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, get_args
@@ -14,7 +14,7 @@ import numpy as np
 
 from llm_flock.arrays import Point
 from llm_flock.distill.examples import HELD_OUT_TEAMS, TEAMS, Example, Split, draw_mission, draw_step
-from llm_flock.distill.wishes import BESIDE, BESIDE_SHARE, WORDINGS, Wish, keyword_reader
+from llm_flock.distill.wishes import BESIDE, BESIDE_SHARE, WORDINGS, Wish
 from llm_flock.errors import ModelError
 from llm_flock.llm.answer_forms import LETTER_TOKENS
 from llm_flock.llm.letters import Letter, LetterWay, Room, read_letter, ways_of, ways_text
@@ -24,9 +24,6 @@ from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.planning import StepQuestion
-
-CHOICES = 12000
-"""Number of examples of the recipe: `distill data --choices`."""
 
 AT_ONCE = 4
 """Questions asked at once."""
@@ -67,11 +64,6 @@ class Choice:
         """The question as a run with the prompts `letters` asks it, of these ways."""
         return f"Wish: {self.words}\n{ways_text(self.ways)}"
 
-    @property
-    def beside(self) -> bool:
-        """Whether the wish has a sentence beside it that asks for nothing."""
-        return self.words not in itertools.chain(*WORDINGS[self.wish].values())
-
     def example(self) -> Example:
         """The question with its answer, to learn from."""
         mission = self.question.mission
@@ -81,28 +73,11 @@ class Choice:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChoiceFigures:
-    """Results of questions for a letter.
-
-    Attributes:
-        asked: number of questions.
-        distinct: number of different prompts among them.
-        taught: number of these different prompts that the recipe teaches.
-        parsed: share of answers that begin with a letter.
-        right: share of right answers.
-        open: share of answers that name an open way, which keeps the distances; others are refused.
-        turning: share of right answers where the first way is wrong, so that the wish decides.
-        beside: share of right answers where a sentence stands beside the wish that asks for nothing.
-        by_wish: share of right answers for each wish that was asked.
-    """
+    """Results of questions for a letter: shares of answers that begin with a letter and of right ones, also by wish."""
 
     asked: int
-    distinct: int
-    taught: int
     parsed: float
     right: float
-    open: float
-    turning: float
-    beside: float
     by_wish: Mapping[str, float]
 
 
@@ -150,53 +125,19 @@ def system_message() -> str:
     return PromptSet.load("letters").system(build_mission())
 
 
-@lru_cache(maxsize=1)
-def taught_choices() -> frozenset[str]:
-    """The question of every example of the recipe."""
-    return frozenset(example.user for example in choice_examples(0, CHOICES, "train"))
-
-
-def choice_figures(choices: Sequence[Choice], letters: Sequence[str | None]) -> ChoiceFigures:
-    """Compare the letters that were read with the right ones."""
-    n, prompts = len(choices), frozenset(choice.user for choice in choices)
-    pairs = list(zip(choices, letters, strict=True))
-
-    def right(counts: Callable[[Choice], bool]) -> float:
-        hits = [choice.right == letter for choice, letter in pairs if counts(choice)]
-        return sum(hits) / len(hits) if hits else math.nan
-
-    return ChoiceFigures(
-        asked=n,
-        distinct=len(prompts),
-        taught=len(prompts & taught_choices()),
-        parsed=sum(letter is not None for letter in letters) / n,
-        right=right(lambda _: True),
-        open=sum(letter in [way.letter for way in choice.ways] for choice, letter in pairs) / n,
-        turning=right(lambda choice: choice.right != right_letter(choice.ways, "far")),
-        beside=right(lambda choice: choice.beside),
-        by_wish={wish: right(lambda choice, wish=wish: choice.wish == wish) for wish in WORDINGS},
-    )
-
-
-def measure_choices(model: str, count: int, seed: int = 0) -> dict[str, ChoiceFigures]:
-    """Ask a model `count` held-out questions, without a grammar; beside it, programs instead of a model."""
+def measure_choices(model: str, count: int, seed: int = 0) -> ChoiceFigures:
+    """Ask a model `count` held-out questions, without a grammar."""
     choices = list(itertools.islice(draw_choices(seed, "held-out"), count))
-    return {
-        "choice": choice_figures(choices, asyncio.run(_ask(model, choices, seed))),
-        **program_figures(choices, seed),
-    }
-
-
-def program_figures(choices: Sequence[Choice], seed: int = 0) -> dict[str, ChoiceFigures]:
-    """What programs get: first way, random way, way of the known wish, open or not, and a reader of taught words."""
-    rng, reader = np.random.default_rng([seed, 5]), keyword_reader()
-    answers: dict[str, list[Letter]] = {
-        "first_way": [choice.ways[0].letter for choice in choices],
-        "random_way": [choice.ways[int(rng.integers(len(choice.ways)))].letter for choice in choices],
-        "wish_alone": [WAYS.get(choice.wish, "S") for choice in choices],
-        "keywords": [right_letter(choice.ways, reader.read(choice.words)) for choice in choices],
-    }
-    return {name: choice_figures(choices, letters) for name, letters in answers.items()}
+    letters = asyncio.run(_ask(model, choices, seed))
+    hits: dict[str, list[bool]] = {wish: [] for wish in WORDINGS}
+    for choice, letter in zip(choices, letters, strict=True):
+        hits[choice.wish].append(choice.right == letter)
+    return ChoiceFigures(
+        asked=count,
+        parsed=sum(letter is not None for letter in letters) / count,
+        right=sum(map(sum, hits.values())) / count,
+        by_wish={wish: sum(found) / len(found) for wish, found in hits.items() if found},
+    )
 
 
 async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -138,43 +138,45 @@ ROUNDS: tuple[Column, ...] = (
 """Columns of rounds.parquet."""
 
 
-def read_trials(folder: Path) -> pl.DataFrame:
-    """The first table: a row for each finished trial, sorted by cell and seed.
-
-    Reads the file if it is as new as the trials. Otherwise builds the table from them, without writing it.
+def read_tables(folder: Path) -> tuple[pl.DataFrame, pl.DataFrame]:
+    """Both tables, built from the finished trials: trials by cell and seed, and their rounds in the same order.
 
     Raises:
         InputError: this is no directory of results.
         RecordError: a trial is damaged.
     """
-    return _read(folder, TRIALS_NAME, TRIALS, _trials_frame)
+    if not (folder / TRIALS_FOLDER).is_dir():
+        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
+    trials = load_all(folder)
+    try:
+        return _trials_frame(trials), _rounds_frame(trials)
+    except (pl.exceptions.PolarsError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise RecordError(
+            f"{folder}: not all trials have the fields of one ({type(error).__name__}: {error})"
+        ) from None
+
+
+def read_trials(folder: Path) -> pl.DataFrame:
+    """The first of `read_tables`: a row for each finished trial."""
+    return read_tables(folder)[0]
 
 
 def read_rounds(folder: Path) -> pl.DataFrame:
-    """The second table: a row for each round of each finished trial, in the order of `read_trials`, then by round.
-
-    Raises:
-        InputError: this is no directory of results.
-        RecordError: a trial is damaged.
-    """
-    return _read(folder, ROUNDS_NAME, ROUNDS, _rounds_frame)
+    """The second of `read_tables`: a row for each round of each finished trial."""
+    return read_tables(folder)[1]
 
 
 def build_tables(folder: Path) -> None:
-    """Write both tables from the finished trials.
-
-    They get the date of the trials that were read: a trial that another process saves meanwhile makes them outdated.
+    """Write both tables as files, for other programs.
 
     Raises:
         InputError: this is no directory of results.
         RecordError: a trial is damaged, or a table cannot be written.
     """
-    dated = _dated(folder)
-    trials = load_all(folder)
-    for name, frame in ((TRIALS_NAME, _trials_frame(trials)), (ROUNDS_NAME, _rounds_frame(trials))):
+    for name, frame in zip((TRIALS_NAME, ROUNDS_NAME), read_tables(folder), strict=True):
         file = io.BytesIO()
         frame.write_parquet(file)
-        write_whole(folder / name, file.getvalue(), dated_ns=dated)
+        write_whole(folder / name, file.getvalue())
 
 
 def export_csv(folder: Path, out: Path) -> list[Path]:
@@ -187,7 +189,7 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
         InputError: there are no results, or the files cannot be written.
         RecordError: a trial is damaged.
     """
-    frames = {"trials.csv": read_trials(folder), "rounds.csv": read_rounds(folder)}
+    frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, frame in frames.items():
@@ -245,45 +247,6 @@ def _rounds_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
         for name in columns.keys() - {"trial"}:
             columns[name] += trial.rounds[name]
     return pl.DataFrame(columns, schema={column.name: column.dtype for column in ROUNDS})
-
-
-def _read(
-    folder: Path, name: str, columns: Sequence[Column], build: Callable[[Sequence[TrialResult]], pl.DataFrame]
-) -> pl.DataFrame:
-    path = folder / name
-    dated = _dated(folder)
-    if path.exists() and path.stat().st_mtime_ns >= dated:
-        stored = _stored(path, columns)
-        if stored is not None:
-            return stored
-    trials = load_all(folder)
-    try:
-        return build(trials)
-    except (pl.exceptions.PolarsError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise RecordError(
-            f"{folder}: not all trials have the fields of one ({type(error).__name__}: {error})"
-        ) from None
-
-
-def _stored(path: Path, columns: Sequence[Column]) -> pl.DataFrame | None:
-    """The table in a file; None where it is not one of this version, so that it has to be built."""
-    try:
-        found = pl.read_parquet(path)
-    except (pl.exceptions.PolarsError, OSError):
-        return None
-    wanted = {column.name: column.dtype for column in columns}
-    schema = {name: kind for name, kind in found.schema.items() if not name.startswith(AXIS)}
-    if schema != wanted or any(found.schema[name] != pl.String for name in found.schema.keys() - wanted):
-        return None
-    # Names of figures are made of it.
-    return found if found["trial"].str.contains(r"^[\w-]+$").all() else None
-
-
-def _dated(folder: Path) -> int:
-    """When the last trial was saved [ns]; refuses other directories."""
-    if not (folder / TRIALS_FOLDER).is_dir():
-        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
-    return (folder / TRIALS_FOLDER).stat().st_mtime_ns
 
 
 def _row(trial: TrialResult) -> dict[str, Any]:

@@ -130,7 +130,7 @@ class Results:
             InputError: there are no results.
             RecordError: a trial is damaged.
         """
-        frame = tables.read_trials(folder)
+        frame, rounds = tables.read_tables(folder)
         if frame.is_empty():
             raise InputError("dir", str(folder), "a directory with at least one finished trial")
         name, about = _title(folder)
@@ -141,7 +141,7 @@ class Results:
             frame = frame.join(order, on="trial", how="left").sort("place", nulls_last=True, maintain_order=True)
             frame = frame.drop("place")
         count = None if planned is None else len(planned)
-        return cls(folder, frame, tables.read_rounds(folder), name, about, count)
+        return cls(folder, frame, rounds, name, about, count)
 
     @cached_property
     def trials(self) -> tuple[TrialRow, ...]:
