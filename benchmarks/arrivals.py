@@ -32,7 +32,7 @@ import llm_flock
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.experiments.statistics import wilson
-from llm_flock.metrics.separation import ROUNDING
+from llm_flock.metrics import ROUNDING
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion import shield

@@ -31,7 +31,7 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.order_time import order_time
+from llm_flock.protocol.messages.message import order_time
 from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion

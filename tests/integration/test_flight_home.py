@@ -67,7 +67,7 @@ def test_after_the_mission_they_return_if_the_flight_file_says_so() -> None:
 
 
 def test_an_order_while_they_think_is_carried_out_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    from llm_flock.llm.geometry import GeometryPlanner
+    from llm_flock.protocol.geometry import GeometryPlanner
 
     async def for_ever(self: GeometryPlanner, question: object) -> None:
         await asyncio.sleep(3600.0)

@@ -13,8 +13,7 @@ from still_team import PERFECT, WIDE, StillTeam, a_leaf, assert_at_rest, connect
 
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages import dissemination
-from llm_flock.protocol.messages.message import BLOCKED, Message, MissionStamp, encode
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
+from llm_flock.protocol.messages.message import BLOCKED, MISSION_FIELDS, Message, MissionStamp, encode
 from llm_flock.transport.memory import LinkFaults
 
 FAULTS = st.builds(

@@ -12,7 +12,7 @@ PAPER = (
     "import llm_flock; "
     'llm_flock.run(llm_flock.Mission(shape="circle", n_robots=4), model="{model}", protocol="{protocol}", rounds=1)'
 )
-NOT_THE_PAPERS = ("llm_flock.protocol.membership", "llm_flock.protocol.signed", "llm_flock.obstacles.roadmap")
+NOT_THE_PAPERS = ("llm_flock.protocol.membership", "llm_flock.protocol.signed", "llm_flock.roadmap")
 
 
 def loaded(code: str) -> list[str]:

@@ -130,7 +130,7 @@ def evaluate(
     """Ask a model questions and measure its answers, raw and as they would be flown; count those that were taught."""
     from llm_flock.distill.choices import measure_choices
     from llm_flock.distill.evaluation import OTHER_TEAMS, Evaluator
-    from llm_flock.llm.frame import FrameName
+    from llm_flock.llm.port import FrameName
 
     if frame is not None and frame not in get_args(FrameName):
         raise InputError("frame", frame, "world or own")

@@ -17,11 +17,11 @@ import numpy as np
 from llm_flock.arrays import Point
 from llm_flock.distill.examples import HELD_OUT_TEAMS, draw_mission, draw_step
 from llm_flock.distill.taught import training_prompts
-from llm_flock.llm.frame import FrameName, frame_plan, frame_step
+from llm_flock.llm.frame import frame_plan, frame_step
 from llm_flock.llm.local.source import TAUGHT_PLANS
 from llm_flock.llm.models import ModelPool
 from llm_flock.llm.planner import LanguagePlanner
-from llm_flock.llm.port import LanguageModel
+from llm_flock.llm.port import FrameName, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.sources import habits_of
 from llm_flock.protocol.planning import Answer, PlanAnswer, PlanQuestion, Question, StepAnswer, StepQuestion

@@ -16,7 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from llm_flock import graph
 from llm_flock.bounds import TIME_OUT
 from llm_flock.errors import FieldError, InputError, unknown
-from llm_flock.llm.frame import FrameName
+from llm_flock.llm.port import FrameName
 from llm_flock.metrics import deadline
 from llm_flock.mission import Mission
 from llm_flock.protocol.breaker import Fallback

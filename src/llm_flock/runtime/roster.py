@@ -10,7 +10,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.parts import Checker, Gaps, Membership, Parts, Safety
 from llm_flock.record.schema import ASLEEP, DEAD
-from llm_flock.runtime.bodies import Bodies
+from llm_flock.robots.simulated import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.rules import Rules, are_the_papers
 

@@ -8,7 +8,6 @@ from typing import Any, Literal, TypeAlias
 
 from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
-from llm_flock.own_code import load_own
 from llm_flock.protocol.agreement.assignment import (
     AssignmentRule,
     IndexAssignment,
@@ -113,6 +112,8 @@ def _rule(
     if ":" not in name:
         raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
     allowed = "package.module:Class that can be imported"
+    from llm_flock.own_code import load_own
+
     found = load_own(field, name, allowed)
     try:
         rule = found()

@@ -17,7 +17,7 @@ from llm_flock.runtime.api import run_async
 from llm_flock.runtime.config import RunConfig, build_config
 from llm_flock.runtime.orders import RunOrders, check_shape
 from llm_flock.runtime.planners import TeamPlanners
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
 from llm_flock.runtime.trial import Trial
 from llm_flock.viewer.library import load
 from llm_flock.viewer.recording import Recording

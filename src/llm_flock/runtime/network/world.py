@@ -24,7 +24,7 @@ from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Body, Command, WorldState, pack
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
 from llm_flock.transport.zenoh import ZenohLink
 
 SUBSTEP_S = 0.01
