@@ -27,7 +27,6 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.reader import RunRecord
 from llm_flock.record.schema import NullWriter
-from llm_flock.robots.simulated import InstantBodies, Readings, Sensing, start_positions
 from llm_flock.runtime.api import plain
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
@@ -35,6 +34,7 @@ from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import trace_record
 from llm_flock.runtime.schedule import Stream, stream
 from llm_flock.runtime.trial import Trial
+from llm_flock.simulate import InstantBodies, Readings, Sensing, start_positions
 
 Control: TypeAlias = Literal["waypoints", "questions"]
 Observation: TypeAlias = dict[str, Any]

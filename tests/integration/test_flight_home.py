@@ -15,12 +15,12 @@ from flights import STARTS, STOCK, Robots, Sabotage, flight_config, flown
 from llm_flock import metrics
 from llm_flock.mission import Mission
 from llm_flock.record.reader import read_record
-from llm_flock.robots.simulated import Readings, draw_start
 from llm_flock.runtime.flight import homing
 from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.homing import WayHome
 from llm_flock.runtime.result import FlightFigures
+from llm_flock.simulate import Readings, draw_start
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")
 

@@ -32,7 +32,7 @@ def test_the_core_loads_few_modules(code: str, most: int) -> None:
 
 
 @pytest.mark.parametrize("protocol", ["paper", "baseline"])
-@pytest.mark.parametrize(("model", "most"), [("geometry", 90), ("simulated:ideal", 102)])
+@pytest.mark.parametrize(("model", "most"), [("geometry", 60), ("simulated:ideal", 102)])
 def test_the_papers_rules_load_no_membership_keys_or_obstacles(model: str, most: int, protocol: str) -> None:
     names = loaded(PAPER.format(model=model, protocol=protocol))
     assert not [name for name in names if name.startswith(NOT_THE_PAPERS)]

@@ -21,7 +21,6 @@ from llm_flock.protocol.agreement.assignment import AssignmentRule
 from llm_flock.protocol.agreement.consensus import ConsensusRule
 from llm_flock.protocol.breaker import Fallback
 from llm_flock.record.schema import NullWriter, RecordSink
-from llm_flock.robots.simulated import InstantBodies, Readings, start_positions
 from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
 from llm_flock.runtime.journal import Journal, run_info
 from llm_flock.runtime.planners import TeamPlanners
@@ -29,6 +28,7 @@ from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.rules import assignment_rule, consensus_rule, own_rules
 from llm_flock.runtime.schedule import Change, Stream, stream
 from llm_flock.runtime.trial import Steer, Trial, TrialProgress
+from llm_flock.simulate import InstantBodies, Readings, start_positions
 
 if TYPE_CHECKING:
     from llm_flock.llm.own import ModelChoice, OwnModel

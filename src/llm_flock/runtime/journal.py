@@ -11,6 +11,7 @@ from typing import Any, TypedDict, Unpack
 
 from llm_flock import metrics
 from llm_flock.arrays import Points
+from llm_flock.links import Traffic
 from llm_flock.llm.port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
@@ -31,11 +32,10 @@ from llm_flock.record.schema import (
     RunInfo,
     State,
 )
-from llm_flock.robots.simulated import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.episode import Episode, blocked_places
 from llm_flock.runtime.roster import Roster
-from llm_flock.transport.memory import Traffic
+from llm_flock.simulate import Bodies
 
 
 def run_info(

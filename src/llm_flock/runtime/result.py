@@ -12,17 +12,16 @@ from numpy.typing import NDArray
 
 from llm_flock import metrics
 from llm_flock.errors import InputError
+from llm_flock.links import Traffic
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
-from llm_flock.record.words import formed_in
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal, finite
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.roster import Roster
 from llm_flock.runtime.schedule import Schedule
-from llm_flock.transport.memory import Traffic
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
@@ -259,6 +258,8 @@ class RunResult:
         return self.record().to_pandas(table)
 
     def __repr__(self) -> str:
+        from llm_flock.record.words import formed_in
+
         summary = self.summary
         simulated = ", simulated language models" if summary.simulated else ""
         end = f"formed in round {formed_in(summary.to_dict())}" if summary.formed else f"not formed: {summary.stopped}"

@@ -14,11 +14,11 @@ import msgspec
 import numpy as np
 
 from llm_flock.arrays import Points
+from llm_flock.links import MemoryTransport
 from llm_flock.protocol import events
 from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.schema import MetricsRow, SummaryMessage
-from llm_flock.robots.simulated import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
@@ -26,7 +26,7 @@ from llm_flock.runtime.result import FlightFigures, RunResult, summarize
 from llm_flock.runtime.roster import Roster, make_agent, parts_of
 from llm_flock.runtime.rules import Rules
 from llm_flock.runtime.schedule import Stream, stream
-from llm_flock.transport.memory import MemoryTransport
+from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
 

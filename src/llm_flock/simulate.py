@@ -1,4 +1,5 @@
-"""Simulated bodies in an arena: point masses that fly straight to their waypoint within a round, and their sensors."""
+"""Bodies of a team, as a trial needs them, and simulated ones: point masses that fly straight to their waypoint within
+a round, and their sensors."""
 
 from __future__ import annotations
 
