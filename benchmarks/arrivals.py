@@ -32,15 +32,15 @@ import llm_flock
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.experiments.statistics import wilson
-from llm_flock.metrics.separation import ROUNDING
+from llm_flock.metrics import ROUNDING
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.observation import Observation
+from llm_flock.protocol.motion.projection import static_half_spaces
 from llm_flock.protocol.motion.right_of_way import RightOfWay
 from llm_flock.protocol.motion.safety import ShieldedSafety
-from llm_flock.protocol.motion.surroundings import static_half_spaces
+from llm_flock.protocol.parts import Observation
 from llm_flock.protocol.verification.steps import shortened
 
 

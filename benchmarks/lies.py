@@ -30,16 +30,16 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.experiments.statistics import wilson
+from llm_flock.links import LinkFaults
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.protocol.messages.message import Message
 from llm_flock.protocol.motion.shield import project
-from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.wire import Command, WorldState
-from llm_flock.transport.memory import LinkFaults
+from llm_flock.simulate import start_positions
 from llm_flock.transport.radio import Radio
 from llm_flock.trust.keys import make_keys
 

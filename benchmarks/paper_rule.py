@@ -45,7 +45,7 @@ from llm_flock.protocol.events import (
 from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.robots.simulated import Readings, draw_start
+from llm_flock.simulate import Readings, draw_start
 
 Index: TypeAlias = Literal["id", "first", "random", "nearest"]
 Start: TypeAlias = Literal["uniform", "separated", "middle"]

@@ -13,10 +13,10 @@ from llm_flock.exam.ask import round_of
 from llm_flock.exam.generate_steps import sidestep
 from llm_flock.exam.questions import Question
 from llm_flock.exam.score import meant
-from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.port import Call
 from llm_flock.llm.simulated.model import Responder
 from llm_flock.llm.simulated.profiles import parse_profile
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer
 
 

@@ -34,8 +34,8 @@ from llm_flock.protocol.messages.message import (
     MissionStamp,
     Offer,
     encode,
+    mission_text,
 )
-from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.signed.certificates import (
     Certificate,
     Proofs,

@@ -7,7 +7,7 @@ from typing import Any
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.events import RoundBegan
-from llm_flock.protocol.motion.observation import Observation
+from llm_flock.protocol.parts import Observation
 
 
 def round_began(

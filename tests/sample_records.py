@@ -18,12 +18,13 @@ from llm_flock.record.schema import (
     MissionInfo,
     PlanInfo,
     ProtocolEvent,
+    RecordSink,
     RoundEnd,
     RunInfo,
     State,
     SummaryMessage,
 )
-from llm_flock.record.writer import RecordSink, RecordWriter
+from llm_flock.record.writer import RecordWriter
 
 
 def run_info(seed: int = 0, **changes: Any) -> RunInfo:

@@ -13,6 +13,7 @@ from whole_agent import whole_agent
 
 from llm_flock import graph
 from llm_flock.arrays import Point
+from llm_flock.links import LinkFaults, MemoryTransport
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.auction import AuctionAssignment
@@ -31,11 +32,10 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.order_time import order_time
+from llm_flock.protocol.messages.message import order_time
 from llm_flock.protocol.parts import Gaps
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
-from llm_flock.transport.memory import LinkFaults, MemoryTransport
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))
 PERFECT = LinkFaults()

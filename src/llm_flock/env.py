@@ -19,23 +19,22 @@ except ImportError as error:
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.metrics.separation import ROUNDING
+from llm_flock.metrics import ROUNDING
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import MoveTo
 from llm_flock.protocol.geometry import geometric_plan
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.reader import RunRecord
-from llm_flock.record.writer import NullWriter
-from llm_flock.robots.simulated import Readings, Sensing, start_positions
-from llm_flock.runtime.bodies import InstantBodies
+from llm_flock.record.schema import NullWriter
+from llm_flock.runtime.api import plain
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.parameters import plain
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import trace_record
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
 from llm_flock.runtime.trial import Trial
+from llm_flock.simulate import InstantBodies, Readings, Sensing, start_positions
 
 Control: TypeAlias = Literal["waypoints", "questions"]
 Observation: TypeAlias = dict[str, Any]

@@ -20,7 +20,7 @@ from llm_flock.printable import hidden
 from llm_flock.validation import input_error
 
 if TYPE_CHECKING:
-    from llm_flock.obstacles.roadmap import Roadmap  # imported where it is used: few missions have obstacles
+    from llm_flock.roadmap import Roadmap  # imported where it is used: few missions have obstacles
 
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
@@ -239,7 +239,7 @@ class Mission(BaseModel):
         """
         if not self.obstacles or self.dim != 2:
             return frozenset()
-        from llm_flock.obstacles.regions import free_regions, region_of
+        from llm_flock.roadmap import free_regions, region_of
 
         regions = free_regions(self.arena, self.obstacles, self.body_radius)
         return frozenset(region_of(point, regions) for point in points)
@@ -249,15 +249,15 @@ class Mission(BaseModel):
         """The ways round the obstacles [world frame]; None without any."""
         if not self.obstacles:
             return None
-        from llm_flock.obstacles.roadmap import roadmap_of
+        from llm_flock.roadmap import roadmap_of
 
         return roadmap_of(self.arena, self.obstacles, self.body_radius)
 
     def shortest_ways(self, starts: Points, goals: Points) -> Pairwise:
-        """As `llm_flock.obstacles.roadmap.shortest_ways`, among the obstacles of this mission."""
+        """As `llm_flock.roadmap.shortest_ways`, among the obstacles of this mission."""
         if not self.obstacles:
             return np.linalg.norm(starts[:, None] - goals[None], axis=2)
-        from llm_flock.obstacles.roadmap import shortest_ways
+        from llm_flock.roadmap import shortest_ways
 
         return shortest_ways(self.arena, self.obstacles, self.body_radius, starts, goals)
 

@@ -16,7 +16,7 @@ pytest.importorskip("pymavlink")
 from flights import flight_config
 from mavlink_flights import CALM
 
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer, PlanQuestion
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet

@@ -9,7 +9,7 @@ import pytest
 from async_team import AsyncTeam, one_clock
 
 from llm_flock.arrays import Point
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion
 from llm_flock.runtime.network.config import SwarmConfig

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from flights import STARTS, flight_config
 
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.robots.base import RobotError
 from llm_flock.robots.point_mass import PointMass
 from llm_flock.robots.simulated_robot import SimulatedRobot

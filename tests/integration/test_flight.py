@@ -18,8 +18,8 @@ from flights import STOCK, Robots, Sabotage, figures, flight_config, flown, fly,
 from slowness import slowness
 
 from llm_flock.errors import RecordError
-from llm_flock.llm import geometry
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.protocol import geometry
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer
 from llm_flock.record.reader import read_record
 from llm_flock.record.schema import CHANNELS, SummaryMessage, channel_schema

@@ -15,12 +15,12 @@ from flights import STARTS, STOCK, Robots, Sabotage, flight_config, flown
 from llm_flock import metrics
 from llm_flock.mission import Mission
 from llm_flock.record.reader import read_record
-from llm_flock.robots.simulated import Readings, draw_start
 from llm_flock.runtime.flight import homing
 from llm_flock.runtime.flight.dry_run import dry_run
 from llm_flock.runtime.flight.flight import Flight
 from llm_flock.runtime.flight.homing import WayHome
 from llm_flock.runtime.result import FlightFigures
+from llm_flock.simulate import Readings, draw_start
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")
 
@@ -67,7 +67,7 @@ def test_after_the_mission_they_return_if_the_flight_file_says_so() -> None:
 
 
 def test_an_order_while_they_think_is_carried_out_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    from llm_flock.llm.geometry import GeometryPlanner
+    from llm_flock.protocol.geometry import GeometryPlanner
 
     async def for_ever(self: GeometryPlanner, question: object) -> None:
         await asyncio.sleep(3600.0)

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from flights import flight_config, flown
 
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion
 from llm_flock.runtime.result import Summary

@@ -12,7 +12,7 @@ import pytest
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.members import WORLD
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.runtime.network import robot as module
 from llm_flock.runtime.network.agent_loop import MOST_FAULTS, MOST_NOTES
 from llm_flock.runtime.network.config import SwarmConfig

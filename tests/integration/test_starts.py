@@ -23,7 +23,7 @@ def test_given_starts_are_taken_or_refused() -> None:
 
 def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> None:
     from llm_flock.metrics import min_separation
-    from llm_flock.robots.simulated import draw_start
+    from llm_flock.simulate import draw_start
 
     mission = llm_flock.Mission(n_robots=10)
     near = 0
@@ -37,7 +37,7 @@ def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> N
 def test_connected_starts_are_in_radio_contact_and_apart() -> None:
     from llm_flock import graph
     from llm_flock.metrics import min_separation
-    from llm_flock.robots.simulated import draw_start
+    from llm_flock.simulate import draw_start
 
     mission = llm_flock.Mission(n_robots=30)
     for seed in range(20):

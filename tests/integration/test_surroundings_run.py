@@ -10,9 +10,9 @@ from llm_flock.mission import build_mission
 from llm_flock.obstacles import clearance
 from llm_flock.protocol.agreement.auction import AuctionAssignment
 from llm_flock.record.reader import read_record
-from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.api import run
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
+from llm_flock.simulate import draw_start
 
 DISC = {"center": [50, 50], "radius": 6}
 WALL = {"polygon": [[20, 20], [45, 20], [45, 23], [20, 23]]}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from flights import STARTS, flight_config
 
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.robots.base import DriverCheck, Position, RobotState, SelfChecked, TakenOver
 from llm_flock.robots.simulated_robot import SimulatedRobot
 from llm_flock.runtime.flight import landing

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.arrays import Point
+from llm_flock.links import LinkFaults
 from llm_flock.metrics import min_separation
 from llm_flock.runtime.network.body_control import BodyControl
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Command
 from llm_flock.runtime.network.world import WorldBodies
-from llm_flock.transport.memory import LinkFaults
 from llm_flock.transport.radio import Radio, Seen
 
 N, LIAR = 4, 3

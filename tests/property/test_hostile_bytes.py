@@ -30,7 +30,7 @@ from whole_agent import whole_agent
 from llm_flock.cli.accusations import show_accusations
 from llm_flock.cli.display import show_conversation, show_overview
 from llm_flock.errors import AnswerError, FlockError, InputError, MessageError, RecordError
-from llm_flock.formations.files import load_points
+from llm_flock.formations import load_points
 from llm_flock.foxglove.file import write_file
 from llm_flock.llm.local.gguf import read_header
 from llm_flock.mission import Mission
@@ -52,7 +52,7 @@ from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.guilt import guilt
 from llm_flock.protocol.verification.validator import Validator
 from llm_flock.record.reader import iter_messages, read_record
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.network.observer import Observer
 from llm_flock.runtime.network.wire import (

@@ -11,11 +11,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from still_team import PERFECT, WIDE, StillTeam, a_leaf, assert_at_rest, connected_places
 
+from llm_flock.links import LinkFaults
 from llm_flock.mission import Mission
 from llm_flock.protocol.messages import dissemination
-from llm_flock.protocol.messages.message import BLOCKED, Message, MissionStamp, encode
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
-from llm_flock.transport.memory import LinkFaults
+from llm_flock.protocol.messages.message import BLOCKED, MISSION_FIELDS, Message, MissionStamp, encode
 
 FAULTS = st.builds(
     LinkFaults, loss=st.floats(0, 0.5), delay=st.integers(0, 3), duplicate=st.floats(0, 0.5), reorder=st.floats(0, 1)

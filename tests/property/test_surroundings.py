@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance, segment_clearance
+from llm_flock.protocol.motion.projection import static_half_spaces
 from llm_flock.protocol.motion.shield import project
-from llm_flock.protocol.motion.surroundings import static_half_spaces
 
 U_SHAPE = (
     (30.0, 30.0),

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from whole_agent import whole_agent
 
 from llm_flock import graph
+from llm_flock.links import LinkFaults, MemoryTransport
 from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.assignment import AssignmentRule, NearestAssignment
@@ -18,7 +19,6 @@ from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConse
 from llm_flock.protocol.events import Broadcast, CommRoundBegan, CommRoundEnded, Planned, Received, RoundBegan
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer
-from llm_flock.transport.memory import LinkFaults, MemoryTransport
 
 
 def swarm(

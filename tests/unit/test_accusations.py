@@ -19,7 +19,7 @@ from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.signed.certificates import Proofs, origin_statement, wrap
 from llm_flock.record.reader import read_record
 from llm_flock.record.schema import ProtocolEvent
-from llm_flock.runtime.entries import mission_info, run_info
+from llm_flock.runtime.journal import mission_info, run_info
 from llm_flock.runtime.network.accusations import MOST_JUDGED, MOST_PROOF_BYTES, Accuser, Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.observer import MOST_UNPROVEN, Observer

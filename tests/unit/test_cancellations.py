@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from flights import flight_config
 
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.robots.crazyflie.threads import in_thread
 from llm_flock.robots.mavlink.conversation import Conversation
 from llm_flock.robots.mavlink.port import Port

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from llm_flock.errors import InputError
-from llm_flock.formations.files import load_points
+from llm_flock.formations import load_points
 
 
 def written(folder: Path, name: str, text: str, encoding: str = "utf-8") -> Path:

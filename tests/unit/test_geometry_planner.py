@@ -9,9 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.geometry import turned
+from llm_flock.protocol.geometry import GeometryPlanner, turned
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 

@@ -7,8 +7,7 @@ import pytest
 from llm_flock.llm.port import Attempt, Call
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
-from llm_flock.record.schema import Entry, LlmEntry, ProtocolEvent
-from llm_flock.record.writer import NullWriter, RecordSink
+from llm_flock.record.schema import Entry, LlmEntry, NullWriter, ProtocolEvent, RecordSink
 from llm_flock.runtime import journal as journals
 from llm_flock.runtime.journal import Journal
 

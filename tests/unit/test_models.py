@@ -11,9 +11,8 @@ from pydantic_ai.models.openai import OpenAIResponsesModel
 
 from llm_flock.errors import InputError
 from llm_flock.llm.client import CallSettings, PydanticModel
-from llm_flock.llm.models import ModelPool, check_priced, parse_models, parse_settings, per_robot
+from llm_flock.llm.models import ModelPool, check_priced, cost_usd, parse_models, parse_settings, per_robot
 from llm_flock.llm.port import Usage
-from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, needs_responses, parse_base_urls, parse_model
 from llm_flock.llm.replay import CassetteLine
 from llm_flock.llm.simulated.model import SimulatedModel

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from llm_flock import formations, metrics
-from llm_flock.metrics import plane, shape_error
-from llm_flock.metrics.plane import longest, proven_match
+from llm_flock import correspondence, formations, metrics
+from llm_flock.correspondence import longest, proven_match
 from llm_flock.mission import Mission
 
 
@@ -17,7 +16,7 @@ def test_it_is_the_exact_error_where_the_correspondence_is_plain(shape: str, n: 
     for _ in range(10):
         rows = formations.rotated(target, (50, 50), rng.uniform(0, 7)) + rng.uniform(-noise, noise, target.shape)
         rows = rng.permutation(rows)
-        quick = metrics.quick_error(rows, target)
+        quick = correspondence.quick_error(rows, target)
         assert quick == pytest.approx(metrics.procrustes(rows, target).mean, rel=1e-6, abs=1e-9)
 
 
@@ -44,7 +43,7 @@ def test_a_crowd_has_no_proven_match() -> None:
     assert proven_match(np.random.default_rng(0).uniform(0, 40, target.shape), target) is None
     assert proven_match(np.full((16, 2), 50.0), target) is None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plane, "MAX_INTERVALS", 10)
+        patch.setattr(correspondence, "MAX_INTERVALS", 10)
         assert proven_match(target, target) is None
     assert proven_match(target, target) is not None
 
@@ -53,8 +52,8 @@ def test_a_large_team_has_the_same_error_either_way(monkeypatch: pytest.MonkeyPa
     target = np.array(Mission(shape="grid", n_robots=49, center=(100, 100), arena=((0, 0), (200, 200))).ideal)
     rows = formations.rotated(target, (50, 50), 1.0) + np.random.default_rng(2).uniform(-0.3, 0.3, target.shape)
     slow = metrics.procrustes(rows, target)
-    monkeypatch.setattr(shape_error, "LARGE", 48)
-    monkeypatch.setattr(shape_error, "longest", None)
+    monkeypatch.setattr(metrics, "LARGE", 48)
+    monkeypatch.setattr(metrics, "longest", None)
     fast = metrics.procrustes(rows, target)
     assert fast.mean == pytest.approx(slow.mean, rel=1e-9)
     assert fast.mean_squared == pytest.approx(slow.mean_squared, rel=1e-9)
@@ -62,14 +61,14 @@ def test_a_large_team_has_the_same_error_either_way(monkeypatch: pytest.MonkeyPa
 
 def test_enough_ends_the_search() -> None:
     target = np.array(Mission(shape="square", n_robots=8).ideal)
-    found = metrics.quick_error(target.round(2), target, 0.1)
+    found = correspondence.quick_error(target.round(2), target, 0.1)
     assert found is not None and found <= 0.1
 
 
 def test_it_says_nothing_where_nothing_fits() -> None:
     circle = np.array(Mission(shape="circle", n_robots=8).ideal)
     line = np.array(Mission(shape="line", n_robots=8).ideal)
-    assert metrics.quick_error(line, circle) is None
-    assert metrics.quick_error(np.full((8, 2), 50.0), circle) is None
+    assert correspondence.quick_error(line, circle) is None
+    assert correspondence.quick_error(np.full((8, 2), 50.0), circle) is None
     cross = np.array(Mission(shape="cross", n_robots=5).ideal)
-    assert metrics.quick_error(cross, cross) == pytest.approx(0.0, abs=1e-9)
+    assert correspondence.quick_error(cross, cross) == pytest.approx(0.0, abs=1e-9)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
-from llm_flock.obstacles import Obstacle, clearance, polygons, segment_clearance
+from llm_flock.obstacles import Obstacle, clearance, contains, cross, is_simple, segment_clearance, signed_area
 
 U_SHAPE = ((0.0, 0.0), (10.0, 0.0), (10.0, 8.0), (8.0, 8.0), (8.0, 2.0), (2.0, 2.0), (2.0, 8.0), (0.0, 8.0))
 SQUARE = ((0.0, 0.0), (2.0, 0.0), (2.0, 2.0), (0.0, 2.0))
@@ -30,17 +30,17 @@ def star(seed: int) -> tuple[tuple[float, float], ...]:
 @given(seed=st.integers(0, 2**32))
 def test_pieces_are_convex_and_make_up_the_polygon(seed: int) -> None:
     corners = star(seed)
-    if not polygons.is_simple(corners):
+    if not is_simple(corners):
         return  # three corners need not go round the origin
     obstacle = Obstacle(polygon=corners)
-    area = abs(polygons.signed_area(corners))
-    assert sum(polygons.signed_area(piece) for piece in obstacle.pieces) == pytest.approx(area)
+    area = abs(signed_area(corners))
+    assert sum(signed_area(piece) for piece in obstacle.pieces) == pytest.approx(area)
     for piece in obstacle.pieces:
-        turns = [polygons.cross(piece[k - 2], piece[k - 1], piece[k]) for k in range(len(piece))]
+        turns = [cross(piece[k - 2], piece[k - 1], piece[k]) for k in range(len(piece))]
         assert min(turns) >= 0.0
     rng = np.random.default_rng(seed)
     for x, y in rng.uniform(-11, 11, (20, 2)).tolist():
-        inside = any(polygons.contains(piece, (x, y)) for piece in obstacle.pieces)
+        inside = any(contains(piece, (x, y)) for piece in obstacle.pieces)
         assert (obstacle.distance((x, y)) < 0) == inside
         nearest = min(obstacle.nearest((x, y)), key=lambda found: found.distance)
         assert nearest.distance == pytest.approx(obstacle.distance((x, y)))
@@ -53,7 +53,7 @@ def test_pieces_are_convex_and_make_up_the_polygon(seed: int) -> None:
 def test_the_distance_of_a_way_is_that_of_its_nearest_point(seed: int) -> None:
     rng = np.random.default_rng(seed)
     corners = star(seed)
-    if not polygons.is_simple(corners):
+    if not is_simple(corners):
         return
     ball = Obstacle(center=(1.0, -2.0), radius=2.0)
     for obstacle in (Obstacle(polygon=corners), ball):

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from llm_flock.errors import MessageError
+from llm_flock.links import LinkFaults
 from llm_flock.members import OPERATOR
 from llm_flock.mission import Mission
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, WorldState, pack, unpack
-from llm_flock.transport.memory import LinkFaults
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.zenoh import Allowance, PlainSeal, access_control, settings
 

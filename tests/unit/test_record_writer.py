@@ -22,6 +22,7 @@ from llm_flock.record.schema import (
     FlightEvent,
     MetricsRow,
     MissionInfo,
+    NullWriter,
     PlanInfo,
     RoundEnd,
     SummaryMessage,
@@ -29,7 +30,7 @@ from llm_flock.record.schema import (
     volatile_fields,
     without_volatile,
 )
-from llm_flock.record.writer import NullWriter, RecordWriter, check_new
+from llm_flock.record.writer import RecordWriter, check_new
 
 
 def check(value: Any, schema: dict[str, Any], where: str = "$") -> None:

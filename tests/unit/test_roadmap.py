@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance, segment_clearance
-from llm_flock.obstacles.roadmap import HOP, MARGIN, Roadmap
+from llm_flock.roadmap import HOP, MARGIN, Roadmap
 
 RADIUS = 1.5
 PLANE = ((0.0, 0.0), (100.0, 100.0))

@@ -24,8 +24,8 @@ from llm_flock.ros2.orders import ORDERED, mission_fields, places_fields
 from llm_flock.ros2.sensors import FRESH_S, LATE_S, LOST_S, SensedBodies
 from llm_flock.ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, from_cdr, to_cdr, type_store
 from llm_flock.ros2.wire import Attachment
-from llm_flock.runtime.entries import mission_info
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.runtime.journal import mission_info
 from llm_flock.runtime.network.wire import Command
 from llm_flock.runtime.ros2_config import Ros2Config
 

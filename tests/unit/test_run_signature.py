@@ -13,9 +13,11 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError
+from llm_flock.llm.own import ModelChoice
+from llm_flock.llm.sharing import CallLane
+from llm_flock.runtime import api
+from llm_flock.runtime.api import Parameters, wait_for
 from llm_flock.runtime.config import RunConfig
-from llm_flock.runtime.loops import wait_for
-from llm_flock.runtime.parameters import Parameters
 from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.trial import TrialProgress
 
@@ -40,7 +42,7 @@ MAPPING = typing.get_origin(typing.Mapping[str, int])
 
 
 def test_the_signature_has_every_field_of_the_configuration() -> None:
-    hints = typing.get_type_hints(Parameters)
+    hints = typing.get_type_hints(Parameters, {**vars(api), "CallLane": CallLane, "ModelChoice": ModelChoice})
     fields: dict[str, Any] = {}
     for section in RunConfig.model_fields.values():
         kind: Any = section.annotation
@@ -126,7 +128,7 @@ def test_ctrl_c_in_a_notebook_ends_the_run_before_it_is_raised(monkeypatch: pyte
             begun.wait()
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("llm_flock.runtime.loops.Future", Interrupted)
+    monkeypatch.setattr("llm_flock.runtime.api.Future", Interrupted)
 
     async def cell() -> None:
         wait_for(forever())

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 from llm_flock import formations
+from llm_flock.correspondence import proper_rotation
 from llm_flock.errors import InputError
 from llm_flock.metrics import ShapeTarget, procrustes
-from llm_flock.metrics.space import proper_rotation
 
 
 def ideal(spec: str, n: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, CallLimits, Limited, Spent
 from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
 from llm_flock.llm.sharing import CallLane, Rate, SharedGate
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=(ChatMessage("user", "x" * 400),))
 CHARS = 400

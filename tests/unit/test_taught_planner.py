@@ -13,13 +13,13 @@ import pytest
 
 from llm_flock.distill.examples import TEAMS
 from llm_flock.llm.frame import frame_step
-from llm_flock.llm.geometry import KnownPlans
 from llm_flock.llm.local.source import TAUGHT_PLANS, is_taught
 from llm_flock.llm.port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm.prompt_values import FARTHEST, nearer_goal
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import CassetteWriter
 from llm_flock.mission import build_mission
+from llm_flock.protocol.geometry import KnownPlans
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime.config import build_config

@@ -29,7 +29,7 @@ from llm_flock.errors import FieldError
 from llm_flock.extras import EXTRAS, require_posix
 
 if TYPE_CHECKING:
-    from llm_flock.record.writer import RecordSink
+    from llm_flock.record.schema import RecordSink
     from llm_flock.robots.crazyflie.radios import RadioPlan
     from llm_flock.runtime.flight.config import FlightConfig
     from llm_flock.runtime.flight.dry_run import DryRun

@@ -24,7 +24,7 @@ def serve(
         InputError: the port cannot be used, or the extra is not installed.
     """
     from llm_flock.foxglove.server import FoxgloveServer
-    from llm_flock.runtime.entries import run_info
+    from llm_flock.runtime.journal import run_info
 
     port = port_of(foxglove, foxglove_port)
     assert port is not None, "it is opened where it was asked for"

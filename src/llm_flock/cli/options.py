@@ -172,7 +172,7 @@ def _corners(field: str, text: str) -> tuple[tuple[float, ...], tuple[float, ...
 
 
 def _points(field: str, name: str) -> Any:
-    from llm_flock.formations.files import load_points
+    from llm_flock.formations import load_points
 
     return load_points(Path(name), field)
 

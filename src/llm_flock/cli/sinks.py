@@ -15,7 +15,7 @@ from llm_flock.cli.extensions import Extension
 from llm_flock.errors import InputError
 
 if TYPE_CHECKING:
-    from llm_flock.record.writer import RecordSink
+    from llm_flock.record.schema import RecordSink
     from llm_flock.runtime.config import RunConfig
     from llm_flock.runtime.trial import Trial
 

@@ -21,11 +21,11 @@ from pydantic import ValidationError
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.llm.frame import FramedQuestion, frame_plan, frame_step
-from llm_flock.llm.geometry import GeometryPlanner
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.replay import HEADER, VERSION, CassetteLine
 from llm_flock.mission import Mission, build_mission
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion

@@ -20,14 +20,14 @@ from llm_flock.exam.score import (
     word_marks,
 )
 from llm_flock.llm.answer_forms import REASONING
-from llm_flock.llm.frame import FrameName, frame_plan, frame_step
-from llm_flock.llm.geometry import GeometryPlanner
+from llm_flock.llm.frame import frame_plan, frame_step
 from llm_flock.llm.mission_words import mission_call
 from llm_flock.llm.planner import LanguagePlanner
-from llm_flock.llm.port import Attempt, Call, ChatMessage, LanguageModel, Reply
+from llm_flock.llm.port import Attempt, Call, ChatMessage, FrameName, LanguageModel, Reply
 from llm_flock.llm.prompt_values import place_text
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.mission import Mission
+from llm_flock.protocol.geometry import GeometryPlanner
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import Verdict
 

@@ -26,7 +26,7 @@ from llm_flock.exam.draws import (
 from llm_flock.exam.generate_plans import among_obstacles
 from llm_flock.exam.questions import Question
 from llm_flock.mission import Mission, build_mission
-from llm_flock.obstacles.polygons import nearest_on_segment
+from llm_flock.obstacles import nearest_on_segment
 from llm_flock.protocol.geometry import geometric_plan
 from llm_flock.protocol.motion.committed_path import HORIZON
 from llm_flock.protocol.planning import PlanAnswer, StepAnswer

@@ -15,7 +15,7 @@ from llm_flock.exam.ask import Examiner, Outcome, round_of
 from llm_flock.exam.inspect_model import AskedByInspect, FlockModel
 from llm_flock.exam.questions import WORDS, Question, digest, from_lines, to_lines
 from llm_flock.exam.splits import VERSION, paper
-from llm_flock.llm.frame import FrameName
+from llm_flock.llm.port import FrameName
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.sources import habits_of
 from llm_flock.runtime.versions import versions

@@ -17,7 +17,7 @@ from llm_flock import formations
 from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
-from llm_flock.formations.files import load_points
+from llm_flock.formations import load_points
 from llm_flock.llm.models import model_digests, parse_models, waits
 from llm_flock.llm.prompting import PACKAGED
 from llm_flock.llm.providers import parse_model

@@ -30,8 +30,8 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import ModelError
+from llm_flock.llm.models import cost_usd
 from llm_flock.llm.port import Call, CallSettings, ChatMessage, Reply, Usage
-from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.thoughts import spoken
 
 logger = logging.getLogger(__name__)

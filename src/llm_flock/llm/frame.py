@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, Generic, Literal, TypeAlias, TypeVar
+from typing import Any, Generic, TypeVar
 
 from llm_flock.arrays import Point
 from llm_flock.formations import shape_name
+from llm_flock.llm.port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-
-FrameName: TypeAlias = Literal["world", "own"]
 
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 A = TypeVar("A", PlanAnswer, StepAnswer)

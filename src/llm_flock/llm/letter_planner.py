@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from llm_flock.llm.frame import frame_step
-from llm_flock.llm.geometry import plan_by_geometry
 from llm_flock.llm.letters import read_way, ways_of
 from llm_flock.llm.planner import LanguagePlanner
 from llm_flock.llm.port import AnswerForm
-from llm_flock.protocol.geometry import straight_path
+from llm_flock.protocol.geometry import plan_by_geometry, straight_path
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 

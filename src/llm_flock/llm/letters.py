@@ -14,8 +14,7 @@ from typing import Literal, TypeAlias, get_args
 
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.obstacles import segment_clearance
-from llm_flock.obstacles.polygons import nearest_on_segment
+from llm_flock.obstacles import nearest_on_segment, segment_clearance
 from llm_flock.protocol.planning import StepQuestion
 from llm_flock.protocol.verification.steps import blocked, step_faults
 

@@ -13,13 +13,36 @@ import numpy as np
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.llm.port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
-from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import PROVIDERS, ModelName, parse_model
-from llm_flock.llm.sources import ModelHost, source_of
 
 if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
+
+    from llm_flock.llm.sources import ModelHost
+
+LISTED = frozenset({"openai", "anthropic", "deepseek"})
+"""Providers with a price list, which holds at their own addresses."""
+
+
+_SAME_LIST = {"openai-responses": "openai"}
+
+
+def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
+    """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
+    provider = _SAME_LIST.get(provider or "", provider)
+    if provider not in LISTED:
+        return None
+    from genai_prices import calc_price
+    from genai_prices.types import Usage as PricedUsage
+
+    tokens = PricedUsage(
+        input_tokens=usage.input, output_tokens=usage.output, cache_read_tokens=min(usage.cached, usage.input)
+    )
+    try:
+        return float(calc_price(tokens, model, provider_id=provider).total_price)
+    except LookupError:
+        return None
 
 
 _RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="
@@ -119,7 +142,11 @@ def model_digests(model: str) -> Mapping[str, str]:
         InputError: the files are missing or unfit.
     """
     name = parse_model(model)
-    return source_of(name.provider).digests(name.model) if name.kind == "plugin" else {}
+    if name.kind != "plugin":
+        return {}
+    from llm_flock.llm.sources import source_of
+
+    return source_of(name.provider).digests(name.model)
 
 
 def parse_history(text: str) -> int | None:
@@ -227,6 +254,8 @@ class ModelPool:
         """
         name = parse_model(text)
         if name.kind == "plugin":
+            from llm_flock.llm.sources import source_of
+
             if name.provider not in self._hosts:
                 self._hosts[name.provider] = source_of(name.provider).host()
             return self._hosts[name.provider].model(name.text, settings)

@@ -14,8 +14,8 @@ from typing import Any, TypeAlias
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm.answer_forms import answer_schema
 from llm_flock.llm.answers import read_plan, read_waypoints
-from llm_flock.llm.frame import A, FramedQuestion, FrameName, Q, frame_plan, frame_step
-from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, Kind, LanguageModel
+from llm_flock.llm.frame import A, FramedQuestion, Q, frame_plan, frame_step
+from llm_flock.llm.port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
 from llm_flock.llm.prompting import PromptSet
 from llm_flock.llm.whole_answer import quoted, whole_answer
 from llm_flock.mission import Mission

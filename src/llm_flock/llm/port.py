@@ -12,6 +12,8 @@ Role: TypeAlias = Literal["system", "user", "assistant"]
 Kind: TypeAlias = Literal["plan", "step"]
 Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
 """Reasoning effort, as providers name it."""
+FrameName: TypeAlias = Literal["world", "own"]
+"""Coordinates of a prompt: those of the world, or the robot's own (`llm_flock.llm.frame`)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 from urllib.parse import urlsplit
 
-from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
-from llm_flock.extras import EXTRAS, ExtraMissing
 from llm_flock.printable import hidden
 
 LONGEST_URL = 2_000
@@ -65,6 +63,8 @@ PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 
 def model_forms() -> str:
     """What a model string may be, as a phrase."""
+    from llm_flock import plugins
+
     installed = "".join(f"{prefix}:MODEL, " for prefix in plugins.entries("models"))
     return (
         f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or {installed}simulated:PROFILE, replay:FILE, "
@@ -127,6 +127,9 @@ def parse_model(text: str) -> ModelName:
     provider, colon, model = text.partition(":")
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
+    from llm_flock import plugins
+    from llm_flock.extras import EXTRAS, ExtraMissing
+
     others: dict[str, ModelKind] = {**dict.fromkeys(plugins.entries("models"), "plugin"), **_ALWAYS}
     known = (*PROVIDERS, *others)
     if colon and provider in EXTRAS and provider not in known:

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
 from llm_flock.llm.limits import Budget, CallGate, Spent
-from llm_flock.llm.models import ModelPool
+from llm_flock.llm.models import ModelPool, cost_usd
 from llm_flock.llm.port import Usage
-from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.sources import source_of
 
 CHARS_PER_TOKEN = 4

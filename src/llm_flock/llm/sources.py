@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from llm_flock import plugins
 
 if TYPE_CHECKING:
-    from llm_flock.llm.frame import FrameName
-    from llm_flock.llm.port import CallSettings, LanguageModel
+    from llm_flock.llm.port import CallSettings, FrameName, LanguageModel
     from llm_flock.protocol.planning import PlanQuestion
 
 

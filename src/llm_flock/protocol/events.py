@@ -85,7 +85,7 @@ class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         mission: the mission.
         ordered_at: the operator's own time of the order, higher than that of every earlier order: see
-            `llm_flock.protocol.messages.order_time`. Not used where the order is signed.
+            `llm_flock.protocol.messages.message`. Not used where the order is signed.
         authorization: the operator's signature, which covers its time; in teams with keys only.
     """
 

@@ -21,7 +21,7 @@ from llm_flock.arrays import Pairwise, Point, Points, Vector
 from llm_flock.protocol.plan import Plan
 
 if TYPE_CHECKING:
-    from llm_flock.obstacles.roadmap import Roadmap  # only missions with obstacles need it
+    from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
 REACH = 1.5
 """A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""

@@ -17,7 +17,7 @@ from llm_flock.record.schema import DEAD, SILENT, LlmEntry
 from llm_flock.record.words import MOST_PLACES, begun, counted, robots_text, sentence
 
 AT_GOAL, IN_SHAPE = 0.05, 0.1
-"""As shares of the spacing, as in `llm_flock.metrics.agreement`, whose libraries load too slowly for a first page."""
+"""As shares of the spacing, as in `llm_flock.metrics`, whose libraries load too slowly for a first page."""
 
 MOST_TOLD = 3
 """Most groups of robots, plans, and causes that are told."""

@@ -6,20 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 from llm_flock.printable import one_line
+from llm_flock.protocol.agreement import PRESET_RULES
 
 if TYPE_CHECKING:
     from llm_flock.record.schema import LlmEntry
 
 MOST_PLACES = 12
 """Number of places of a plan that are listed."""
-
-
-PRESET_RULES: Mapping[str, tuple[str, str, bool]] = {
-    "flock": ("provenance", "auction", True),
-    "paper": ("influence", "nearest", False),
-    "baseline": ("none", "index", False),
-}
-"""The protocols by name: rules of consensus and of assignment, and whether the shield is on."""
 
 
 def protocol_text(config: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING, Self
 
 from mcap.writer import IndexType, Writer
 
@@ -28,6 +28,7 @@ from llm_flock.record.schema import (
     FlightEvent,
     MissionInfo,
     PlanInfo,
+    RecordSink,
     RoundEnd,
     State,
     SummaryMessage,
@@ -40,25 +41,6 @@ if TYPE_CHECKING:
 LIBRARY = "llm-flock"
 BUFFER_BYTES = 1 << 20
 """Larger than most rounds, so that the file usually grows by whole rounds [bytes]."""
-
-
-class RecordSink(Protocol):
-    """Takes the entries of a run as they happen.
-
-    `RunInfo` and `MissionInfo` come first. `RoundEnd` closes each round, from round 0 on. `SummaryMessage` comes last,
-    at a clean end only.
-    """
-
-    def write(self, entry: Entry) -> None:
-        """Take one entry."""
-        ...
-
-
-class NullWriter:
-    """A sink that ignores everything, for runs without a record."""
-
-    def write(self, entry: Entry) -> None:
-        """Ignore an entry."""
 
 
 class Tee:

@@ -19,7 +19,8 @@ from llm_flock.errors import InputError
 from llm_flock.experiments import tables
 from llm_flock.experiments.compare import TOLERANCE
 from llm_flock.experiments.sweep import PLAN_NAME, SWEEP_NAME
-from llm_flock.record.words import PRESET_RULES, protocol_text
+from llm_flock.protocol.agreement import PRESET_RULES
+from llm_flock.record.words import protocol_text
 
 OUTCOMES: Mapping[str, str] = {
     "formed": "the formation was built",

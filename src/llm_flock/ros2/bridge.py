@@ -13,7 +13,7 @@ from contextlib import asynccontextmanager, closing
 from typing import Any
 
 from llm_flock.errors import InputError, MessageError
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
+from llm_flock.protocol.messages.message import MISSION_FIELDS
 from llm_flock.record.schema import ASLEEP, DEAD
 from llm_flock.ros2.drawing import ERROR, OK, WARN, TeamView, scaled, view_of
 from llm_flock.ros2.graph import Graph

@@ -13,8 +13,7 @@ from contextlib import asynccontextmanager, closing
 from typing import Any
 
 from llm_flock.errors import MessageError
-from llm_flock.record.schema import BodySample, Entry, FlightEvent
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.schema import BodySample, Entry, FlightEvent, RecordSink
 from llm_flock.robots.pose import Pose, PoseFrame
 from llm_flock.ros2.drawing import ERROR, OK, WARN
 from llm_flock.ros2.graph import Graph

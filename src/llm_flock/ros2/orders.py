@@ -17,9 +17,7 @@ from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
-from llm_flock.protocol.messages.message import MissionStamp
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
-from llm_flock.protocol.messages.order_time import OperatorClock
+from llm_flock.protocol.messages.message import MISSION_FIELDS, MissionStamp, OperatorClock
 from llm_flock.ros2.drawing import Position
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import mission_order, open_link, signed_by_operator

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from llm_flock.arrays import Point
 from llm_flock.errors import RecordError
 from llm_flock.mission import input_error
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
+from llm_flock.protocol.messages.message import MISSION_FIELDS
 from llm_flock.record.schema import BodySample, Entry, MissionInfo, PlanInfo, RunInfo, State
 from llm_flock.ros2.drawing import Position, TeamView, ToWorld, scaled, view_of
 from llm_flock.runtime.mission_frame import WorldConfig

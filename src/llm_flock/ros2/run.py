@@ -9,15 +9,14 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from llm_flock.members import WORLD
-from llm_flock.record.schema import SummaryMessage
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.schema import RecordSink, SummaryMessage
 from llm_flock.ros2 import drawing
 from llm_flock.ros2.bridge import Bridge, check_router, showing
 from llm_flock.ros2.graph import Graph
 from llm_flock.ros2.nodes import TEAM_NODE
 from llm_flock.ros2.sensors import SensedBodies
 from llm_flock.ros2.types import POSE
-from llm_flock.runtime.entries import finite
+from llm_flock.runtime.journal import finite
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.observer import Observer

@@ -2,29 +2,179 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextvars
+import os
 import sys
-from collections.abc import Callable, Generator, Sequence
+import threading
+from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast
 
 from llm_flock.errors import FieldError, FlockError, InputError, RecordError
-from llm_flock.llm.own import split_choice
-from llm_flock.llm.sharing import CallLane
+from llm_flock.llm.port import FrameName
 from llm_flock.mission import Mission
-from llm_flock.record.writer import GivenUp, NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.robots.simulated import Readings, start_positions
-from llm_flock.runtime.bodies import InstantBodies
+from llm_flock.obstacles import Obstacle
+from llm_flock.protocol.agreement.assignment import AssignmentRule
+from llm_flock.protocol.agreement.consensus import ConsensusRule
+from llm_flock.protocol.breaker import Fallback
+from llm_flock.record.schema import NullWriter, RecordSink
 from llm_flock.runtime.config import RECORD_NAME, RunConfig, warn_of_mission
-from llm_flock.runtime.entries import run_info
-from llm_flock.runtime.journal import Journal
-from llm_flock.runtime.loops import wait_for
-from llm_flock.runtime.parameters import Parameters, plain
+from llm_flock.runtime.journal import Journal, run_info
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.rules import assignment_rule, consensus_rule, own_rules
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Change, Stream, stream
 from llm_flock.runtime.trial import Steer, Trial, TrialProgress
+from llm_flock.simulate import InstantBodies, Readings, start_positions
+
+if TYPE_CHECKING:
+    from llm_flock.llm.own import ModelChoice, OwnModel
+    from llm_flock.llm.sharing import CallLane
+
+T = TypeVar("T")
+
+
+def wait_for(main: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine to its end, and return its result or raise its error.
+
+    Where an event loop runs in this thread, which cannot run another one, the coroutine gets a thread of its own. The
+    caller waits all the same, so that loop stands still until the end.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, after the coroutine was cancelled and has ended.
+    """
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(main)
+    done: Future[T] = Future()
+    begun = threading.Event()
+    running: list[tuple[asyncio.AbstractEventLoop, asyncio.Task[T]]] = []
+
+    async def outer() -> T:
+        task = asyncio.ensure_future(main)
+        running.append((asyncio.get_running_loop(), task))
+        begun.set()
+        return await task
+
+    def work() -> None:
+        try:
+            done.set_result(asyncio.run(outer()))
+        except BaseException as error:  # noqa: BLE001 - it is raised in the thread that waits
+            done.set_exception(error)
+
+    thread = threading.Thread(target=contextvars.copy_context().run, args=(work,), name="llm-flock run")
+    thread.start()
+    try:
+        return done.result()
+    except BaseException:
+        if not done.done():  # Ctrl-C: end the run as it would end in a script
+            begun.wait()
+            loop, task = running[0]
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(task.cancel)
+        raise
+    finally:
+        thread.join()
+
+
+Row: TypeAlias = Sequence[float]
+"""Coordinates of a point [units]."""
+
+FILES = ("out", "record_llm", "prompts")
+"""Fields that name files or folders: paths are taken too."""
+
+
+class Parameters(TypedDict, total=False):
+    """What `run` takes besides a mission. The default of a field stands in the configuration; None means not given."""
+
+    # The run as a whole, and its surroundings.
+    config: RunConfig | None
+    on_round: Callable[[TrialProgress], None] | None
+    progress: bool
+    trace: bool
+    sink: RecordSink | None
+    lane: CallLane | None
+    steer: Steer | None
+    # The mission.
+    shape: str
+    n_robots: int
+    places: int | None
+    center: Row
+    velocity: Row | None
+    since: int
+    spacing: float
+    safe_distance: float
+    max_step: float
+    comm_range: float
+    sense_range: float | None
+    arena: Sequence[Row]
+    points: Sequence[Row] | None
+    obstacles: Sequence[Obstacle | Mapping[str, Any]]
+    # The protocol.
+    protocol: Literal["flock", "paper", "baseline"]
+    consensus: str | ConsensusRule | None
+    assignment: str | AssignmentRule | None
+    shield: bool | None
+    verify: bool | None
+    fallback: Fallback | None
+    comm_rounds: int | None
+    gaps: Literal["report", "replan"]
+    time_out: int
+    # Language models.
+    model: ModelChoice
+    base_url: str | None
+    answers: Literal["text", "json"]
+    history: str
+    decide: Literal["every-round", "on-event"]
+    observe: Literal["in-range", "all"]
+    max_retries: int
+    prompts: str | Path | None
+    wish: str | None
+    frame: FrameName | None
+    temperature: str | float | None
+    reasoning_effort: str | None
+    model_seed: str | int | None
+    record_llm: str | Path | None
+    # Limits and budget.
+    max_concurrent: int
+    timeout_s: float
+    max_tries: int
+    max_answer_tokens: int | None
+    max_calls: int | None
+    max_tokens: int | None
+    max_cost: float | None
+    # Links.
+    loss: float
+    delay: int
+    duplicate: float
+    reorder: float
+    # The trial.
+    rounds: int | None
+    stop_when_formed: bool
+    seed: int
+    start: Literal["separated", "uniform", "connected"]
+    start_positions: Sequence[Row] | None
+    start_area: Sequence[Row] | None
+    kill: str | None
+    join: str | None
+    kill_random: int
+    join_random: int
+    changes: Sequence[Change | Mapping[str, Any]]
+    noise: float
+    out: str | Path | None
+
+
+def plain(field: str, value: Any) -> Any:
+    """A value as the configuration takes it: paths as text, NumPy's arrays and numbers as Python's."""
+    if field in FILES and isinstance(value, os.PathLike):
+        return os.fspath(cast("os.PathLike[str]", value))
+    to_list = getattr(value, "tolist", None)
+    return value if to_list is None else to_list()
+
 
 __all__ = ["RECORD_NAME", "open_outputs", "run", "run_async"]
 
@@ -93,7 +243,12 @@ async def _fly(
         raise InputError("config", config, "a RunConfig; load_config reads one from a file")
     rules = {field: fields.pop(field) for field in CHECKS.keys() & fields.keys()}
     objects = {field: CHECKS[field](rule) for field, rule in rules.items() if not isinstance(rule, str)}
-    choice, own = split_choice(fields.pop("model", ""))
+    choice: ModelChoice = fields.pop("model", "")
+    own: Mapping[int, OwnModel] = {}
+    if not isinstance(choice, str):
+        from llm_flock.llm.own import split_choice
+
+        choice, own = split_choice(choice)
     if config is None:
         if mission is not None and not isinstance(cast(object, mission), Mission):
             raise InputError("mission", mission, "a Mission; fields are given by their names, such as shape='circle'")
@@ -158,16 +313,27 @@ def open_outputs(
 
             planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
         try:
-            writer: RecordSink = NullWriter() if path is None else stack.enter_context(RecordWriter(path))
+            writer: RecordSink = NullWriter()
+            if path is not None:
+                from llm_flock.record.writer import RecordWriter
+
+                writer = stack.enter_context(RecordWriter(path))
         except InputError:
             if cassette is not None:
                 Path(cassette).unlink()  # created just now, and still empty
             raise
         if on_broken is not None and path is not None:
+            from llm_flock.record.writer import GivenUp
+
             writer = GivenUp(writer, on_broken)
+        taker = writer
+        if sink is not None:
+            from llm_flock.record.writer import Tee
+
+            taker = Tee(writer, sink)
         journal = Journal(
             config.mission,
-            writer if sink is None else Tee(writer, sink),
+            taker,
             replans=config.protocol.gaps == "replan",
             trace=trace,
         )

@@ -16,14 +16,14 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from llm_flock import graph
 from llm_flock.bounds import TIME_OUT
 from llm_flock.errors import FieldError, InputError, unknown
-from llm_flock.llm.frame import FrameName
+from llm_flock.links import LinkFaults
+from llm_flock.llm.port import FrameName
 from llm_flock.metrics import deadline
 from llm_flock.mission import Mission
 from llm_flock.protocol.breaker import Fallback
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime.rules import PRESETS, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime.schedule import MOST_ROUNDS, Schedule, TrialConfig, build_schedule, load_points
-from llm_flock.transport.memory import LinkFaults
 from llm_flock.validation import fields_of, input_error, unknown_section
 
 logger = logging.getLogger(__name__)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from llm_flock.llm.models import parse_models, waits
+from llm_flock.llm.models import cost_usd, parse_models, waits
 from llm_flock.llm.port import Usage
-from llm_flock.llm.prices import cost_usd
 from llm_flock.llm.providers import parse_base_urls, parse_model
 from llm_flock.runtime.api import run
 from llm_flock.runtime.config import RunConfig

@@ -10,18 +10,17 @@ from typing import TYPE_CHECKING
 from llm_flock.errors import InputError
 from llm_flock.llm.limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm.models import ModelPool, check_priced, parse_history, parse_models, parse_settings
-from llm_flock.llm.own import OwnModel
 from llm_flock.llm.port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm.providers import ModelName, parse_base_urls, parse_model
-from llm_flock.llm.sharing import CallLane
-from llm_flock.llm.sources import habits_of, source_of
 from llm_flock.protocol.planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime.config import RunConfig
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
 
 if TYPE_CHECKING:
+    from llm_flock.llm.own import OwnModel
     from llm_flock.llm.prompting import PromptSet
     from llm_flock.llm.replay import ReplayModel  # each kind of model is imported where a robot asks one
+    from llm_flock.llm.sharing import CallLane
     from llm_flock.protocol.verification.steps import Verdict
 
 
@@ -72,6 +71,8 @@ class TeamPlanners:
         def limits_for(name: ModelName) -> CallLimits:
             if name.kind != "plugin":
                 return self._limits
+            from llm_flock.llm.sources import source_of
+
             if name.provider not in queues:
                 queues[name.provider] = limits_of(source_of(name.provider).at_once)
             return queues[name.provider]
@@ -92,6 +93,7 @@ class TeamPlanners:
 
         def prompts_of(text: str) -> PromptSet:
             from llm_flock.llm.prompting import PromptSet
+            from llm_flock.llm.sources import habits_of
 
             words = model.prompts or habits_of(text).prompts
             prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
@@ -124,12 +126,14 @@ class TeamPlanners:
         def planner_of(robot: int, text: str) -> Planner:
             rng = stream(seed, Stream.MODEL, robot)
             name = parse_model(text)
-            knows = habits_of(text).plans
-            asked: LanguageModel
             if name.kind == "geometry":
-                from llm_flock.llm.geometry import GeometryPlanner
+                from llm_flock.protocol.geometry import GeometryPlanner
 
                 return GeometryPlanner(rng)
+            from llm_flock.llm.sources import habits_of
+
+            knows = habits_of(text).plans
+            asked: LanguageModel
             if name.kind == "replay":
                 from llm_flock.llm.replay import ReplayModel
 
@@ -167,7 +171,7 @@ class TeamPlanners:
             )
             if knows is None:
                 return planner
-            from llm_flock.llm.geometry import KnownPlans
+            from llm_flock.protocol.geometry import KnownPlans
 
             return KnownPlans(planner, knows)
 
@@ -201,6 +205,8 @@ class TeamPlanners:
         if handed is not None and handed.name == text:
             return handed
         if text not in self._own:
+            from llm_flock.llm.own import OwnModel
+
             self._own[text] = OwnModel.load(text)
         return self._own[text]
 
@@ -226,6 +232,10 @@ class TeamPlanners:
     def weights(self) -> Mapping[str, str]:
         """Digests of the files of plug-ins' models, by name."""
         names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "plugin"]
+        if not names:
+            return {}
+        from llm_flock.llm.sources import source_of
+
         found = [source_of(name.provider).versions(name.model) for name in names]
         return {file: digest for files in found for file, digest in files.items()}
 
@@ -263,5 +273,7 @@ def check_planners(config: RunConfig, *, asks: bool = True) -> None:
     Raises:
         InputError: a model cannot work, as far as that is known before asking it.
     """
+    from llm_flock.llm.sharing import CallLane
+
     lane = None if asks else CallLane(pool=ModelPool(asks=False))
     asyncio.run(TeamPlanners(config, lane).close())

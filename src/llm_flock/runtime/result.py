@@ -10,13 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from llm_flock import metrics
 from llm_flock.errors import InputError
+from llm_flock.links import Traffic
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.plan import Plan
 from llm_flock.record.schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
-from llm_flock.record.words import formed_in
 from llm_flock.runtime.config import RunConfig
+from llm_flock.runtime.journal import Journal, finite
+from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime.roster import Roster
+from llm_flock.runtime.schedule import Schedule
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
@@ -253,6 +258,8 @@ class RunResult:
         return self.record().to_pandas(table)
 
     def __repr__(self) -> str:
+        from llm_flock.record.words import formed_in
+
         summary = self.summary
         simulated = ", simulated language models" if summary.simulated else ""
         end = f"formed in round {formed_in(summary.to_dict())}" if summary.formed else f"not formed: {summary.stopped}"
@@ -283,3 +290,104 @@ def trace_record(
     end = () if summary is None else (SummaryMessage(result=summary.to_dict()),)
     path = Path("" if summary is None else summary.record or "")
     return gather_record(path, (about, *trace, *end))
+
+
+GEOMETRY = "geometry"
+"""Supplier of a plan that no model made."""
+
+
+def summarize(
+    config: RunConfig,
+    schedule: Schedule,
+    journal: Journal,
+    roster: Roster,
+    planners: TeamPlanners,
+    traffic: Traffic,
+    *,
+    rounds: int,
+    stopped: str,
+    reason: str | None,
+    wall_s: float,
+    record: str | None,
+    flight: FlightFigures | None,
+) -> Summary:
+    """The summary of a run that stopped for a reason: its duration [s], the path of its record, a flight's figures."""
+    agents, episode = roster.awake_agents(), journal.episode
+    plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
+    slots = [a.claim.slot for a in agents]
+    plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
+    origin = None if plan is None else agents[0].provenance
+    by = None if plan is None or origin is None else journal.suppliers.get((plan.digest, origin.proposer))
+    waypoints = by_origin(journal.waypoints)
+    journal.close_episode(roster)
+    error = journal.errors[-1]
+    return Summary(
+        shape=config.mission.shape,
+        n_robots=config.mission.n_robots,
+        seed=config.trial.seed,
+        consensus=config.protocol.consensus or "",
+        assignment=config.protocol.assignment or "",
+        shield=bool(config.protocol.shield),
+        models=tuple(dict.fromkeys(planners.names)),
+        simulated=planners.simulated,
+        stopped=stopped,
+        reason=reason,
+        rounds=rounds,
+        formed=episode.formed_at is not None,
+        formed_by_models=episode.formed_at is not None
+        and GEOMETRY not in (by, *planners.names)
+        and not journal.breakers_opened
+        and not journal.waypoints[Origin.GEOMETRY.value],
+        rounds_to_formed=episode.rounds_to_formed,
+        lower_bound_rounds=episode.bound,
+        procrustes_mean=None if error is None else error[0],
+        procrustes_mean_squared=None if error is None else error[1],
+        min_separation=finite(journal.min_separation),
+        start_violations=journal.start.start_violations,
+        rounds_to_separate=journal.start.separated_at,
+        min_separation_after_start=finite(journal.start.smallest),
+        min_clearance=finite(journal.min_clearance),
+        plans_in_use=metrics.plans_in_use(plan_ids),
+        distinct_goals=metrics.distinct_goals(plan_ids, slots),
+        robots_without_plan=plan_ids.count(None),
+        model_calls=journal.calls,
+        calls_rejected=journal.calls_rejected,
+        calls_failed=journal.calls_failed,
+        faults=dict(sorted(journal.faults.items())),
+        tokens=journal.usage.total,
+        tokens_input=journal.usage.input,
+        tokens_output=journal.usage.output,
+        tokens_cached=journal.usage.cached,
+        cost_usd=journal.cost_usd,
+        latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
+        waypoints=waypoints,
+        waypoint_shares=waypoint_shares(waypoints),
+        plan_robot=None if origin is None else origin.proposer,
+        plan_by=by,
+        breakers_opened=tuple(sorted(journal.breakers_opened)),
+        messages_sent=traffic.sent,
+        bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
+        messages_rejected=dict(sorted(journal.rejected(roster).items())),
+        wall_s=wall_s,
+        record=record,
+        killed=_turns(schedule.kills, rounds),
+        joined=_turns(schedule.joins, rounds),
+        missions=tuple(
+            MissionOutcome(
+                round=part.flown + 1 if part.flown else 0,
+                shape=part.mission.shape,
+                places=part.mission.n_places,
+                formed=part.formed_at,
+                lower_bound_rounds=part.bound,
+            )
+            for part in journal.episodes
+        ),
+        gaps=None if plan is None else len(plan) - len(owned),
+        spares=None if plan is None else slots.count(None),
+        flight=flight,
+    )
+
+
+def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
+    """What happened up to a round, in the notation of the command line."""
+    return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)

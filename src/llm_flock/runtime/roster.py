@@ -10,9 +10,9 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.parts import Checker, Gaps, Membership, Parts, Safety
 from llm_flock.record.schema import ASLEEP, DEAD
-from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.rules import Rules, are_the_papers
+from llm_flock.simulate import Bodies
 
 SOLVERS = ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial")
 """What agents compute with. scipy imports each at its first use, which takes up to half a second."""

@@ -6,9 +6,8 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, Literal, TypeAlias
 
-from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
-from llm_flock.own_code import load_own
+from llm_flock.protocol.agreement import PRESET_RULES
 from llm_flock.protocol.agreement.assignment import (
     AssignmentRule,
     IndexAssignment,
@@ -16,7 +15,6 @@ from llm_flock.protocol.agreement.assignment import (
     NearestFreeAssignment,
 )
 from llm_flock.protocol.agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
-from llm_flock.record.words import PRESET_RULES
 
 Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
 """The two rules of an agent."""
@@ -107,12 +105,16 @@ def _rule(
         return _checked(field, name, methods)
     if name in known:
         return known[name]()
+    from llm_flock import plugins
+
     installed = plugins.entries(field)
     if name in installed:
         return _checked(field, plugins.load(field, name)(), methods)
     if ":" not in name:
         raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
     allowed = "package.module:Class that can be imported"
+    from llm_flock.own_code import load_own
+
     found = load_own(field, name, allowed)
     try:
         rule = found()

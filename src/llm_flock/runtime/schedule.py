@@ -6,15 +6,33 @@ import itertools
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from llm_flock.errors import InputError
 from llm_flock.mission import Coordinate, Mission
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.protocol.messages.message import MISSION_FIELDS
+
+
+class Stream(IntEnum):
+    """What a stream is for; the numbers are part of reproducibility and never change."""
+
+    START = 0
+    LINKS = 1
+    NOISE = 2
+    MODEL = 3
+    BACKOFF = 4
+    FAULTS = 5
+
+
+def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:
+    """The generator for one purpose, and one robot where each has its own."""
+    return np.random.default_rng(np.random.SeedSequence([seed, int(purpose), robot]))
+
 
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
@@ -219,7 +237,7 @@ def load_points(fields: dict[str, Any]) -> bool:
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False
-    from llm_flock.formations.files import load_points as read_points
+    from llm_flock.formations import load_points as read_points
 
     fields.update(shape="points", points=read_points(points_file(shape), "shape"))
     return True

@@ -14,21 +14,19 @@ import msgspec
 import numpy as np
 
 from llm_flock.arrays import Points
-from llm_flock.own_code import shown
+from llm_flock.links import MemoryTransport
 from llm_flock.protocol import events
 from llm_flock.protocol.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record.schema import MetricsRow, SummaryMessage
-from llm_flock.runtime.bodies import Bodies
 from llm_flock.runtime.config import RunConfig
 from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
-from llm_flock.runtime.result import FlightFigures, RunResult
+from llm_flock.runtime.result import FlightFigures, RunResult, summarize
 from llm_flock.runtime.roster import Roster, make_agent, parts_of
 from llm_flock.runtime.rules import Rules
-from llm_flock.runtime.seeds import Stream, stream
-from llm_flock.runtime.summary import summarize
-from llm_flock.transport.memory import MemoryTransport
+from llm_flock.runtime.schedule import Stream, stream
+from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
 
@@ -138,6 +136,8 @@ class Trial:
             self.stopped = "interrupted"
             raise
         except Exception as error:
+            from llm_flock.own_code import shown
+
             self.stopped, self.reason = "failed", shown(error)
             raise
         finally:
@@ -209,7 +209,7 @@ class Trial:
         given = schedule.missions.get(number, ())
         if not given:
             return
-        from llm_flock.protocol.messages.order_time import order_time
+        from llm_flock.protocol.messages.message import order_time
 
         for count, (robot, mission) in enumerate(given):
             journal.close_episode(roster)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.schema import RecordSink
 from llm_flock.runtime.config import RunConfig
 
 

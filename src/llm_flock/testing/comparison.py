@@ -124,7 +124,7 @@ def _sizes(shape: str, sizes: Iterable[int]) -> list[int | None]:
         return chosen or [None]
     name = shape.partition(":")[0]
     found = next((info for info in formations.shapes() if info.name.partition(":")[0] == name), None)
-    assert found is not None, f"there is no shape {name!r}: add it to llm_flock.formations.shapes"
+    assert found is not None, f"there is no shape {name!r}: add it to llm_flock.formations"
     assert found.description and found.legal, f"{name} says in no words what it is, or which sizes it takes"
     return list(found.examples)
 

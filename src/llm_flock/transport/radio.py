@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from llm_flock.arrays import Point
+from llm_flock.links import LinkFaults
 from llm_flock.mission import Mission
 from llm_flock.protocol.motion.shield_async import Sighting
-from llm_flock.transport.memory import LinkFaults
 
 FRESH_BEACONS = 5.0
 """Largest age of a neighbour's last beacon, in beacon periods."""

@@ -6,7 +6,8 @@ import asyncio
 from typing import Any
 
 from llm_flock.errors import FlockError
-from llm_flock.record.writer import RecordSink, Tee
+from llm_flock.record.schema import RecordSink
+from llm_flock.record.writer import Tee
 from llm_flock.runtime.watched import WatchedTeam
 from llm_flock.viewer.recording import Recording
 

@@ -25,8 +25,7 @@ from llm_flock.protocol.events import (
     Sensed,
 )
 from llm_flock.protocol.messages.dissemination import REMEMBERED_PLANS
-from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidTable
-from llm_flock.protocol.messages.mission_update import mission_text
+from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, BidTable, mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import StepAnswer
 

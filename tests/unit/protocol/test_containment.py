@@ -35,7 +35,7 @@ from llm_flock.protocol.events import (
 )
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, PER_BEAT
 from llm_flock.protocol.messages.message import decode
-from llm_flock.protocol.motion.pace import Pace
+from llm_flock.protocol.motion.leg import Pace
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 

@@ -33,7 +33,7 @@ from llm_flock.protocol.signed.certificates import (
 from llm_flock.protocol.signed.departures import MOST_DEPARTURES, Departures
 from llm_flock.protocol.signed.evidence import Evidence
 from llm_flock.protocol.signed.words import MOST_PASSED_ON
-from llm_flock.robots.simulated import start_positions
+from llm_flock.simulate import start_positions
 
 N, TWO, PLACES = 7, 2, 4
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)

@@ -14,6 +14,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.messages.dissemination import RESTLESS_ROUNDS, SMALL, Dissemination
 from llm_flock.protocol.messages.message import (
+    MISSION_FIELDS,
     UNSAID,
     BidEntry,
     BidTable,
@@ -21,9 +22,9 @@ from llm_flock.protocol.messages.message import (
     MissionStamp,
     Provenance,
     decode,
+    mission_text,
     table_digest,
 )
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS, mission_text
 from llm_flock.protocol.plan import Plan
 
 WIDE = ((-5000.0, -5000.0), (5000.0, 5000.0))

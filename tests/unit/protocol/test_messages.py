@@ -11,6 +11,7 @@ from llm_flock.errors import MessageError
 from llm_flock.protocol.messages.message import (
     BLOCKED,
     LAST_ROUND,
+    LATEST,
     MOST_STOPS,
     UNSAID,
     WIRE_VERSION,
@@ -23,7 +24,6 @@ from llm_flock.protocol.messages.message import (
     encode,
     max_payload_bytes,
 )
-from llm_flock.protocol.messages.order_time import LATEST
 from llm_flock.protocol.plan import Plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])

@@ -14,8 +14,7 @@ from llm_flock.protocol.agent import Agent
 from llm_flock.protocol.agreement.messaging import COURSE_ROUNDS, REMEMBERED_PAYLOADS, REMEMBERED_REFUSALS
 from llm_flock.protocol.events import MissionGiven, Received
 from llm_flock.protocol.messages.channel import Inbound
-from llm_flock.protocol.messages.message import Course, decode, encode
-from llm_flock.protocol.messages.mission_update import mission_text
+from llm_flock.protocol.messages.message import Course, decode, encode, mission_text
 from llm_flock.protocol.plan import Plan
 
 

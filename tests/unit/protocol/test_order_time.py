@@ -7,11 +7,14 @@ from driven_agent import LINE, DrivenAgent, make
 
 from llm_flock.errors import MessageError
 from llm_flock.protocol.events import MissionGiven, Note
-from llm_flock.protocol.messages.message import Message, MissionStamp, decode, encode
-from llm_flock.protocol.messages.order_time import (
+from llm_flock.protocol.messages.message import (
     LATEST,
     MOST_AHEAD_MS,
+    Message,
+    MissionStamp,
     OperatorClock,
+    decode,
+    encode,
     order_time,
     time_text,
 )

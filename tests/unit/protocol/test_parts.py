@@ -13,8 +13,7 @@ from llm_flock.protocol.agreement.consensus import InfluenceConsensus, NoConsens
 from llm_flock.protocol.events import CommRoundBegan, MoveTo, Note, Origin
 from llm_flock.protocol.membership.team import TeamMembership
 from llm_flock.protocol.messages.message import decode
-from llm_flock.protocol.motion.observation import Observation
-from llm_flock.protocol.parts import Checker, Membership, Parts, Safety
+from llm_flock.protocol.parts import Checker, Membership, Observation, Parts, Safety
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol.signed.certificates import Proofs

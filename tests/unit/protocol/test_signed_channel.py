@@ -26,8 +26,8 @@ from llm_flock.protocol.messages.message import (
     MissionStamp,
     Offer,
     encode,
+    mission_text,
 )
-from llm_flock.protocol.messages.mission_update import mission_text
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer
 from llm_flock.protocol.signed.assignment import SignedAssignment

@@ -16,11 +16,11 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
-from llm_flock.obstacles.regions import free_regions, region_of
 from llm_flock.protocol.geometry import geometric_plan
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol.verification.plans import check_plan, check_proposal
+from llm_flock.roadmap import free_regions, region_of
 
 
 def circle(*obstacles: Any, **fields: Any) -> Mission:

@@ -24,7 +24,7 @@ from llm_flock.protocol.messages.message import (
 from llm_flock.protocol.plan import Plan
 
 if TYPE_CHECKING:
-    from llm_flock.obstacles.roadmap import Roadmap  # only missions with obstacles need it
+    from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):

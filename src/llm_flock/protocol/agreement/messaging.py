@@ -15,8 +15,7 @@ from llm_flock.protocol.agreement.assignment import Claim
 from llm_flock.protocol.events import MissionGiven, Note
 from llm_flock.protocol.messages.channel import Channel, Inbound
 from llm_flock.protocol.messages.dissemination import Dissemination
-from llm_flock.protocol.messages.message import Course, Message, MissionStamp, PositionReport
-from llm_flock.protocol.messages.mission_update import received_mission
+from llm_flock.protocol.messages.message import Course, Message, MissionStamp, PositionReport, received_mission
 from llm_flock.protocol.parts import Parts
 from llm_flock.protocol.plan import Plan
 
@@ -181,7 +180,7 @@ class Messaging:
         stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
         try:
             if stamp <= current:  # first: an older signature must not replace that of the mission in force
-                from llm_flock.protocol.messages.order_time import time_text
+                from llm_flock.protocol.messages.message import time_text
 
                 later = f"an order of {time_text(current.counter)} is in force, this one is of"
                 raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")

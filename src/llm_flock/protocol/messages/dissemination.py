@@ -21,8 +21,7 @@ from itertools import compress
 from msgspec.structs import replace
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.messages.message import BidTable, Message, claims_in, encode, table_digest
-from llm_flock.protocol.messages.mission_update import mission_text
+from llm_flock.protocol.messages.message import BidTable, Message, claims_in, encode, mission_text, table_digest
 from llm_flock.protocol.plan import Plan
 
 SMALL = 64

@@ -9,19 +9,61 @@ joint assignments. The types of the fields hold the bounds of what a stranger ma
 from __future__ import annotations
 
 import hashlib
+import json
 import operator
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
 from functools import cached_property, lru_cache
-from typing import Annotated, TypeAlias
+from typing import Annotated, Any, TypeAlias, cast
 
 import msgspec
 from msgspec.structs import astuple, force_setattr, replace
 
 from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.bounds import MAX_ROBOTS
-from llm_flock.errors import MessageError
-from llm_flock.protocol.messages.order_time import LATEST
+from llm_flock.errors import InputError, MessageError
+from llm_flock.mission import Mission
 from llm_flock.protocol.plan import Coordinate, Plan
+
+LOGICAL_BITS = 16
+"""Lowest bits of an order's time, which count orders within a millisecond."""
+
+LATEST = 2**60
+"""Above every time of an order: far enough in the future, and below the largest machine integer."""
+
+MOST_AHEAD_MS = 24 * 3600 * 1000
+"""A time that others tell is believed if it is at most this far ahead of the own clock [ms]; no liar sets the clock."""
+
+
+def order_time(milliseconds: int, count: int = 0) -> int:
+    """The time of an order at this moment [ms], the `count`-th of its millisecond."""
+    return (milliseconds << LOGICAL_BITS) + count
+
+
+class OperatorClock:
+    """Gives each order of one operator a higher time than all before; `now_ms` is the wall clock [ms since 1970]."""
+
+    def __init__(self, now_ms: Callable[[], int]) -> None:
+        self._now_ms = now_ms
+        self._last = 0
+
+    def witness(self, time: int) -> None:
+        """Take note of the time of another order, of this operator's in an earlier life for instance."""
+        if time <= order_time(self._now_ms() + MOST_AHEAD_MS):
+            self._last = max(self._last, time)
+
+    def next(self) -> int:
+        """The time of an order that is given now."""
+        self._last = max(order_time(self._now_ms()), self._last + 1)
+        return self._last
+
+
+def time_text(time: int) -> str:
+    """An order's time in words; the first mission, and rounds of a simulation, count from 1970 too."""
+    moment = datetime.fromtimestamp((time >> LOGICAL_BITS) / 1000.0, UTC)
+    count = time & ((1 << LOGICAL_BITS) - 1)
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 1000:03} UTC" + (f" ({count})" if count else "")
+
 
 WIRE_VERSION = 8
 
@@ -353,3 +395,36 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
     slots += [] if offer is None else [offer.give, offer.take]
     if slots and max(slots) >= places:
         raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {places} places")
+
+
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
+"""Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
+
+
+def mission_text(mission: Mission) -> str:
+    """The mission's fields as JSON, for a message."""
+    return mission.model_dump_json(include=set(MISSION_FIELDS))
+
+
+def received_mission(message: Message, own: Mission) -> Mission:
+    """The mission that a message spells out, with the limits and surroundings of the robot's own mission.
+
+    A sender with other limits announces another digest, so its mission is refused.
+
+    Raises:
+        MessageError: with reason `malformed` unless it is a JSON object of `MISSION_FIELDS`, or `other_mission`.
+    """
+    try:
+        decoded: object = json.loads(message.mission_text or "")
+    except (ValueError, RecursionError) as error:
+        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
+    fields = cast("dict[str, Any]", decoded) if isinstance(decoded, dict) else {"": decoded}
+    if not fields.keys() <= MISSION_FIELDS:
+        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
+    try:
+        mission = own.change(**fields)
+    except InputError as error:
+        raise MessageError("other_mission", str(error)) from None
+    if mission.digest != message.mission.digest:
+        raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
+    return mission

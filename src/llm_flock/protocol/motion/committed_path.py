@@ -18,8 +18,7 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
-from llm_flock.obstacles import segment_clearance
-from llm_flock.obstacles.polygons import nearest_on_segment
+from llm_flock.obstacles import nearest_on_segment, segment_clearance
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 
 HORIZON = 20

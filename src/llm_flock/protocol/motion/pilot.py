@@ -13,10 +13,8 @@ from llm_flock.protocol.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.protocol.geometry import straight_path
 from llm_flock.protocol.messages.message import Course
 from llm_flock.protocol.motion.committed_path import HORIZON, CommittedPath, Trigger
-from llm_flock.protocol.motion.leg import Leg, leg_to
-from llm_flock.protocol.motion.observation import Observation
-from llm_flock.protocol.motion.pace import Pace
-from llm_flock.protocol.parts import Parts
+from llm_flock.protocol.motion.leg import Leg, Pace, leg_to
+from llm_flock.protocol.parts import Observation, Parts
 from llm_flock.protocol.plan import Plan
 from llm_flock.protocol.planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol.verification.steps import shortened

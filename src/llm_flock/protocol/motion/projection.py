@@ -10,6 +10,7 @@ import numpy as np
 import scipy
 
 from llm_flock.arrays import Point, Points, Vector
+from llm_flock.mission import Mission
 
 TOLERANCE = 1e-9
 """A constraint counts as satisfied to within this [units]."""
@@ -146,3 +147,31 @@ def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
         return None
     left = system @ weights - ones
     return target - left[:-1] / left[-1]
+
+
+def static_half_spaces(
+    position: Point, mission: Mission, *, max_step: float, noise_bound: float = 0.0
+) -> list[HalfSpace]:
+    """The walls and obstacles within one step, as sides of the robot's cell. Call for `also` of the projections.
+
+    From outside the arena or inside an obstacle they lead back, by at most a full step per round. With the position
+    known to within `noise_bound` e [units], a wall moves inwards by e, for its direction is known. The direction to the
+    nearest point of an obstacle at distance d turns by at most 2 e / d, so its side moves by e and by 2 e max_step / d.
+    """
+    sides: list[HalfSpace] = []
+    low, high = mission.arena
+    for axis, x in enumerate(position):
+        for sign, room in ((-1.0, x - low[axis]), (1.0, high[axis] - x)):
+            if room - noise_bound < max_step:
+                normal = tuple(sign if k == axis else 0.0 for k in range(len(position)))
+                sides.append(HalfSpace(normal, max(-max_step, room - noise_bound), room < -noise_bound))
+    buffer = mission.body_radius
+    for obstacle in mission.obstacles:
+        for nearest in obstacle.nearest(position):
+            margin = noise_bound * (1.0 + 2.0 * max_step / max(nearest.distance, buffer))
+            room = nearest.distance - buffer - margin
+            if room < max_step:
+                normal = tuple(-x for x in nearest.outward)
+                violated = nearest.distance - buffer < -noise_bound
+                sides.append(HalfSpace(normal, max(-max_step, room), violated))
+    return sides

@@ -24,8 +24,8 @@ import numpy as np
 from llm_flock.arrays import Point, Points, Vector
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
-from llm_flock.obstacles.roadmap import Roadmap
 from llm_flock.protocol.messages.message import HIGHEST, Course
+from llm_flock.roadmap import Roadmap
 
 AHEAD = 3.0
 """Length of a course, in steps."""

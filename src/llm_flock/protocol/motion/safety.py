@@ -12,10 +12,9 @@ from llm_flock.protocol.events import Note, Origin
 from llm_flock.protocol.messages.message import MOST_STOPS, Course
 from llm_flock.protocol.motion import shield
 from llm_flock.protocol.motion.leg import STEP, Leg, map_of
-from llm_flock.protocol.motion.observation import Observation
+from llm_flock.protocol.motion.projection import static_half_spaces
 from llm_flock.protocol.motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
-from llm_flock.protocol.motion.surroundings import static_half_spaces
-from llm_flock.protocol.parts import SafeStep, Safety
+from llm_flock.protocol.parts import Observation, SafeStep, Safety
 
 
 class ShieldedSafety(Safety):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
+from llm_flock.correspondence import quick_error
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol.plan import DECIMALS, Plan
@@ -248,7 +249,7 @@ def _residual(mission: Mission, plan: Plan) -> float | None:
     if expected.target is None or expected.points is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = metrics.quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
+    quick = quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
         quick = expected.target.error(plan.array).mean
     return round(quick, DECIMALS)

@@ -12,7 +12,7 @@ from enum import StrEnum
 from functools import lru_cache
 
 from llm_flock.arrays import Point
-from llm_flock.obstacles.polygons import nearest_on_segment
+from llm_flock.obstacles import nearest_on_segment
 from llm_flock.protocol.planning import StepAnswer, StepQuestion
 from llm_flock.protocol.verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from typing import TextIO
 
 from llm_flock.errors import InputError
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet

@@ -10,10 +10,8 @@ import numpy as np
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.record.writer import NullWriter
+from llm_flock.record.schema import NullWriter
 from llm_flock.robots.base import PEAK_SPEED, Position
-from llm_flock.robots.simulated import Readings
-from llm_flock.runtime.bodies import InstantBodies
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.fleet import build_fleet, driver_of, with_drones
 from llm_flock.runtime.flight.homing import fly_home, homes_of
@@ -24,6 +22,7 @@ from llm_flock.runtime.journal import Journal
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.result import RunResult
 from llm_flock.runtime.trial import Trial
+from llm_flock.simulate import InstantBodies, Readings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

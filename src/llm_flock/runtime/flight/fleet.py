@@ -10,10 +10,10 @@ from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
 from llm_flock.own_code import load_own
 from llm_flock.robots.base import Position, Robot
-from llm_flock.robots.simulated import draw_start
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.sections import DroneConfig
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
+from llm_flock.simulate import draw_start
 
 Driver: TypeAlias = Callable[[FlightConfig, Sequence[DroneConfig]], Sequence[Robot]]
 """Makes the robots of a flight, one for each drone, in order."""

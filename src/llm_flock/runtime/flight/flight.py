@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from llm_flock.arrays import Points
 from llm_flock.errors import RecordError
 from llm_flock.protocol.planning import Planner
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.schema import RecordSink
 from llm_flock.robots.base import Robot, RobotError
 from llm_flock.robots.pose import PoseSource
 from llm_flock.robots.positions import PoseFeed

@@ -14,10 +14,10 @@ import numpy as np
 from llm_flock.arrays import Point, Points
 from llm_flock.mission import Mission
 from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.observation import Observation
 from llm_flock.protocol.motion.safety import ShieldedSafety
-from llm_flock.robots.simulated import Readings
+from llm_flock.protocol.parts import Observation
 from llm_flock.runtime.flight.config import FlightConfig
+from llm_flock.simulate import Readings
 
 STEPS, STEPS_EACH = 20, 4
 """Most steps on the way home: some, and some for each step of the longest way and for each drone."""

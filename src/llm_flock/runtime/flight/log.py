@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from llm_flock import metrics
-from llm_flock.record.schema import BodySample, FlightEvent
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.schema import BodySample, FlightEvent, RecordSink
 from llm_flock.robots.base import RobotState
 from llm_flock.robots.segment import Segment
 from llm_flock.runtime.flight.config import FlightConfig

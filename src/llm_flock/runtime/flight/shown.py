@@ -8,7 +8,7 @@ from typing import Protocol, cast
 
 from llm_flock import plugins
 from llm_flock.extras import ExtraMissing
-from llm_flock.record.writer import RecordSink
+from llm_flock.record.schema import RecordSink
 from llm_flock.robots.pose import PoseSource
 from llm_flock.runtime.mission_frame import MissionFrame
 from llm_flock.runtime.ros2_config import Ros2Config

@@ -13,11 +13,11 @@ import numpy as np
 from llm_flock.arrays import Points
 from llm_flock.robots.base import Position, Robot, RobotError, RobotState
 from llm_flock.robots.segment import Segment
-from llm_flock.robots.simulated import Readings
 from llm_flock.runtime.flight.config import FlightConfig
 from llm_flock.runtime.flight.lag import distance_m, lag_bound_s
 from llm_flock.runtime.flight.log import FlightLog
 from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
+from llm_flock.simulate import Readings
 
 LOOK_S = 0.02
 """Time between two checks whether the drones have arrived [s]."""

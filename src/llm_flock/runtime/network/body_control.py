@@ -7,9 +7,8 @@ import math
 from collections.abc import Sequence
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.motion.projection import clip
+from llm_flock.protocol.motion.projection import clip, static_half_spaces
 from llm_flock.protocol.motion.shield_async import Sighting, project_async
-from llm_flock.protocol.motion.surroundings import static_half_spaces
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.wire import Body, Command
 

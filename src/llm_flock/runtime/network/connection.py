@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 from llm_flock.errors import InputError, MessageError
 from llm_flock.extras import require
 from llm_flock.members import OPERATOR, WORLD, member_name, members
-from llm_flock.protocol.messages.message import MissionStamp
-from llm_flock.protocol.messages.mission_update import MISSION_FIELDS
+from llm_flock.protocol.messages.message import MISSION_FIELDS, MissionStamp
 from llm_flock.protocol.signed.certificates import mission_statement
 from llm_flock.runtime.network.accusations import contexts
 from llm_flock.runtime.network.config import SwarmConfig, endpoints

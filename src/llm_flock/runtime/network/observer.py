@@ -24,9 +24,8 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.events import Origin
 from llm_flock.protocol.messages.message import MissionStamp
 from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RoundEnd, State
-from llm_flock.record.writer import RecordSink
-from llm_flock.runtime.entries import metrics_row, mission_info
+from llm_flock.record.schema import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RecordSink, RoundEnd, State
+from llm_flock.runtime.journal import metrics_row, mission_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.self_reports import SelfReports, rejected, sent

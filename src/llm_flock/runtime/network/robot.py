@@ -11,7 +11,7 @@ from typing import Any, cast
 from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.protocol.signed.parts import signed_parts
-from llm_flock.runtime.entries import llm_entry
+from llm_flock.runtime.journal import llm_entry
 from llm_flock.runtime.network.accusations import Accuser, Judge
 from llm_flock.runtime.network.agent_loop import AgentLoop
 from llm_flock.runtime.network.body_control import BodyControl
@@ -21,7 +21,7 @@ from llm_flock.runtime.network.process import PeriodClock, phase_s, until_stoppe
 from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock.runtime.planners import TeamPlanners
 from llm_flock.runtime.roster import make_agent, parts_of
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
 from llm_flock.transport.radio import Radio, Seen
 from llm_flock.transport.zenoh import ZenohLink
 

@@ -9,8 +9,7 @@ from itertools import chain
 import msgspec
 
 from llm_flock.arrays import Point
-from llm_flock.record.schema import LlmEntry
-from llm_flock.record.values import LARGEST_WHOLE
+from llm_flock.record.schema import LARGEST_WHOLE, LlmEntry
 from llm_flock.runtime.network.wire import RobotReport
 from llm_flock.transport.zenoh import Allowance
 

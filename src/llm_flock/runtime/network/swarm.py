@@ -24,7 +24,7 @@ from llm_flock.errors import FlockError
 from llm_flock.llm.models import parse_models
 from llm_flock.llm.providers import parse_model
 from llm_flock.members import WORLD
-from llm_flock.record.writer import NullWriter, RecordSink
+from llm_flock.record.schema import NullWriter, RecordSink
 from llm_flock.runtime.config import warn_of_mission
 from llm_flock.runtime.network.config import SwarmConfig, check_models, warn_of_spacing
 from llm_flock.runtime.network.connection import load_keys

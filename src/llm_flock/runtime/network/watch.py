@@ -9,11 +9,10 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
-from llm_flock.protocol.messages.message import MissionStamp
-from llm_flock.protocol.messages.order_time import OperatorClock
-from llm_flock.record.schema import SummaryMessage
-from llm_flock.record.writer import NullWriter, RecordSink, RecordWriter, Tee
-from llm_flock.runtime.entries import finite, run_info
+from llm_flock.protocol.messages.message import MissionStamp, OperatorClock
+from llm_flock.record.schema import NullWriter, RecordSink, SummaryMessage
+from llm_flock.record.writer import RecordWriter, Tee
+from llm_flock.runtime.journal import finite, run_info
 from llm_flock.runtime.network.accusations import Judge
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from llm_flock.errors import InputError
-from llm_flock.record.writer import RecordSink
-from llm_flock.runtime.entries import run_info
+from llm_flock.record.schema import RecordSink
+from llm_flock.runtime.journal import run_info
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.watch import give_mission, look, observing
 

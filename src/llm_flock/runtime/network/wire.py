@@ -11,8 +11,7 @@ import msgspec
 
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import MessageError
-from llm_flock.protocol.messages.message import Coordinate
-from llm_flock.protocol.messages.order_time import LATEST
+from llm_flock.protocol.messages.message import LATEST, Coordinate
 from llm_flock.protocol.signed.certificates import Signature
 
 WIRE_VERSION = 3

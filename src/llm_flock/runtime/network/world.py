@@ -19,12 +19,12 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.members import WORLD
-from llm_flock.robots.simulated import start_positions
 from llm_flock.runtime.network.config import SwarmConfig
 from llm_flock.runtime.network.connection import open_link, receive
 from llm_flock.runtime.network.process import until_stopped
 from llm_flock.runtime.network.wire import Body, Command, WorldState, pack
-from llm_flock.runtime.seeds import Stream, stream
+from llm_flock.runtime.schedule import Stream, stream
+from llm_flock.simulate import start_positions
 from llm_flock.transport.zenoh import ZenohLink
 
 SUBSTEP_S = 0.01

@@ -1,10 +1,13 @@
-"""Simulated bodies in an arena: point masses that fly straight to their waypoint within a round, and their sensors."""
+"""Bodies of a team as a trial needs them, and simulated ones.
+
+Those are point masses that fly straight to their waypoint within a round, with their sensors.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -173,3 +176,37 @@ class Readings:
     def move(self, displacements: Points) -> None:
         """Fly every robot by its displacement, shape (n, d) [units], all at once."""
         self.place(self.places + displacements)
+
+
+class Bodies(Protocol):
+    """Positions and sensors of all robots, in mission units, and their joint motion."""
+
+    @property
+    def positions(self) -> Points:
+        """Positions of all robots, as recorded, shape (n, d) [units; world frame]."""
+        ...
+
+    @property
+    def readings(self) -> Readings:
+        """What the robots read of each other now, and who is within range of whom."""
+        ...
+
+    async def fly(self, displacements: Points) -> None:
+        """Fly every robot by its displacement, shape (n, d) [units], all at once; returns when they have arrived."""
+        ...
+
+
+class InstantBodies:
+    """Simulated bodies whose motions take no time."""
+
+    def __init__(self, readings: Readings) -> None:
+        self.readings = readings
+
+    @property
+    def positions(self) -> Points:
+        """True positions, shape (n, d) [units]."""
+        return self.readings.places
+
+    async def fly(self, displacements: Points) -> None:
+        """Move at once."""
+        self.readings.move(displacements)

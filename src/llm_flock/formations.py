@@ -1,0 +1,401 @@
+"""The named shapes: their legal team sizes, their descriptions for prompts, and their ideal target points.
+
+Neighbouring points of a named shape are exactly `spacing` apart in a straight line (on a circle: the chord, not the
+arc). The paper's shapes are triangle 3 and 6, square 4 and 8, cross 5, circle 5 and 10 (lines 240 and 544).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from llm_flock.arrays import Pairwise, Point, Points
+from llm_flock.errors import InputError, unknown
+
+SMALL = 50
+"""Largest number of points measured without scipy.spatial, which takes longer to import than a small run takes."""
+
+
+def distances(points: ArrayLike) -> Pairwise:
+    """Distances between all points, shape (n, n) [units], exactly symmetric."""
+    rows = np.asarray(points, dtype=np.float64)
+    if len(rows) > SMALL:
+        return scipy.spatial.distance.cdist(rows, rows)
+    # Axis by axis: scipy sums in this order too, so the size of a team does not change a bit.
+    return np.sqrt(sum((axis[:, None] - axis) ** 2 for axis in rows.T))
+
+
+def smallest_distance(points: ArrayLike) -> float:
+    """Distance of the closest pair of points, shape (n, d) [units]; infinite for fewer than two."""
+    rows = np.asarray(points, dtype=np.float64)
+    if len(rows) < 2:
+        return math.inf
+    if len(rows) <= SMALL:
+        return float(distances(rows)[np.triu_indices(len(rows), 1)].min())
+    return float(np.asarray(scipy.spatial.KDTree(rows).query(rows, k=2)[0])[:, 1].min())
+
+
+def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
+    """Largest distance of the points, shape (n, d), from the centre [units]."""
+    return float(np.linalg.norm(np.asarray(points, dtype=np.float64) - np.asarray(center), axis=1).max())
+
+
+def rotated(points: ArrayLike, center: Sequence[float], angle_rad: float) -> Points:
+    """Points of the plane, shape (n, 2), rotated about the centre, counterclockwise for a positive angle."""
+    cos, sin = math.cos(angle_rad), math.sin(angle_rad)
+    arm = np.asarray(points, dtype=np.float64) - np.asarray(center)
+    return arm @ np.array([[cos, sin], [-sin, cos]]) + np.asarray(center)
+
+
+def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:
+    """Largest k such that a rotation by 360/k degrees about the mean maps the set of points, shape (n, d), to itself.
+
+    It is 1 without symmetry, for a single point, and in dimensions other than two. `tolerance` is the largest distance
+    of an image from a point, as a share of the largest radius.
+    """
+    rows = np.asarray(points, dtype=np.float64)
+    n, dim = rows.shape
+    if dim != 2 or n < 2:
+        return 1
+    rows = rows - rows.mean(axis=0)
+    allowed = tolerance * circumradius(rows, (0.0, 0.0))
+    tree = scipy.spatial.KDTree(rows)
+    # Points other than one at the mean form orbits of k points, so k divides n or n - 1.
+    for k in range(n, 1, -1):
+        if n % k > 1:
+            continue
+        offset, image = map(np.asarray, tree.query(rotated(rows, (0.0, 0.0), 2 * math.pi / k)))
+        if offset.max() <= allowed and len(np.unique(image)) == n:
+            return k
+    return 1
+
+
+def line(n: int, _: int = 0) -> Points:
+    """Points along the x axis."""
+    return np.column_stack([np.arange(n, dtype=np.float64), np.zeros(n)])
+
+
+def outline(corners: Points, per_side: int) -> Points:
+    """`per_side` evenly spaced points on each side of a closed outline, including its first corner, not its second."""
+    share = np.arange(per_side)[:, None] / per_side
+    sides = np.roll(corners, -1, axis=0) - corners
+    return (corners[:, None] + share * sides[:, None]).reshape(-1, 2)
+
+
+def ring(n: int, radius: float, first_rad: float = 0.0) -> Points:
+    """Points evenly spaced on a circle, the first at angle `first_rad` from the x axis."""
+    angles = first_rad + 2 * math.pi * np.arange(n) / n
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def circumradius_of(sides: int, length: float) -> float:
+    """Radius of the circle through the corners of a regular polygon with sides of length `length`."""
+    return length / (2 * math.sin(math.pi / sides))
+
+
+def circle(n: int, _: int = 0) -> Points:
+    """A circle: the chord between neighbours is the spacing. One robot is at the centre, two form a pair."""
+    return np.zeros((1, 2)) if n == 1 else ring(n, circumradius_of(n, 1.0))
+
+
+def polygon(n: int, sides: int) -> Points:
+    """A regular polygon with its first corner at angle 0, as in the paper's example (line 353)."""
+    per_side = n // sides
+    return outline(ring(sides, circumradius_of(sides, per_side)), per_side)
+
+
+def triangle(n: int, _: int = 0) -> Points:
+    """An equilateral triangle, points along its perimeter."""
+    return polygon(n, 3)
+
+
+def square(n: int, _: int = 0) -> Points:
+    """A square with sides parallel to the axes, points along its perimeter."""
+    side = n // 4
+    return outline(ring(4, circumradius_of(4, side), math.pi / 4), side)
+
+
+def cross(n: int, _: int = 0) -> Points:
+    """The centre and four arms along the axes."""
+    steps = np.arange(1.0, n // 4 + 1)[:, None]
+    arms = [steps * direction for direction in np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])]
+    return np.concatenate([np.zeros((1, 2)), *arms])
+
+
+def wedge(n: int, _: int = 0) -> Points:
+    """Apex ahead (+y), two arms at 45 degrees behind it, filled in turn: for even n, the first arm is longer."""
+    steps = (np.arange(n) + 1) // 2
+    side = np.where(np.arange(n) % 2 == 1, 1.0, -1.0)
+    return np.column_stack([side * steps, -1.0 * steps]) * np.float64(math.sqrt(0.5))
+
+
+def grid(n: int, _: int = 0) -> Points:
+    """A grid with ceil(sqrt(n)) columns. The last row is centred by whole columns only.
+
+    A shift by half a column would leave robots of the last row without a neighbour at exactly the spacing.
+    """
+    columns = math.isqrt(n - 1) + 1
+    row, column = np.divmod(np.arange(n), columns)
+    left_over = columns - (n - row[-1] * columns)
+    column = np.where(row == row[-1], column + left_over // 2, column)
+    return np.column_stack([column, -row]).astype(np.float64)
+
+
+def star(n: int, _: int = 0) -> Points:
+    """A regular pentagon with an equilateral triangle on each side; all ten edges have the same length."""
+    edge = n // 10
+    tip = edge * (math.cos(math.pi / 5) / (2 * math.sin(math.pi / 5)) + math.sqrt(0.75))
+    tips = ring(5, tip, math.pi / 2)
+    dents = ring(5, circumradius_of(5, edge), math.pi / 2 + math.pi / 5)
+    return outline(np.stack([tips, dents], axis=1).reshape(-1, 2), edge)
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeInfo:
+    """Description of a shape for operators.
+
+    Attributes:
+        name: specification of the shape, with its argument in capitals: `circle`, `polygon:K`.
+        legal: its legal team sizes, in words that follow "N is".
+        description: the shape in words that follow "form".
+        examples: a few legal team sizes (for `polygon:K`: with K = 5).
+    """
+
+    name: str
+    legal: str
+    description: str
+    examples: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape(ShapeInfo):
+    """A shape with its layout, and the test of a team size; both take n and the argument K (0 without one)."""
+
+    layout: Callable[[int, int], Points] | None = None
+    is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1
+
+
+_LISTED = (
+    _Shape("line", "any number", "a straight line", (2, 5, 10), line),
+    _Shape(
+        "triangle",
+        "divisible by 3",
+        "an equilateral triangle (robots along its perimeter)",
+        (3, 6, 9),
+        triangle,
+        lambda n, _: n % 3 == 0,
+    ),
+    _Shape(
+        "square",
+        "divisible by 4",
+        "a square (robots along its perimeter)",
+        (4, 8, 12),
+        square,
+        lambda n, _: n % 4 == 0,
+    ),
+    _Shape("circle", "any number", "a circle", (3, 5, 10), circle),
+    _Shape(
+        "polygon:K",
+        "divisible by K",
+        "a regular polygon with K sides (robots along its perimeter)",
+        (5, 10, 15),
+        polygon,
+        lambda n, sides: n % sides == 0,
+    ),
+    _Shape(
+        "cross",
+        "5, 9, 13, ... (the centre and four equal arms)",
+        "a cross with four equal arms at right angles and one robot at its centre",
+        (5, 9, 13),
+        cross,
+        lambda n, _: n >= 5 and n % 4 == 1,
+    ),
+    _Shape(
+        "wedge",
+        "at least 3",
+        "a wedge like the letter V (two straight arms that meet at 90 degrees, one robot at the tip)",
+        (3, 5, 10),
+        wedge,
+        lambda n, _: n >= 3,
+    ),
+    _Shape("grid", "any number", "a square grid (rows and columns at right angles)", (4, 9, 12), grid),
+    _Shape(
+        "star",
+        "divisible by 10",
+        "a five-pointed star (robots along its outline: ten equal edges, tips of 60 degrees)",
+        (10, 20, 30),
+        star,
+        lambda n, _: n % 10 == 0,
+    ),
+    _Shape("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
+    _Shape("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
+)
+MOST_TRIED = 10_000
+"""Largest number of robots that an error tries in order to list the numbers that a shape takes."""
+
+_SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
+
+
+def shapes() -> tuple[ShapeInfo, ...]:
+    """All shapes, in the order in which the command line lists them."""
+    return _LISTED
+
+
+def shape_name(spec: str) -> str:
+    """The part of a shape specification before the colon.
+
+    Raises:
+        InputError: no shape has this name.
+    """
+    name = spec.partition(":")[0]
+    if name not in _SHAPES:
+        raise InputError("shape", spec, says=unknown("shape", name, (shape.name for shape in _LISTED)))
+    return name
+
+
+def _argument(spec: str) -> int:
+    """Number of sides of `polygon:K`, 0 for other shapes. Checks the argument of every specification."""
+    name, (_, colon, argument) = shape_name(spec), spec.partition(":")
+    if name == "text":
+        if not argument.strip():
+            raise InputError("shape", spec, "a description of the shape after 'text:'")
+    elif name == "polygon":
+        if not (argument.isascii() and argument.isdecimal() and len(argument) <= 9 and int(argument) >= 3):
+            raise InputError("shape", spec, "polygon:K with a whole number K >= 3")
+        return int(argument)
+    elif colon:
+        raise InputError("shape", spec, f"{name!r} alone: it takes no argument")
+    return 0
+
+
+def describe(spec: str) -> str:
+    """The shape in words that follow "form": `a circle`; for `text:DESCRIPTION`, the description itself.
+
+    Raises:
+        InputError: no shape has this name, or its argument is not allowed.
+    """
+    sides, name = _argument(spec), shape_name(spec)
+    if name == "text":
+        return " ".join(spec.partition(":")[2].split())
+    return _SHAPES[name].description.replace(" K ", f" {sides} ")
+
+
+def ideal_points(
+    spec: str, n: int, center: Sequence[float], spacing: float, custom: Sequence[Sequence[float]] | None = None
+) -> Points | None:
+    """Ideal target points of a shape in its reference orientation, with their mean at `center`.
+
+    Args:
+        spec: name of a shape, with its argument if it takes one.
+        n: number of points.
+        center: d coordinates [units; world frame]; named shapes need d = 2.
+        spacing: distance between neighbouring points [units].
+        custom: points of the shape `points`, n rows [units]; only their position relative to their mean counts.
+
+    Returns:
+        shape (n, d) [units; world frame], or None for free text, which has no known ideal.
+
+    Raises:
+        InputError: no shape has this name, or the shape does not exist for this number of points or dimensions.
+    """
+    name, argument = shape_name(spec), _argument(spec)
+    shape = _SHAPES[name]
+    if name == "points":
+        points = _custom(n, len(center), custom)
+    else:
+        if not (n >= 1 and shape.is_legal(n, argument)):
+            legal = [str(k) for k in range(1, MOST_TRIED) if shape.is_legal(k, argument)][:4]
+            sizes = ", ".join([*legal, "..."]) if legal else shape.legal.replace(" K", f" {argument}")
+            raise InputError("n_robots", n, says=f"a {spec} takes {sizes} robots")
+        if shape.layout is None:
+            return None
+        if len(center) != 2:
+            raise InputError("center", list(center), f"2 coordinates for shape {spec!r}")
+        points = shape.layout(n, argument) * spacing
+    return points - points.mean(axis=0) + np.asarray(center, dtype=np.float64)
+
+
+def _custom(n: int, dim: int, custom: Sequence[Sequence[float]] | None) -> Points:
+    if not custom:
+        raise InputError("points", custom, "at least one row of coordinates for shape 'points'")
+    if len(custom) != n:
+        raise InputError("n_robots", n, f"{len(custom)}, one for each point")
+    if any(len(row) != dim for row in custom):
+        raise InputError("points", f"{len(custom)} rows", f"{dim} coordinates in each row, as the centre has")
+    return np.array(custom, dtype=np.float64)
+
+
+def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
+    """Read rows of coordinates from a file: JSON (a list of lists) if its name ends in `.json`, CSV otherwise.
+
+    Each line of a CSV file holds x,y or x,y,z. A first line without numbers is a header; empty lines are skipped. Files
+    are in UTF-8; `field` names the setting in errors.
+
+    Raises:
+        InputError: the file cannot be read, or its rows are not all 2 or all 3 finite numbers.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, ValueError) as error:  # no UTF-8, or no name of a file
+        raise InputError(field, str(path), f"a readable file ({getattr(error, 'strerror', None) or error})") from None
+    rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text, path, field)
+    points: list[Point] = []
+    for where, row in rows:
+        point = _point(row)
+        if point is None:
+            raise InputError(field, f"{path}, {where}: {row!r}", "2 or 3 finite numbers in each row")
+        if points and len(point) != len(points[0]):
+            raise InputError(field, f"{path}, {where}: {row!r}", f"{len(points[0])} numbers, as in the first row")
+        points.append(point)
+    if not points:
+        raise InputError(field, str(path), "a file with at least one point")
+    return tuple(points)
+
+
+def _json_rows(text: str, path: Path, field: str) -> list[tuple[str, Any]]:
+    try:
+        data: Any = json.loads(text)
+    except ValueError as error:
+        raise InputError(field, str(path), f"a JSON list of [x, y] lists ({error})") from None
+    if not isinstance(data, list):
+        raise InputError(field, str(path), "a JSON list of [x, y] lists")
+    return [(f"row {i + 1}", row) for i, row in enumerate(cast("list[Any]", data))]
+
+
+def _csv_rows(text: str, path: Path, field: str) -> list[tuple[str, list[Any]]]:
+    reader = csv.reader(text.splitlines())
+    try:
+        rows = [(f"line {reader.line_num}", [_cell(cell) for cell in row]) for row in reader if "".join(row).strip()]
+    except csv.Error as error:
+        raise InputError(field, f"{path}, line {reader.line_num}", f"comma-separated values ({error})") from None
+    has_header = bool(rows) and all(isinstance(cell, str) for cell in rows[0][1])
+    return rows[1:] if has_header else rows
+
+
+def _cell(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text.strip()
+
+
+def _point(row: Any) -> Point | None:
+    """The row as 2 or 3 finite numbers, or None."""
+    if not isinstance(row, list) or len(cells := cast("list[Any]", row)) not in (2, 3):
+        return None
+    if any(isinstance(cell, bool) or not isinstance(cell, int | float) for cell in cells):
+        return None
+    try:
+        point = tuple(float(cell) for cell in cells)
+    except OverflowError:
+        return None
+    return point if all(map(math.isfinite, point)) else None

@@ -1,0 +1,263 @@
+"""One obstacle: its description in a mission, and distances and directions to it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.bounds import MAX_POLYGON_CORNERS
+from llm_flock.errors import InputError
+
+FLAT = 1e-12
+"""Smallest area of a valid polygon, as a share of its squared size."""
+
+
+def cross(a: Point, b: Point, c: Point) -> float:
+    """Twice the signed area of the triangle a, b, c: positive where it turns left [units^2]."""
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def edges(polygon: Sequence[Point]) -> Iterator[tuple[Point, Point]]:
+    """The sides of a polygon, including the closing one."""
+    return ((a, polygon[(k + 1) % len(polygon)]) for k, a in enumerate(polygon))
+
+
+def signed_area(polygon: Sequence[Point]) -> float:
+    """Area of a polygon [units^2], positive if its corners run counterclockwise."""
+    origin = polygon[0]
+    return sum(cross(origin, a, b) for a, b in edges(polygon)) / 2.0
+
+
+def contains(polygon: Sequence[Point], point: Point) -> bool:
+    """Whether the point is inside by the even-odd rule; a point on the boundary may count as either."""
+    inside = False
+    x, y = point[0], point[1]
+    for a, b in edges(polygon):
+        if (a[1] > y) != (b[1] > y) and x < (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1]) + a[0]:
+            inside = not inside
+    return inside
+
+
+def nearest_on_segment(point: Point, a: Point, b: Point) -> Point:
+    """The point of the segment a .. b nearest to `point`, in any dimension."""
+    along = tuple(y - x for x, y in zip(a, b, strict=True))
+    squared = sum(x * x for x in along)
+    if squared == 0.0:
+        return a
+    share = sum((p - x) * d for p, x, d in zip(point, a, along, strict=True)) / squared
+    share = min(1.0, max(0.0, share))
+    return tuple(x + share * d for x, d in zip(a, along, strict=True))
+
+
+def segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool:
+    """Whether the segments a .. b and c .. d have a point in common."""
+    one, two, three, four = cross(a, b, c), cross(a, b, d), cross(c, d, a), cross(c, d, b)
+    if ((one > 0) != (two > 0)) and ((three > 0) != (four > 0)) and one * two * three * four != 0.0:
+        return True
+    touching = ((one, a, b, c), (two, a, b, d), (three, c, d, a), (four, c, d, b))
+    return any(turn == 0.0 and math.dist(nearest_on_segment(p, q, r), p) == 0.0 for turn, q, r, p in touching)
+
+
+def segment_distance(a: Point, b: Point, c: Point, d: Point) -> float:
+    """Distance between the segments a .. b and c .. d in the plane [units]."""
+    if segments_cross(a, b, c, d):
+        return 0.0
+    pairs = ((a, c, d), (b, c, d), (c, a, b), (d, a, b))
+    return min(math.dist(p, nearest_on_segment(p, q, r)) for p, q, r in pairs)
+
+
+def is_simple(polygon: Sequence[Point]) -> bool:
+    """Whether the polygon has an area and no two sides meet, except neighbouring sides at their common corner."""
+    n = len(polygon)
+    size = max(math.dist(polygon[0], p) for p in polygon)
+    if abs(signed_area(polygon)) <= FLAT * size * size:
+        return False
+    sides = list(edges(polygon))
+    for i, (a, b) in enumerate(sides):
+        c = sides[(i + 1) % n][1]
+        forward = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
+        if a == b or (cross(a, b, c) == 0.0 and forward < 0.0):
+            return False  # a repeated corner, or a side that runs back over the previous one
+        if any(segments_cross(a, b, *sides[j]) for j in range(i + 2, n) if (j + 1) % n != i):
+            return False
+    return True
+
+
+def convex_pieces(polygon: Sequence[Point]) -> tuple[tuple[Point, ...], ...]:
+    """Divide a simple polygon into convex polygons, corners counterclockwise. A convex polygon is one piece.
+
+    Ear clipping (Meisters 1975), then removal of diagonals that convexity does not need (Hertel, Mehlhorn 1983). The
+    number of pieces is at most four times the minimum.
+    """
+    corners = list(polygon) if signed_area(polygon) > 0.0 else list(polygon)[::-1]
+    triangles: list[tuple[Point, ...]] = []
+    while len(corners) > 3:
+        # The sharpest ear. If rounding hides the ears of a needle-thin remainder, its sharpest left turn.
+        k = max(range(len(corners)), key=lambda k: (_is_ear(corners, k), cross(*_around(corners, k))))
+        triangles.append(_around(corners, k))
+        del corners[k]
+    triangles.append(tuple(corners))
+    return _merged([t for t in triangles if cross(t[0], t[1], t[2]) > 0.0])
+
+
+def _around(corners: Sequence[Point], k: int) -> tuple[Point, Point, Point]:
+    return corners[k - 1], corners[k], corners[(k + 1) % len(corners)]
+
+
+def _is_ear(corners: Sequence[Point], k: int) -> bool:
+    """Whether corner k is convex and its triangle holds no other corner, so that it can be cut off."""
+    a, b, c = _around(corners, k)
+    if cross(a, b, c) < 0.0:
+        return False
+    others = (p for p in corners if p not in (a, b, c))
+    return not any(cross(a, b, p) >= 0.0 and cross(b, c, p) >= 0.0 and cross(c, a, p) >= 0.0 for p in others)
+
+
+def _merged(pieces: list[tuple[Point, ...]]) -> tuple[tuple[Point, ...], ...]:
+    """Join pieces along common sides as long as the results are convex."""
+    while True:
+        pairs = ((i, j) for i in range(len(pieces)) for j in range(i))
+        found = next(((i, j, whole) for i, j in pairs if (whole := _joined(pieces[i], pieces[j])) is not None), None)
+        if found is None:
+            return tuple(pieces)
+        i, j, whole = found
+        pieces[j] = whole
+        del pieces[i]
+
+
+def _joined(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...] | None:
+    """The union of two pieces with a common side if it is convex, None otherwise."""
+    for k, (a, b) in enumerate(edges(one)):
+        if b in two and two[(two.index(b) + 1) % len(two)] == a:
+            at = two.index(a)
+            rest = tuple(two[(at + step) % len(two)] for step in range(1, len(two) - 1))
+            whole = one[: k + 1] + rest + one[k + 1 :]
+            corners = range(len(whole))
+            return whole if all(cross(*_around(whole, m)) >= 0.0 for m in corners) else None
+    return None
+
+
+Finite = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False)]
+
+TOUCHING = 1e-9
+"""A point nearer to the boundary than this counts as on it [units]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Nearest:
+    """The nearest point of a convex set: its distance [units; negative inside], and the unit vector outward."""
+
+    distance: float
+    outward: Point
+
+
+class Obstacle(BaseModel):
+    """A static obstacle: `center` and `radius` of a disc, or the corners of a `polygon`.
+
+    A disc in three dimensions is a ball; polygons exist in the plane only. Lengths are in mission units, positions in
+    the world frame.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    center: tuple[Finite, ...] | None = Field(default=None, description="Centre of a disc [units]")
+    radius: Positive | None = Field(default=None, description="Radius of a disc [units]")
+    polygon: tuple[tuple[Finite, Finite], ...] | None = Field(
+        default=None, description="Corners of a polygon, convex or not, in order [units]"
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given: dict[str, Any] = self.model_dump(exclude_none=True)
+        if set(given) not in ({"center", "radius"}, {"polygon"}):
+            raise InputError("obstacles", given, "either center and radius, or polygon, for each obstacle")
+        if self.polygon is not None and len(self.polygon) > MAX_POLYGON_CORNERS:
+            raise InputError(
+                "obstacles", f"a polygon of {len(self.polygon)} corners", f"at most {MAX_POLYGON_CORNERS} corners"
+            )
+        if self.polygon is not None and (len(self.polygon) < 3 or not is_simple(self.polygon)):
+            allowed = "polygons of 3 or more corners that enclose an area and do not cross themselves"
+            raise InputError("obstacles", given, allowed)
+        return self
+
+    @property
+    def dim(self) -> int:
+        """Dimension d of space, 2 or 3."""
+        return 2 if self.center is None else len(self.center)
+
+    @cached_property
+    def pieces(self) -> tuple[tuple[Point, ...], ...]:
+        """The polygon divided into convex pieces; empty for a disc."""
+        return () if self.polygon is None else convex_pieces(self.polygon)
+
+    def distance(self, point: Point) -> float:
+        """Distance of `point` from the obstacle's surface [units]; negative inside."""
+        if self.polygon is None:
+            center, radius = self._disc()
+            return math.dist(point, center) - radius
+        gap = min(math.dist(point, nearest_on_segment(point, a, b)) for a, b in edges(self.polygon))
+        return -gap if contains(self.polygon, point) else gap
+
+    def nearest(self, point: Point) -> list[Nearest]:
+        """The nearest point of each convex piece; for a point inside, the nearest point of the outline only.
+
+        A robot that stays on its own side of the plane through each of these points, normal to `outward`, cannot
+        touch the obstacle: a convex set lies entirely beyond the plane through its nearest point.
+        """
+        if self.polygon is None:
+            return [Nearest(self.distance(point), _direction(self._disc()[0], point))]
+        if contains(self.polygon, point):
+            corners = self.polygon if signed_area(self.polygon) > 0.0 else self.polygon[::-1]
+            return [_nearest_on_outline(corners, point, inside=True)]
+        return [_nearest_on_outline(piece, point, inside=False) for piece in self.pieces]
+
+    def segment_distance(self, start: Point, end: Point) -> float:
+        """Smallest distance along the segment from `start` to `end` [units]; 0 or less if the segment touches."""
+        if self.polygon is None:
+            return self.distance(nearest_on_segment(self._disc()[0], start, end))
+        if contains(self.polygon, start) or contains(self.polygon, end):
+            return min(0.0, self.distance(start), self.distance(end))
+        return min(segment_distance(start, end, a, b) for a, b in edges(self.polygon))
+
+    def _disc(self) -> tuple[Point, float]:
+        assert self.center is not None and self.radius is not None, "an obstacle is a disc or a polygon"
+        return self.center, self.radius
+
+
+def _nearest_on_outline(corners: tuple[Point, ...], point: Point, *, inside: bool) -> Nearest:
+    """The nearest point of a polygon's boundary; `corners` run counterclockwise."""
+    foot, a, b = min(
+        ((nearest_on_segment(point, a, b), a, b) for a, b in edges(corners)),
+        key=lambda found: math.dist(found[0], point),
+    )
+    gap = math.dist(point, foot)
+    if gap > TOUCHING:
+        return Nearest(-gap, _direction(point, foot)) if inside else Nearest(gap, _direction(foot, point))
+    # On the boundary, the outward direction is the normal of the side.
+    length = math.dist(a, b)
+    return Nearest(0.0, ((b[1] - a[1]) / length, (a[0] - b[0]) / length))
+
+
+def _direction(start: Point, end: Point) -> Point:
+    """Unit vector from `start` to `end`; along the first axis if they coincide."""
+    gap = math.dist(start, end)
+    if gap == 0.0:
+        return tuple(float(k == 0) for k in range(len(end)))
+    return tuple((x - y) / gap for x, y in zip(end, start, strict=True))
+
+
+def clearance(point: Point, obstacles: Iterable[Obstacle]) -> float:
+    """Distance from `point` to the nearest obstacle [units]; negative inside one, infinite without obstacles."""
+    return min((obstacle.distance(point) for obstacle in obstacles), default=math.inf)
+
+
+def segment_clearance(start: Point, end: Point, obstacles: Iterable[Obstacle]) -> float:
+    """Smallest distance to any obstacle along a segment [units]; 0 or less if it touches one."""
+    return min((obstacle.segment_distance(start, end) for obstacle in obstacles), default=math.inf)
