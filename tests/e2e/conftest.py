@@ -18,7 +18,6 @@ LONG = (
     "power_lost",
     "three_drones",
     "mavlink_flights",
-    "sweep_ray",
     "swarm_cli",
     "sweep",
     "notebooks",

@@ -36,7 +36,6 @@ HEAVY = (
         "uvicorn",
         "zenoh",
         "cryptography",
-        "ray",
         "torch",
     ),
     *("transformers", "cflib", "jax", "pymavlink", "serial"),

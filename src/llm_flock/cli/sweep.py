@@ -40,12 +40,7 @@ def sweep(
     executor: Annotated[
         str, typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: chosen for each")
     ] = "auto",
-    cluster: Annotated[
-        str | None, typer.Option(help="Fly on this Ray cluster: HOST:PORT, auto or ray://HOST:PORT")
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Processes of the pool, or workers [one for each core]")
-    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes of the pool [one for each core]")] = None,
     at_once: Annotated[int, typer.Option(min=1, help="Trials in flight at once that wait for answers")] = 256,
     keep_records: Annotated[
         str | None, typer.Option(help="Trials whose record is kept: all, failed or none [as the file says]")
@@ -58,7 +53,7 @@ def sweep(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
     **flags: Any,
 ) -> None:
-    """Fly all trials of a grid, each once, on one machine or a cluster, and resume where the last run stopped.
+    """Fly all trials of a grid, each once, and resume where the last run stopped.
 
     Flags of the configuration hold for all trials and replace an axis of the same name. After Ctrl-C or a crash, the
     same command goes on. Exit codes: 0 when all trials are finished, 1 when some are left or broke off.
@@ -103,8 +98,7 @@ def sweep(
                 found,
                 folder,
                 executor=cast("Executor", executor),
-                cluster=cluster,
-                jobs=jobs or (1 if cluster else os.cpu_count() or 1),
+                jobs=jobs or os.cpu_count() or 1,
                 at_once=at_once,
                 keep=cast("KeepRecords | None", keep),
                 again=again,
