@@ -58,6 +58,7 @@ _TABLE = (
     Extra("mocap", "positions by a motion capture (pose_source = 'mocap')", ("motioncapture",)),
     Extra("mavlink", "fly copters with PX4 or ArduPilot", ("pymavlink", "serial")),
     Extra("local", "models on board (--model local:smollm2)", ("xllamacpp",)),
+    Extra("cluster", "sweep --cluster", ("ray",)),
     Extra("physics", "rehearse flights in simulated physics", ("crazyflow",)),
     Extra("exam", "exam", ("inspect_ai",), ("exam",)),
     Extra("distill", "distill", ("torch", "transformers", "gguf"), ("distill",)),

@@ -18,6 +18,7 @@ LONG = (
     "power_lost",
     "three_drones",
     "mavlink_flights",
+    "sweep_ray",
     "swarm_cli",
     "sweep",
     "notebooks",

@@ -41,8 +41,9 @@ def test_all_trials_of_a_sweep_share_one_engine(tmp_path: Path, monkeypatch: pyt
     overrides = {"model": STOCK, "rounds": 1, "max_retries": 0, "protocol": "flock"}
     sweep = small(tmp_path, **overrides)
     assert all(spec.waits for spec in sweep.trials)
-    with pytest.raises(InputError, match="with models on board"):
-        fly_sweep(sweep, tmp_path / "refused", executor="pool")
+    for options in ({"executor": "pool"}, {"cluster": "auto"}):
+        with pytest.raises(InputError, match="with models on board"):
+            fly_sweep(sweep, tmp_path / "refused", **options)  # pyright: ignore[reportArgumentType]
     assert fly_sweep(sweep, tmp_path / "out").complete
     assert len(loaded) == 1 and ENGINES.running == 0
     table = tables.read_trials(tmp_path / "out")

@@ -36,6 +36,7 @@ HEAVY = (
         "uvicorn",
         "zenoh",
         "cryptography",
+        "ray",
         "torch",
     ),
     *("transformers", "cflib", "jax", "pymavlink", "serial"),

@@ -41,7 +41,12 @@ def sweep(
         Literal["auto", "one", "pool"],
         typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: chosen for each"),
     ] = "auto",
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes of the pool [one for each core]")] = None,
+    cluster: Annotated[
+        str | None, typer.Option(help="Fly on this Ray cluster: HOST:PORT, auto or ray://HOST:PORT")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes of the pool, or workers [one for each core]")
+    ] = None,
     at_once: Annotated[int, typer.Option(min=1, help="Trials in flight at once that wait for answers")] = 256,
     keep_records: Annotated[
         Literal["all", "failed", "none"] | None,
@@ -55,7 +60,7 @@ def sweep(
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
     **flags: Any,
 ) -> None:
-    """Fly all trials of a grid, each once, and resume where the last run stopped.
+    """Fly all trials of a grid, each once, on one machine or a cluster, and resume where the last run stopped.
 
     Flags of the configuration hold for all trials and replace an axis of the same name. After Ctrl-C or a crash, the
     same command goes on. Exit codes: 0 when all trials are finished, 1 when some are left or broke off.
@@ -97,7 +102,8 @@ def sweep(
                 found,
                 folder,
                 executor=executor,
-                jobs=jobs or os.cpu_count() or 1,
+                cluster=cluster,
+                jobs=jobs or (1 if cluster else os.cpu_count() or 1),
                 at_once=at_once,
                 keep=keep_records,
                 again=again,

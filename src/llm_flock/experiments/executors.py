@@ -1,6 +1,7 @@
 """Fly trials: in this process, where many wait for answers at once, or in a pool of processes.
 
-A trial depends only on its configuration, so its result is the same in either of them.
+A trial depends only on its configuration, so its result is the same in either of them and on a cluster
+(`executors_ray`).
 """
 
 from __future__ import annotations
@@ -94,8 +95,11 @@ class Session:
 Found: TypeAlias = tuple[TrialResult, bool] | None
 """A result and whether this process has flown it; None while another process flies the trial."""
 
-Fly: TypeAlias = Callable[[TrialSpec, tuple[Earlier, ...]], Awaitable[tuple[TrialResult, Path | None]]]
+Fly: TypeAlias = Callable[[TrialSpec, tuple[Earlier, ...]], Awaitable[tuple[TrialResult, Path | bytes | None]]]
 """Flies a trial after its earlier tries; returns its result and its record."""
+
+State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
+"""Takes what other processes have spent; returns own spending, the limit that is used up, and whether to stop."""
 
 
 async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Found:
@@ -135,7 +139,6 @@ def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
 async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
     assert session.store is not None
     store, gate, pools = session.store, SharedGate(session.budget, session.rates), Pools()
-    log = SpendingLog(store)
 
     async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
         return await fly(
@@ -147,30 +150,51 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
             on_round=lambda now: session.display.progress(spec, now),
         )
 
-    def balance() -> None:
-        gate.elsewhere = log.others()
-        log.write(gate.spent)
-        session.reason = gate.reason or session.reason
-        session.display.spent(gate.spent + gate.elsewhere, gate.reason)
+    async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
+        gate.elsewhere = elsewhere
+        return gate.spent, gate.reason, gate.exhausted
+
+    try:
+        await drive(specs, session, fly_it, state, computing=1)
+    finally:
+        await pools.aclose()
+
+
+async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:
+    """Fly trials on this event loop until all are over or the budget is used up.
+
+    Of the trials that never wait, `computing` are in flight at once.
+    """
+    assert session.store is not None
+    store, elsewhere = session.store, Spent()
+    log = SpendingLog(store)
+
+    async def balance() -> None:
+        nonlocal elsewhere
+        elsewhere = log.others()
+        own, reason, _ = await state(elsewhere)
+        log.write(own)
+        session.reason = reason or session.reason
+        session.display.spent(own + elsewhere, reason)
 
     async def balance_regularly() -> None:
         while True:
             await asyncio.sleep(BOOKKEEPING_S)
-            balance()
+            await balance()
 
     async def work(queue: Iterator[TrialSpec]) -> None:
         for spec in queue:
-            if gate.exhausted:
+            if (await state(elsewhere))[2]:
                 return
             session.note(spec, await fly_and_keep(spec, store, fly_it))
 
-    balance()
+    await balance()
     waiting = [spec for spec in specs if spec.waits]
     others = [spec for spec in specs if not spec.waits]
     balancing = asyncio.create_task(balance_regularly())
     try:
         async with asyncio.TaskGroup() as group:
-            for found, workers in ((waiting, session.at_once), (others, 1)):
+            for found, workers in ((waiting, session.at_once), (others, computing)):
                 queue = iter(found)
                 for _ in range(min(workers, len(found))):
                     group.create_task(work(queue))
@@ -178,8 +202,7 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
         raise errors.exceptions[0] from None
     finally:
         balancing.cancel()
-        await pools.aclose()
-        balance()
+        await balance()
 
 
 def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:

@@ -64,11 +64,14 @@ class Store:
         """Keep a finished trial. After this returns, no crash of process or machine loses it."""
         write_whole(self.trial_path(trial.id), msgspec.json.encode(trial))
 
-    def keep_record(self, trial: str, record: Path) -> None:
-        """Move a record, a file in `scratch`, to its place. Call it before the trial is saved."""
+    def keep_record(self, trial: str, record: Path | bytes) -> None:
+        """Move a record, a file in `scratch` or its bytes, to its place. Call it before the trial is saved."""
         target = self.folder / RECORDS / f"{trial}.mcap"
-        record.replace(target)
-        _sync(target.parent)
+        if isinstance(record, bytes):
+            write_whole(target, record)
+        else:
+            record.replace(target)
+            _sync(target.parent)
 
     def scratch(self, trial: str) -> Path:
         """Folder for the record of a trial in flight."""
@@ -168,8 +171,10 @@ def read_trial(path: Path) -> TrialResult:
     return found
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:
     """Write a file so that after a crash it holds all of `data`, or what it held before.
+
+    `dated_ns` is the time of change to set, in nanoseconds since 1970; None for now.
 
     Raises:
         RecordError: the file cannot be written.
@@ -181,6 +186,8 @@ def write_whole(path: Path, data: bytes) -> None:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
+        if dated_ns is not None:
+            os.utime(partial, ns=(dated_ns, dated_ns))
         partial.replace(path)
         _sync(path.parent)
     except OSError as error:

@@ -13,6 +13,7 @@ import msgspec
 from llm_flock.errors import InputError, RecordError
 from llm_flock.experiments import tables
 from llm_flock.experiments.executors import Display, Session, fly_here, fly_in_pool
+from llm_flock.experiments.executors_ray import fly_on_cluster
 from llm_flock.experiments.grid import TrialSpec
 from llm_flock.experiments.store import Store, read_trial, trial_files, write_whole
 from llm_flock.experiments.sweep_file import Sweep
@@ -64,6 +65,7 @@ def fly_sweep(
     folder: Path,
     *,
     executor: Executor = "auto",
+    cluster: str | None = None,
     jobs: int = 1,
     at_once: int = 256,
     keep: KeepRecords | None = None,
@@ -76,7 +78,8 @@ def fly_sweep(
         sweep: as `load_sweep` reads it.
         folder: directory of results. A sweep that was started there goes on.
         executor: `one` process, for trials that wait for answers; a `pool`, for those that compute; `auto` chooses.
-        jobs: processes of a pool.
+        cluster: address of a Ray cluster, used instead.
+        jobs: processes of a pool; workers of a cluster if more than 1.
         at_once: trials in flight at once in one process.
         keep: trials whose record is kept; None: as the file says.
         again: fly trials again that broke off, after the cause was fixed; the tables say so.
@@ -92,11 +95,15 @@ def fly_sweep(
     rates = {name: Rate(**table.model_dump()) for name, table in sweep.file.providers.items()}
     shares = budget.max_calls is not None or budget.max_tokens is not None or "simulated" in rates
     limited = shares or ((budget.max_cost_usd is not None or bool(rates)) and any(spec.waits for spec in sweep.trials))
-    if executor == "pool" and limited:
+    if executor == "pool" and cluster is None and limited:
         raise InputError("executor", executor, "one or auto, as a budget or a rate is shared by all trials")
-    on_board = any(model.startswith("local:") for spec in sweep.trials for model in spec.models)
-    if executor == "pool" and on_board:  # each process would load an engine, all of them on the same cores
-        raise InputError("executor", executor, "one or auto with models on board, which share an engine")
+    if any(model.startswith("local:") for spec in sweep.trials for model in spec.models):
+        # Each process would load an engine, all of them on the same cores.
+        if executor == "pool" and cluster is None:
+            raise InputError("executor", executor, "one or auto with models on board, which share an engine")
+        if cluster is not None:
+            says = "cannot be used with models on board, which share an engine in one process"
+            raise InputError("cluster", cluster, says=says)
     _check(sweep)
     store, display = Store(folder), display or Display()
     _register(sweep, store)
@@ -108,9 +115,14 @@ def fly_sweep(
     try:
         while pending:
             session.busy = []
-            pooled = {s.id for s in pending if executor == "pool" or (executor == "auto" and not (s.waits or shares))}
-            fly_in_pool([spec for spec in pending if spec.id in pooled], session, jobs)
-            fly_here([spec for spec in pending if spec.id not in pooled], session)
+            if cluster is not None:
+                fly_on_cluster(pending, session, cluster, jobs if jobs > 1 else None)
+            else:
+                pooled = {
+                    s.id for s in pending if executor == "pool" or (executor == "auto" and not (s.waits or shares))
+                }
+                fly_in_pool([spec for spec in pending if spec.id in pooled], session, jobs)
+                fly_here([spec for spec in pending if spec.id not in pooled], session)
             pending = session.busy
             if pending:
                 time.sleep(ELSEWHERE_S)
