@@ -102,13 +102,13 @@ def test_numbers_in_words() -> None:
 
 
 def test_figures_of_everything_that_was_measured(results: Results) -> None:
-    captions = {drawing.name: drawing.caption for drawing in draw_all(results, "baseline", "bootstrap")}
+    captions = {drawing.name: drawing.caption for drawing in draw_all(results, "baseline")}
     assert list(captions) == [
         "success", "error-by-protocol", "paired-success", "paired-error", "rounds-over-bound",
         "separation", "calls", "tokens", "cost",
     ]  # fmt: skip
     assert "2 of 36 trials have no error" in captions["error-by-protocol"]
-    assert "bootstrap" in captions["calls"] and "baseline: without consensus" in captions["error-by-protocol"]
+    assert "Student" in captions["calls"] and "baseline: without consensus" in captions["error-by-protocol"]
 
 
 def test_no_success_is_pooled_over_protocols_and_rows_of_dots_are_named(results: Results) -> None:
@@ -161,7 +161,7 @@ def test_axes_of_the_grid_are_drawn(tmp_path: Path, values: tuple[str, str], com
             assert one.axes == {}
     found = Results.read(tmp_path)
     assert found.axes == {"loss": values if not comm_rounds else tuple(found.axes["loss"])}
-    drawn = {drawing.name: drawing for drawing in along_axes(found, "student")}
+    drawn = {drawing.name: drawing for drawing in along_axes(found)}
     assert set(drawn) == {"formed-along-loss", "error-along-loss", "calls-along-loss"}
     labels = [text.get_text() for text in drawn["formed-along-loss"].figure.axes[0].get_xticklabels()]
     assert (set(labels) == set(values)) is comm_rounds

@@ -19,8 +19,6 @@ from llm_flock import extras
         ("exam simulated:ideal --temperature hot", "--temperature hot: expected a number from 0 to 2"),
         ("exam --page none", "--page none: expected a folder that is there"),
         ("exam --page notes.txt", "--page notes.txt: expected a folder that is there"),
-        ("exam --export notes.txt", "--export notes.txt: expected a file that is not there yet"),
-        ("exam --export none/questions.jsonl", "--export none/questions.jsonl: expected a file in a folder"),
     ],
 )
 def test_what_cannot_be_done_is_said_before_anything_is_asked(line: str, text: str, tmp_path: Path) -> None:
@@ -29,12 +27,6 @@ def test_what_cannot_be_done_is_said_before_anything_is_asked(line: str, text: s
     assert done.returncode == 2 and text in done.stderr, done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
     assert (tmp_path / "notes.txt").read_text(encoding="utf-8") == "mine"
-
-
-def test_questions_are_exported_without_asking(tmp_path: Path) -> None:
-    flock("exam", "--export", "questions.jsonl", "--split", "private", "--seed", "7", "--limit", "1", cwd=tmp_path)
-    assert len((tmp_path / "questions.jsonl").read_text().splitlines()) == 9
-    assert {path.name for path in tmp_path.iterdir()} == {"questions.jsonl"}
 
 
 def test_without_inspect_the_command_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -71,7 +71,6 @@ def train(
     tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
     blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
     half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
-    keep: Annotated[int, typer.Option(min=0, help="Also save the factors after every N steps; 0: only the last")] = 0,
     threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
@@ -100,7 +99,7 @@ def train(
             )
             console.print(line, end="\r" if console.is_terminal else "\n")
 
-    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed, keep_steps=keep)
+    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed)
     end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
     sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 
@@ -128,15 +127,13 @@ def evaluate(
 def export(
     training: Annotated[Path, typer.Argument(help="Folder of a training")],
     out: Annotated[Path, typer.Argument(help="New GGUF file")],
-    step: Annotated[int | None, typer.Option(min=1, help="The factors kept at this step (--keep) [the last]")] = None,
 ) -> None:
     """Write the trained adapter for llama.cpp: --model local:smollm2+FILE."""
     from llm_flock.distill.adapter import MAX_BYTES, Adapter, write_gguf
-    from llm_flock.distill.training import FACTORS, factors_of
+    from llm_flock.distill.training import FACTORS
 
     _check_new(out)
-    factors = training / (FACTORS if step is None else factors_of(step))
-    size = write_gguf(Adapter.load(factors), out, name=f"llm-flock {out.stem}")
+    size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
     note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
     sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import nullcontext, redirect_stdout
 from importlib import import_module
 from io import StringIO
@@ -32,7 +31,6 @@ def exam(
     repeats: Annotated[int, typer.Option(min=1, max=1000, help="How often each question is asked")] = 1,
     out: Annotated[Path, typer.Option(help="Folder of logs; an exam that broke off goes on there")] = Path("runs/exam"),
     page: Annotated[Path | None, typer.Option(help="Folder of the leaderboard that gets the rows and a page")] = None,
-    export: Annotated[Path | None, typer.Option(help="Write the questions to this file; ask no model")] = None,
     prompts: Annotated[Text, typer.Option(help="As in run", show_default=False)] = None,
     frame: Annotated[Text, typer.Option(help="As in run", show_default=False)] = None,
     answers: Annotated[Text, typer.Option(help="Form of answers: text or json", show_default="text")] = None,
@@ -53,15 +51,11 @@ def exam(
     Inspect asks them, and keeps its logs in a folder: `inspect view --log-dir runs/exam` shows every conversation.
     """
     from llm_flock.exam.leaderboard import publish, read_log, read_rows
-    from llm_flock.exam.questions import to_lines
     from llm_flock.exam.splits import paper
     from llm_flock.llm.limits import Budget
     from llm_flock.llm.models import parse_settings
 
-    questions = paper(split or "public", seed, sections, limit)
-    if export is not None:
-        _export(export, to_lines(questions))
-        return
+    paper(split or "public", seed, sections, limit)  # refuses what is not allowed
     if page is not None:
         read_rows(page)  # what is broken shows before anything is asked
     if not models:
@@ -90,18 +84,6 @@ def exam(
             _say_missing(log, out)
     if len(complete) < len(logs):
         raise typer.Exit(EXIT_FAILED)
-
-
-def _export(path: Path, text: str) -> None:
-    """Write the questions to a new file."""
-    from llm_flock.experiments.store import write_whole
-
-    if os.path.lexists(path):
-        raise InputError("export", str(path), "a file that is not there yet: none is overwritten")
-    if not path.parent.is_dir():
-        raise InputError("export", str(path), "a file in a folder that is there")
-    write_whole(path, text.encode())
-    say(path)
 
 
 def _model(

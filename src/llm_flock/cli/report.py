@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -19,9 +19,6 @@ Results = Annotated[
 def report(
     folder: Results,
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
-    interval: Annotated[
-        Literal["student", "bootstrap"], typer.Option(help="Method for confidence intervals of means")
-    ] = "student",
     reference: Annotated[
         str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
     ] = None,
@@ -47,7 +44,6 @@ def report(
     written = write_report(
         folder,
         out or folder / "report",
-        method=interval,
         reference=reference,
         most=gallery,
         formats=[ending.strip() for ending in formats.split(",")],

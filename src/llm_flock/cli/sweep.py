@@ -6,13 +6,13 @@ import json
 import os
 from collections import Counter, defaultdict
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Literal
 
 import typer
 
 from llm_flock.cli.options import EXIT_FAILED, EXIT_INTERRUPTED, with_config_flags
 from llm_flock.cli.terminal import Screen, say
-from llm_flock.errors import InputError, unknown
+from llm_flock.errors import InputError
 from llm_flock.extras import require
 
 SET_BY_SWEEP = ("protocol", "shape", "n_robots", "seed", "out", "record_llm")
@@ -38,7 +38,8 @@ def sweep(
     ] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="Seeds for each cell [as the file says]")] = None,
     executor: Annotated[
-        str, typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: chosen for each")
+        Literal["auto", "one", "pool"],
+        typer.Option(help="one process (trials that wait), a pool (trials that compute), or auto: chosen for each"),
     ] = "auto",
     cluster: Annotated[
         str | None, typer.Option(help="Fly on this Ray cluster: HOST:PORT, auto or ray://HOST:PORT")
@@ -48,7 +49,8 @@ def sweep(
     ] = None,
     at_once: Annotated[int, typer.Option(min=1, help="Trials in flight at once that wait for answers")] = 256,
     keep_records: Annotated[
-        str | None, typer.Option(help="Trials whose record is kept: all, failed or none [as the file says]")
+        Literal["all", "failed", "none"] | None,
+        typer.Option(help="Trials whose record is kept: all, failed or none [as the file says]"),
     ] = None,
     again: Annotated[bool, typer.Option("--again", help="Fly trials again that broke off; the tables say so")] = False,
     budget_calls: Annotated[int | None, typer.Option(min=1, help="Budget of the sweep: model calls")] = None,
@@ -66,16 +68,13 @@ def sweep(
     require("sweep", "sweep")
     from llm_flock.experiments.sweep_file import load_sweep
 
-    executor = _one_of("executor", executor, ("auto", "one", "pool"))
-    keep = None if keep_records is None else _one_of("keep_records", keep_records, ("all", "failed", "none"))
     budget = {"max_calls": budget_calls, "max_tokens": budget_tokens, "max_cost": budget_cost}
     given = _variables(variables or [])
     found = load_sweep(file, variables=given, seeds=seeds, budget=budget, **flags)
     from llm_flock.cli.sweep_display import show_expected, show_status, sweep_line
     from llm_flock.experiments.store import Store
-    from llm_flock.experiments.sweep import Executor, fly_sweep, load_flown
+    from llm_flock.experiments.sweep import fly_sweep, load_flown
     from llm_flock.experiments.tally import expect_cells
-    from llm_flock.experiments.trial import KeepRecords
 
     folder = out or Path("runs") / found.file.sweep.name
     if not dry_run:
@@ -102,11 +101,11 @@ def sweep(
             status = fly_sweep(
                 found,
                 folder,
-                executor=cast("Executor", executor),
+                executor=executor,
                 cluster=cluster,
                 jobs=jobs or (1 if cluster else os.cpu_count() or 1),
                 at_once=at_once,
-                keep=cast("KeepRecords | None", keep),
+                keep=keep_records,
                 again=again,
                 display=tally,
             )
@@ -116,12 +115,6 @@ def sweep(
     show_status(status, folder, as_json=json_output)
     if status.broken or not status.complete:
         raise typer.Exit(EXIT_FAILED)
-
-
-def _one_of(field: str, value: str, allowed: tuple[str, ...]) -> str:
-    if value not in allowed:
-        raise InputError(field, value, says=unknown("choice", value, allowed))
-    return value
 
 
 def _variables(given: list[str]) -> dict[str, list[Any]]:

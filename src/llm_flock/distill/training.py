@@ -22,11 +22,6 @@ STATE, FACTORS = "state.pt", "factors.npz"
 """Files in the folder of a training: the checkpoint, and the factors for `export`."""
 
 
-def factors_of(step: int) -> str:
-    """File of the factors that were kept at a step (`TrainingOptions.keep_steps`)."""
-    return f"factors-{step}.npz"
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingOptions:
     """How to train.
@@ -39,7 +34,6 @@ class TrainingOptions:
         tokens: size of all batches of a step, about.
         together: batches of a step, of different kinds of questions; all have the same weight.
         keep_s: time between two checkpoints [s].
-        keep_steps: save the factors after every `keep_steps` steps too, to compare them; 0 saves only the last ones.
     """
 
     steps: int = 3000
@@ -49,7 +43,6 @@ class TrainingOptions:
     tokens: int = 600
     together: int = 2
     keep_s: float = 120.0
-    keep_steps: int = 0
     seed: int = 0
 
     def rate_at(self, step: int) -> float:
@@ -134,8 +127,6 @@ def train(
             left_s=(now - began) / (step - first) * (options.steps - step),
         )
         on_progress(progress)
-        if options.keep_steps and step % options.keep_steps == 0:
-            student.adapter().save(folder / factors_of(step))
         if now - kept > options.keep_s or step == options.steps:
             _save_checkpoint(torch, student, optimizer, folder, step, examples)
             kept = now

@@ -99,6 +99,12 @@ def direction(rng: np.random.Generator, dim: int) -> Point:
             return tuple(float(x) / length for x in row)
 
 
+def unit(here: Point, there: Point) -> Point:
+    """The unit vector from one point to another; zeros where they are the same."""
+    length = max(math.dist(here, there), 1e-12)
+    return tuple((t - x) / length for x, t in zip(here, there, strict=True))
+
+
 def away(point: Point, distance: float, toward: Point) -> Point:
     """The point at a distance along a unit vector [units]."""
     return tuple(x + distance * u for x, u in zip(point, toward, strict=True))

@@ -22,6 +22,7 @@ from llm_flock.exam.draws import (
     rounded,
     rounded_rows,
     try_mission,
+    unit,
 )
 from llm_flock.exam.generate_plans import among_obstacles
 from llm_flock.exam.questions import Question
@@ -154,7 +155,7 @@ def _neighbors(rng: np.random.Generator, kind: str, mission: Mission, here: Poin
     found: list[Point] = []
     while len(found) < wanted:
         reach = (1.15 * safe, 2.0 * safe) if kind == "beside" else (1.5 * safe, mission.sensing)
-        base = away(here, float(rng.uniform(0.0, 1.0)) * math.dist(here, end), _unit(here, end))
+        base = away(here, float(rng.uniform(0.0, 1.0)) * math.dist(here, end), unit(here, end))
         other = rounded(away(base, float(rng.uniform(*reach)), direction(rng, mission.dim)), length)
         if math.dist(nearest_on_segment(other, here, end), other) > 1.1 * safe and all(
             math.dist(other, one) > safe for one in found
@@ -163,13 +164,8 @@ def _neighbors(rng: np.random.Generator, kind: str, mission: Mission, here: Poin
     return tuple(found)
 
 
-def _unit(here: Point, there: Point) -> Point:
-    length = max(math.dist(here, there), 1e-12)
-    return tuple((t - x) / length for x, t in zip(here, there, strict=True))
-
-
 def _straight_end(mission: Mission, here: Point, goal: Point) -> Point:
-    return away(here, min(mission.max_step, math.dist(here, goal)), _unit(here, goal))
+    return away(here, min(mission.max_step, math.dist(here, goal)), unit(here, goal))
 
 
 def _is_as_said(question: Question, mission: Mission, kind: str) -> bool:

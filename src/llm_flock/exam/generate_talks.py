@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from llm_flock.arrays import Point, Points
-from llm_flock.exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, rounded, rounded_rows
+from llm_flock.exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, rounded, rounded_rows, unit
 from llm_flock.exam.generate_steps import draw_step
 from llm_flock.exam.questions import Question
 from llm_flock.mission import Mission, build_mission
@@ -33,9 +33,9 @@ UNREADABLE = (
 )
 
 STEP_SLIPS: dict[str, Callable[[Point, Point, float], Point]] = {
-    "too long": lambda here, goal, step: away(here, 2.5 * step, _unit(here, goal)),
-    "beyond": lambda here, goal, step: away(here, 0.95 * step, _unit(here, goal)),
-    "backwards": lambda here, goal, step: away(here, -0.8 * step, _unit(here, goal)),
+    "too long": lambda here, goal, step: away(here, 2.5 * step, unit(here, goal)),
+    "beyond": lambda here, goal, step: away(here, 0.95 * step, unit(here, goal)),
+    "backwards": lambda here, goal, step: away(here, -0.8 * step, unit(here, goal)),
 }
 """Kinds of refused steps, made from the own position, the goal and the step limit."""
 
@@ -111,11 +111,6 @@ def _refused_plan(
             return replace(question, first={"plan": said, "slot": robot % len(said)})
 
 
-def _unit(here: Point, there: Point) -> Point:
-    length = max(math.dist(here, there), 1e-12)
-    return tuple((t - x) / length for x, t in zip(here, there, strict=True))
-
-
 def _angle_deg(here: Point, one: Point, other: Point) -> float:
-    cosine = sum(a * b for a, b in zip(_unit(here, one), _unit(here, other), strict=True))
+    cosine = sum(a * b for a, b in zip(unit(here, one), unit(here, other), strict=True))
     return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))

@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from llm_flock.errors import InputError
 from llm_flock.exam.ask import Outcome
 from llm_flock.exam.questions import SECTIONS
-from llm_flock.experiments.statistics import CONFIDENCE, RESAMPLES, Estimate, mean_interval, wilson
+from llm_flock.experiments.statistics import CONFIDENCE, RESAMPLES, bootstrap_interval, wilson
 from llm_flock.experiments.store import write_whole
 from llm_flock.printable import one_line
 
@@ -211,12 +211,8 @@ def _rates(questions: Sequence[Sequence[Outcome]], reasons: int) -> list[float]:
 
 def _share(rates: Sequence[float]) -> Share:
     """The mean over questions with its bootstrap interval; with Wilson's where all are equal, as that has a width."""
-    found: Estimate | None
-    if set(rates) <= {0.0} or set(rates) <= {1.0}:
-        found = wilson(int(sum(rates)), len(rates))
-    else:
-        found = mean_interval(rates, method="bootstrap")
-    assert found is not None, "there is a question"
+    alike = set(rates) in ({0.0}, {1.0})
+    found = wilson(int(sum(rates)), len(rates)) if alike else bootstrap_interval(rates)
     # A single question that was right in some repeats says nothing about others.
     low, high = 0.0 if found.low is None else found.low, 1.0 if found.high is None else found.high
     return Share(value=found.value, low=low, high=high)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import scipy
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.statistics import CONFIDENCE, Estimate, Method, mean_interval, wilson
+from llm_flock.experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,29 +45,25 @@ class PairedShares:
     difference: Estimate
 
 
-def paired_means(
-    first: Sequence[float], second: Sequence[float], *, method: Method = "student", confidence: float = CONFIDENCE
-) -> PairedMeans | None:
+def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans | None:
     """Compare two figures pair by pair; None without pairs.
 
     The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
-    meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018); `method` finds that of the
-    mean difference. Figures are finite, one for each seed, and of the same seeds in the same order.
+    meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
+    Figures are finite, one for each seed, and of the same seeds in the same order.
 
     Raises:
-        InputError: the lengths differ, or the confidence is out of its range.
+        InputError: the lengths differ.
     """
     _check_pairs(first, second)
     differences = [a - b for a, b in zip(first, second, strict=True)]
-    mean = mean_interval(differences, confidence, method)
+    mean = mean_interval(differences)
     if mean is None:
         return None
-    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences, confidence))
+    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences))
 
 
-def paired_shares(
-    first: Sequence[bool], second: Sequence[bool], *, confidence: float = CONFIDENCE
-) -> PairedShares | None:
+def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares | None:
     """Compare success pair by pair; None without pairs.
 
     The interval is Newcombe's of squared and added score intervals, corrected for the pairs' correlation (Improved
@@ -75,13 +71,13 @@ def paired_shares(
     1998, method 10). It has a width where all or none succeeded.
 
     Raises:
-        InputError: the lengths differ, or the confidence is out of its range.
+        InputError: the lengths differ.
     """
     _check_pairs(first, second)
     n = len(first)
     if not n:
         return None
-    one, two = wilson(sum(first), n, confidence), wilson(sum(second), n, confidence)
+    one, two = wilson(sum(first), n), wilson(sum(second), n)
     both = sum(a and b for a, b in zip(first, second, strict=True))
     only_first, only_second = sum(first) - both, sum(second) - both
     correlation = _correlation(both, only_first, only_second, n - both - only_first - only_second)
@@ -97,7 +93,7 @@ def paired_shares(
     )
 
 
-def _effect(differences: Sequence[float], confidence: float) -> Estimate | None:
+def _effect(differences: Sequence[float]) -> Estimate | None:
     n = len(differences)
     if n < 3:
         return None
@@ -110,7 +106,7 @@ def _effect(differences: Sequence[float], confidence: float) -> Estimate | None:
     score = mean / spread * math.sqrt(n)
     low, high = (
         float(scipy.special.nctdtrinc(free, share, score)) / math.sqrt(n) * unbiased
-        for share in ((1 + confidence) / 2, (1 - confidence) / 2)
+        for share in ((1 + CONFIDENCE) / 2, (1 - CONFIDENCE) / 2)
     )
     sane = math.isfinite(low) and math.isfinite(high) and low < high
     value = mean / spread * unbiased

@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
 from numpy.typing import NDArray
 
-from llm_flock.experiments.statistics import Estimate, Method, mean_bands, mean_interval, wilson
-from llm_flock.report.findings import ERROR, INTERVALS, CellLine, PairLine, cell_lines, known, pair_lines
+from llm_flock.experiments.statistics import Estimate, mean_bands, mean_interval, wilson
+from llm_flock.report.findings import ERROR, INTERVAL, CellLine, PairLine, cell_lines, known, pair_lines
 from llm_flock.report.results import ResultCell, Results, TrialRow, as_number
 from llm_flock.viz.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
 
@@ -33,32 +33,32 @@ class Drawing:
     figure: Figure = field(repr=False)
 
 
-def draw_all(results: Results, reference: str, method: Method = "student") -> Iterator[Drawing]:
+def draw_all(results: Results, reference: str) -> Iterator[Drawing]:
     """Every figure for which the results have data; protocols are compared with the reference.
 
     Figures are copied out of reports, so where any model was simulated, each of them says so.
     """
-    for drawing in _draw_all(results, reference, method):
+    for drawing in _draw_all(results, reference):
         if results.simulated:
             for legend in drawing.figure.legends:
                 legend.set_title("simulated language models", prop=FontProperties(size=7.5, style="italic"))
         yield drawing
 
 
-def _draw_all(results: Results, reference: str, method: Method) -> Iterator[Drawing]:
-    lines = cell_lines(results, method)
+def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
+    lines = cell_lines(results)
     yield success(results, lines)
-    yield from errors_over_time(results, method)
-    yield from compared(results, reference, method)
-    yield from along_axes(results, method)
+    yield from errors_over_time(results)
+    yield from compared(results, reference)
+    yield from along_axes(results)
     if any(trial.ratio is not None for trial in results.trials):
         yield ratios(results)
     if any(trial.figures["min_separation"] is not None for trial in results.trials):
         yield separations(results)
-    yield from spending(results, lines, method)
+    yield from spending(results, lines)
 
 
-def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
+def errors_over_time(results: Results) -> Iterator[Drawing]:
     """The error over time: of each model under every protocol, and of each protocol with every model.
 
     Where only one model flew, or only one protocol was flown, the second figure would show the same curves again.
@@ -83,7 +83,7 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
                     for cell, trials in results.cells.items()
                     if (cell.team, cell.condition, row_of(cell)) == (team, condition, name)
                 }
-                curves = [_curve(one, table, method) for one, table in tables.items() if len(table)]
+                curves = [_curve(one, table) for one, table in tables.items() if len(table)]
                 facets.append(Facet(title=str(team), marks=curves))
             label = " · ".join(part for part in (name if several else "", condition) if part)
             grid += [(label, facets[k : k + COLUMNS]) for k in range(0, len(facets), COLUMNS)]
@@ -91,7 +91,7 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
             continue
         words = [
             "Mean distance to the ideal shape after each round, over all trials of a cell; bands are the "
-            f"{INTERVALS[method]} of the mean, cut at 0. A trial that ended early keeps its last error.",
+            f"{INTERVAL} of the mean, cut at 0. A trial that ended early keeps its last error.",
             _consensus_words(results),
         ]
         if len(shown) < len(rows):
@@ -109,8 +109,8 @@ def errors_over_time(results: Results, method: Method) -> Iterator[Drawing]:
         )
 
 
-def _curve(series: str, table: NDArray[np.float64], method: Method) -> Curve:
-    mean, low, high = mean_bands(table, method, least=0.0)
+def _curve(series: str, table: NDArray[np.float64]) -> Curve:
+    mean, low, high = mean_bands(table, least=0.0)
     x = np.arange(len(mean), dtype=np.float64)
     return Curve(series=series, x=x, mean=mean, low=low, high=high)
 
@@ -133,14 +133,14 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
     )
 
 
-def compared(results: Results, reference: str, method: Method) -> Iterator[Drawing]:
+def compared(results: Results, reference: str) -> Iterator[Drawing]:
     """Protocols against the reference on the same seeds: success, and the error at the end."""
-    lines = pair_lines(results, reference, method)
+    lines = pair_lines(results, reference)
     others = [name for name in results.protocols if name != reference]
     formed, error = "formed, difference [% points]", "error at the end, difference [units]"
     kinds: tuple[tuple[str, str, str, Callable[[PairLine], Estimate | None]], ...] = (
         ("success", formed, "Newcombe's 95 % interval", lambda line: _percent(line.formed.difference)),
-        ("error", error, INTERVALS[method], _error_difference),
+        ("error", error, INTERVAL, _error_difference),
     )
     for name, x, how, get in kinds:
         found = [(line.cell, get(line)) for line in lines]
@@ -244,7 +244,7 @@ def separations(results: Results) -> Drawing:
     )
 
 
-def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Iterator[Drawing]:
+def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
     """Calls, tokens and money."""
     kinds: tuple[tuple[str, str, str, Callable[[CellLine], Estimate | None]], ...] = (
         ("calls", "Model calls", "model calls a robot and mission", lambda line: line.calls),
@@ -261,7 +261,7 @@ def spending(results: Results, lines: Sequence[CellLine], method: Method) -> Ite
             name=name,
             section="spending",
             title=title,
-            caption=f"Mean over all trials and its {INTERVALS[method]}; retries of answers that could not be used are "
+            caption=f"Mean over all trials and its {INTERVAL}; retries of answers that could not be used are "
             f"counted.{estimated}",
             figure=dots(_dot_panels(results, found), results.protocols, x, _rows_are(results), (0.0, most)),
         )
@@ -300,21 +300,19 @@ def _consensus_words(results: Results) -> str:
     return "; ".join(words) + "." if rules else ""
 
 
-def along_axes(results: Results, method: Method) -> Iterator[Drawing]:
+def along_axes(results: Results) -> Iterator[Drawing]:
     """Success and error along every further axis of the grid, and along the size of the team."""
     for axis, values in results.axes.items():
         numbers = [as_number(value) for value in values]
         where = {value: float(k) if x is None else x for k, (value, x) in enumerate(zip(values, numbers, strict=True))}
         words = None if None not in numbers else list(values)
         panels = {str(team): [t for t in results.trials if t.cell.team == team] for team in results.teams}
-        yield from _along(
-            results, axis, panels, lambda t, a=axis, w=where: w.get(t.figures[f"axis_{a}"] or ""), words, method
-        )
+        yield from _along(results, axis, panels, lambda t, a=axis, w=where: w.get(t.figures[f"axis_{a}"] or ""), words)
     sizes = Counter(team.shape for team in results.teams)
     scaled = [shape for shape, count in sizes.items() if count > 2]
     if scaled:
         panels = {shape: [t for t in results.trials if t.cell.team.shape == shape] for shape in scaled}
-        yield from _along(results, "number of robots", panels, lambda t: float(t.cell.team.n_robots), None, method)
+        yield from _along(results, "number of robots", panels, lambda t: float(t.cell.team.n_robots), None)
 
 
 def _along(
@@ -323,10 +321,9 @@ def _along(
     panels: dict[str, list[TrialRow]],
     place: Callable[[TrialRow], float | None],
     words: list[str] | None,
-    method: Method,
 ) -> Iterator[Drawing]:
     def mean(figure: Callable[[TrialRow], float | None]) -> Callable[[list[TrialRow]], Estimate | None]:
-        return lambda found: mean_interval(known(map(figure, found)), method=method, least=0.0)
+        return lambda found: mean_interval(known(map(figure, found)), least=0.0)
 
     kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
         ("formed", "formed [% of all trials]", lambda ts: _percent(wilson(sum(t.formed for t in ts), len(ts)))),
@@ -343,7 +340,7 @@ def _along(
             facets.append(Facet(title=title, marks=[line for line in lines if len(line.x)]))
         if not any(facet.marks for facet in facets):
             continue
-        how = "Wilson's 95 % interval" if name == "formed" else INTERVALS[method]
+        how = "Wilson's 95 % interval" if name == "formed" else INTERVAL
         others = "Trials that differ in other axes are taken together. " if len(results.axes) > 1 else ""
         slug = "".join(letter if letter.isalnum() else "-" for letter in axis)
         yield Drawing(

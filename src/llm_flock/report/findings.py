@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from llm_flock.experiments.paired import PairedMeans, PairedShares, paired_means, paired_shares
-from llm_flock.experiments.statistics import Estimate, Method, mean_interval, median, wilson
+from llm_flock.experiments.statistics import Estimate, mean_interval, median, wilson
 from llm_flock.report.results import ResultCell, Results, TrialRow
 
-INTERVALS = {"student": "95 % Student-t interval", "bootstrap": "95 % bootstrap interval (BCa)"}
-"""Names of the methods that find the interval of a mean."""
+INTERVAL = "95 % Student-t interval"
+"""Name of the interval of a mean."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,14 +74,14 @@ COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
 """Figures that are compared pair by pair, besides success."""
 
 
-def cell_lines(results: Results, method: Method = "student") -> list[CellLine]:
+def cell_lines(results: Results) -> list[CellLine]:
     """A line for every cell."""
-    return [_cell_line(cell, trials, method) for cell, trials in results.cells.items()]
+    return [_cell_line(cell, trials) for cell, trials in results.cells.items()]
 
 
-def _cell_line(cell: ResultCell, trials: Sequence[TrialRow], method: Method) -> CellLine:
+def _cell_line(cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
     def mean(values: Iterable[float | None]) -> Estimate | None:
-        return mean_interval(known(values), method=method, least=0.0)
+        return mean_interval(known(values), least=0.0)
 
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
     alone = [bool(said) for trial in trials if (said := trial.figures.get("formed_by_models")) is not None]
@@ -112,7 +112,7 @@ def known(values: Iterable[float | None]) -> list[float]:
     return [float(value) for value in values if value is not None]
 
 
-def pair_lines(results: Results, reference: str, method: Method = "student") -> list[PairLine]:
+def pair_lines(results: Results, reference: str) -> list[PairLine]:
     """Every other protocol against the reference: same team, model and condition, seed by seed.
 
     A seed that only one of the two flew makes no pair. A trial that broke off is a pair like any other in success: it
@@ -125,16 +125,16 @@ def pair_lines(results: Results, reference: str, method: Method = "student") -> 
         formed = paired_shares([a.formed for a, _ in pairs], [b.formed for _, b in pairs])
         if formed is None or cell.protocol == reference:
             continue
-        means = {name: _paired(pairs, figure, method) for name, figure in COMPARED.items()}
+        means = {name: _paired(pairs, figure) for name, figure in COMPARED.items()}
         lines.append(PairLine(cell=cell, formed=formed, means=means))
     return lines
 
 
 def _paired(
-    pairs: Sequence[tuple[TrialRow, TrialRow]], figure: Callable[[TrialRow], float | None], method: Method
+    pairs: Sequence[tuple[TrialRow, TrialRow]], figure: Callable[[TrialRow], float | None]
 ) -> PairedMeans | None:
     both = [(a, b) for a, b in ((figure(x), figure(y)) for x, y in pairs) if a is not None and b is not None]
-    return paired_means([a for a, _ in both], [b for _, b in both], method=method)
+    return paired_means([a for a, _ in both], [b for _, b in both])
 
 
 def usual_reference(results: Results) -> str:

@@ -18,7 +18,6 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.statistics import METHODS, Method
 from llm_flock.printable import printable
 from llm_flock.report import sheets
 from llm_flock.report.drawings import Drawing, draw_all
@@ -72,7 +71,6 @@ def write_report(
     folder: Path,
     out: Path,
     *,
-    method: Method = "student",
     reference: str | None = None,
     most: int = 6,
     formats: Sequence[str] = FORMATS,
@@ -92,8 +90,6 @@ def write_report(
         InputError: no results, or an option out of its range.
         RecordError: a trial is damaged.
     """
-    if method not in METHODS:
-        raise InputError("interval", method, " or ".join(METHODS))
     if not formats or any(ending not in FORMATS for ending in formats):
         raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
     results = Results.read(folder)
@@ -109,15 +105,15 @@ def write_report(
 
     sections = {name: PageSection(name=name, title=title) for name, title in SECTIONS.items()}
     reference = reference or usual_reference(results)
-    for drawing in draw_all(results, reference, method):
+    for drawing in draw_all(results, reference):
         sections[drawing.section].drawings.append(drawing)
         keep(drawing.figure, drawing.name)
-    lines = cell_lines(results, method)
+    lines = cell_lines(results)
     sections["success"].sheets.append(sheets.success_sheet(results, lines))
-    sections["rounds"].sheets.append(sheets.flight_sheet(results, lines, method))
-    sections["spending"].sheets.append(sheets.spending_sheet(results, lines, method))
-    if pairs := pair_lines(results, reference, method):
-        sections["paired"].sheets += sheets.pair_sheets(results, pairs, reference, method)
+    sections["rounds"].sheets.append(sheets.flight_sheet(results, lines))
+    sections["spending"].sheets.append(sheets.spending_sheet(results, lines))
+    if pairs := pair_lines(results, reference):
+        sections["paired"].sheets += sheets.pair_sheets(results, pairs, reference)
     failures = sections["failures"].failures
     for failure in gallery(results, most, fly_again=fly_again):
         failures.append(failure)

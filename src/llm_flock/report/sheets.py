@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from llm_flock.experiments.paired import PairedMeans, PairedShares
-from llm_flock.experiments.statistics import Estimate, Method, median
-from llm_flock.report.findings import COMPARED, INTERVALS, CellLine, PairLine, known
+from llm_flock.experiments.statistics import Estimate, median
+from llm_flock.report.findings import COMPARED, INTERVAL, CellLine, PairLine, known
 from llm_flock.report.results import OUTCOMES, ResultCell, Results
 
 T = TypeVar("T")
@@ -47,7 +47,7 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     return _sheet(results, "How the trials ended", columns, {line.cell: line for line in lines}, note)
 
 
-def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
+def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     """How fast the trials formed, and their error."""
     columns: dict[str, Callable[[CellLine], str]] = {
         "formed": lambda line: str(line.outcomes["formed"]),
@@ -58,13 +58,13 @@ def flight_sheet(results: Results, lines: Sequence[CellLine], method: Method) ->
     }
     note = (
         "Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
-        f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVALS[method]}, over the "
+        f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVAL}, over the "
         "trials that have one, formed or not."
     )
     return _sheet(results, "Rounds and error", columns, {line.cell: line for line in lines}, note)
 
 
-def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) -> Sheet:
+def spending_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     """Calls, tokens and cost."""
     columns: dict[str, Callable[[CellLine], str]] = {
         "calls a robot": lambda line: interval(line.calls, 2),
@@ -75,13 +75,13 @@ def spending_sheet(results: Results, lines: Sequence[CellLine], method: Method) 
             interval(line.cost, 4) if line.cost is None or line.cost.value else "0"
         ),
     }
-    note = f"Means over trials, {INTERVALS[method]}. A cost is given where the price of every call is known" + (
+    note = f"Means over trials, {INTERVAL}. A cost is given where the price of every call is known" + (
         "; simulated models cost nothing, and their tokens are estimates." if results.simulated else "."
     )
     return _sheet(results, "Calls, tokens and money", columns, {line.cell: line for line in lines}, note)
 
 
-def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str, method: Method) -> list[Sheet]:
+def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str) -> list[Sheet]:
     """Protocols against the reference on the same seeds: success, then every other figure that any pair has."""
     success: dict[str, Callable[[PairedShares], str]] = {
         "pairs": lambda shares: str(shares.pairs),
@@ -102,7 +102,7 @@ def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str, met
     title = f"Success compared with {reference}, seed by seed"
     found = [_sheet(results, title, success, {line.cell: line.formed for line in lines}, note)]
     note = (
-        f"Pairs: seeds on which both have the figure. Mean difference: {INTERVALS[method]}. g: the "
+        f"Pairs: seeds on which both have the figure. Mean difference: {INTERVAL}. g: the "
         "mean difference in standard deviations of the differences, with Hedges' correction for few pairs."
     )
     for name in COMPARED:
