@@ -139,7 +139,7 @@ class AgentLoop:
         sensed = self._radio.sensed()
         return {
             "position": here,
-            "neighbors": self._radio.neighbors(time.time()),
+            "degree": self._radio.neighbors(time.time()),
             "sensed": sensed,
             "observed": tuple(sensed.values()),
         }
