@@ -91,11 +91,6 @@ class Membership:
         return False
 
     @property
-    def collecting(self) -> bool:
-        """Whether positions of the team are being collected, so that each exchange may bring news of them."""
-        return False
-
-    @property
     def known(self) -> object:
         """The positions that were collected; another object whenever they have changed."""
         return None

@@ -62,7 +62,7 @@ def test_the_papers_messages_tell_no_heartbeats_and_no_positions() -> None:
 def test_heartbeats_and_positions_of_others_change_nothing_in_the_papers_robot() -> None:
     driven = DrivenAgent(papers())
     driven.begin({})
-    driven.comm_round(says(1, (0, 9, 9), plan=PLAN, slot=1, positions={1: (0, HERE, ())}))
+    driven.comm_round(says(1, (0, 9, 9), plan=PLAN, slot=1, positions={1: (1, HERE, ())}))
     assert driven.agent.claim.slot == 0 and not driven.agent.rejected
 
 
@@ -71,7 +71,7 @@ def test_a_robot_that_knows_no_team_proposes_once_and_neither_seeks_nor_waits_el
     assert nobody.places(LINE, None, sees_bodies=True) == 3 and nobody.places(LINE, PLAN, sees_bodies=True) is None
     assert nobody.seek(LINE, HERE) is None and nobody.wait(LINE, PLAN, claim, HERE, [BESIDE]) == HERE
     assert nobody.still(LINE, {1: BESIDE}) == () and nobody.positions(LINE, PLAN, claim) is None
-    assert not nobody.beats and not nobody.lost and not nobody.collecting
+    assert not nobody.beats and not nobody.lost
 
 
 def test_a_far_place_is_approached_along_the_formation() -> None:

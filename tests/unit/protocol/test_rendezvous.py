@@ -27,7 +27,7 @@ from llm_flock.protocol.events import (
     Received,
     RoundBegan,
 )
-from llm_flock.protocol.membership.all_to_all import ROUNDS, VERSION
+from llm_flock.protocol.membership.joint import ROUNDS, VERSION
 from llm_flock.protocol.membership.rendezvous import HOLD, LINK, WITHIN, landing, meeting_places, meeting_point
 from llm_flock.protocol.messages.message import NO_OWNER, BidEntry, Message, Provenance, encode
 from llm_flock.protocol.plan import Plan
@@ -222,9 +222,9 @@ def test_it_leaves_when_a_joint_assignment_has_placed_all_robots_that_it_hears()
     here = PLAN.points[5]
     for number in range(1, ROUNDS + 1):
         flown(agent, number, here)
-    effects = flown(agent, ROUNDS + 1, here, message(1, 2 * VERSION), message(2, 0))
+    effects = flown(agent, ROUNDS + 1, here, message(1, 40 * VERSION), message(2, 0))
     assert agent.claim.slot == len(PLAN) - 1 and target(effects) == pytest.approx(landing(SQUARE, PLAN, here))
-    assert target(flown(agent, ROUNDS + 2, here, message(1, 2 * VERSION), message(2, 2 * VERSION))) is None
+    assert target(flown(agent, ROUNDS + 2, here, message(1, 40 * VERSION), message(2, 40 * VERSION))) is None
 
 
 def test_where_there_is_no_circle_it_searches_on() -> None:

@@ -188,7 +188,7 @@ class Agreement:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
         standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self._sensed)
         arguments = (*standing, self._membership.known, *heard)
-        due = self._occupancy_due or self._membership.collecting
+        due = self._occupancy_due
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
         own_class = self._verifier.plan_class(self.mission, self.plan)

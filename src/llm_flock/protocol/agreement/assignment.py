@@ -77,7 +77,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
         heard: the newest message of each robot on the same plan, in ascending order of ids.
         sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
         occupancy: what sensors and heartbeats say about the slots; None except once a round.
-        positions: where every robot is; None where that is not known, or not new (all-to-all assignment).
+        positions: where the robots are that are to be assigned jointly; None where that is not known, or not new.
         granted: entries that enough robots have signed together; None in a team without keys.
         precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
         draw: the robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.protocol.agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol.membership.all_to_all import given_all_to_all, optimal_assignment
+from llm_flock.protocol.membership.joint import flown_straight, optimal_assignment
 from llm_flock.protocol.membership.occupancy import Occupancy
 from llm_flock.protocol.messages.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
 from llm_flock.protocol.path_length import path_lengths, ways, ways_to
@@ -38,7 +38,7 @@ BOUND_ROUNDS = 4
 """Communication rounds for which an offer binds its maker; an answer takes two where nothing is lost."""
 
 
-LAST_EXCHANGED = 2**32
+LAST_EXCHANGED = 2**34
 """A slot of this version or a higher one is not exchanged: two that lie could else raise it above every number."""
 
 
@@ -255,7 +255,7 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now, there, claim.slot, slot, straight=given_all_to_all(claim.table, claim.slot))
+    return gain(now, there, claim.slot, slot, straight=flown_straight(claim.table, claim.slot))
 
 
 def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:

@@ -9,8 +9,8 @@ from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll, given_jointly
 from llm_flock.protocol.membership.gathering import Gathering
+from llm_flock.protocol.membership.joint import JointAssignment, given_jointly
 from llm_flock.protocol.membership.liveness import Liveness
 from llm_flock.protocol.membership.rendezvous import NEAR, meeting_places, meeting_point
 from llm_flock.protocol.membership.search import MANY, Search, advance
@@ -33,8 +33,8 @@ class ConnectivityRecovery:
     Of living robots without a place, `liars` are not missed: they may want none.
     """
 
-    def __init__(self, liveness: Liveness, all_to_all: AllToAll, liars: int = 0) -> None:
-        self._liveness, self._all_to_all, self._search = liveness, all_to_all, Search()
+    def __init__(self, liveness: Liveness, joint: JointAssignment, liars: int = 0) -> None:
+        self._liveness, self._joint, self._search = liveness, joint, Search()
         self._liars, self._apart_for = liars, 0
         self._gathering = Gathering()
         self._standing: tuple[str, dict[int, int]] = "", {}
@@ -63,10 +63,10 @@ class ConnectivityRecovery:
         Returns:
             The target, None to fly straight to the place; vacant slots just visited without meeting a robot; and notes.
         """
-        live, waiting = self._liveness, self._all_to_all.waiting and not placed
-        point = meeting_point(mission, plan, here, self._all_to_all.others) if waiting else None
+        live, waiting = self._liveness, self._joint.waiting and not placed
+        point = meeting_point(mission, plan, here, self._joint.others) if waiting else None
         if point is not None:
-            self._all_to_all.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
+            self._joint.wait(there=math.dist(here, point) <= NEAR * mission.spacing)
             searched, self._search = self._search, Search()
             return point, (), [_search_note(searched, begun=False)] if searched.way else []
         places = plan

@@ -5,9 +5,9 @@ square are far from the sides of another, so pieces at their places do not meet.
 mean radius of the places is the same in every orientation. So while less than half of a plan's slots have owners, a
 robot goes to the point of that circle nearest to its place, and looks for others along it.
 
-In the plane, a large team whose first collection of positions (`llm_flock.protocol.membership.all_to_all`) has not
-completed does more: its robots wait near that circle and spread out along it until it is closed. Then every robot hears
-of every other, and all slots are assigned at once.
+In the plane, a large team whose joint assignment (`llm_flock.protocol.membership.joint`) does not
+place all robots after the first rounds does more: its robots wait near that circle and spread out along it until it is
+closed. Then every robot hears of every other, and all slots are assigned at once.
 """
 
 from __future__ import annotations

@@ -15,9 +15,8 @@ from llm_flock.mission import Mission
 from llm_flock.protocol.agreement.assignment import Claim, Occupancy
 from llm_flock.protocol.agreement.auction import changed
 from llm_flock.protocol.events import Note
-from llm_flock.protocol.membership.all_to_all import AllToAll, given_all_to_all
 from llm_flock.protocol.membership.connectivity import ConnectivityRecovery
-from llm_flock.protocol.membership.in_touch import InTouch
+from llm_flock.protocol.membership.joint import JointAssignment, given_jointly
 from llm_flock.protocol.membership.liveness import CANNOT_FLY, NO_PLAN, Liveness
 from llm_flock.protocol.membership.occupancy import observe, still_bodies
 from llm_flock.protocol.membership.replanning import Replanning
@@ -61,11 +60,10 @@ class TeamMembership(Membership):
         self.gaps: Gaps = gaps
         self._made_of = robot, mission, time_out
         self.liveness = Liveness(robot, n_robots, time_out)
-        self.all_to_all = AllToAll(robot, n_robots, enabled=joint)
-        self.in_touch = InTouch(robot, n_robots, enabled=joint)
+        self._joint = JointAssignment(robot, n_robots, enabled=joint)
         self._replanning = Replanning(robot, self.liveness, gaps)
         self._seeking = Seeking(robot, liars)
-        self._connectivity = ConnectivityRecovery(self.liveness, self.all_to_all, liars)
+        self._connectivity = ConnectivityRecovery(self.liveness, self._joint, liars)
         self._unplaced: set[int] = set()
 
     def with_keys(self, liars: int) -> Self:
@@ -84,20 +82,14 @@ class TeamMembership(Membership):
         return self._seeking.lost
 
     @property
-    def collecting(self) -> bool:
-        """Whether the positions of a large team are being collected."""
-        return self.all_to_all.collecting
-
-    @property
     def known(self) -> object:
-        """The positions known in a small team; another object whenever they have changed."""
-        return self.in_touch.known
+        """The positions known; another object whenever they have changed."""
+        return self._joint.known
 
     def begin_mission(self) -> None:
         """Forget positions, and start to look for others again."""
         self._replanning.reset()
-        self.all_to_all.begin()
-        self.in_touch.begin()
+        self._joint.begin()
         self._seeking.start_again()
 
     def begin_plan(self) -> None:
@@ -117,8 +109,7 @@ class TeamMembership(Membership):
         """Count a heartbeat, find silent robots, and compare the plan with those that live."""
         state = (CANNOT_FLY if cannot_fly else 0) | (NO_PLAN if plan is None else 0)
         self.liveness.begin_round(period, near, state)
-        self.all_to_all.begin_round()
-        self.in_touch.begin_round()
+        self._joint.begin_round()
         self._unplaced.clear()
         silent = self.liveness.silent
         self._seeking.count(near - silent, silent, self.liveness.strangers, mission.n_robots)
@@ -130,14 +121,13 @@ class TeamMembership(Membership):
 
     def hear_positions(self, reports: Mapping[int, PositionReport]) -> None:
         """Merge the positions that a neighbour knows."""
-        self.all_to_all.hear(reports)
-        self.in_touch.hear(reports)
+        self._joint.hear(reports)
 
     def hear_claims(self, heard: Sequence[Message], plan: Plan | None) -> None:
-        """In a large team, note which neighbours have no place from a joint assignment on this robot's plan."""
-        if self.all_to_all.large:
+        """While robots wait for each other, note which neighbours no joint assignment has placed on this plan."""
+        if self._joint.waiting:
             self._unplaced -= {m.sender for m in heard}
-            self._unplaced |= {m.sender for m in heard if m.plan != plan or not given_all_to_all(m.table, m.slot)}
+            self._unplaced |= {m.sender for m in heard if m.plan != plan or not given_jointly(m.table, m.slot)}
 
     def report(
         self, mission: Mission, plan: Plan | None, claim: Claim, position: Point, *, greeting: bool
@@ -145,10 +135,7 @@ class TeamMembership(Membership):
         """The positions to broadcast; `greeting` is the first broadcast of a round."""
         if claim.table is None and claim.slot is not None:
             return None  # a rule without tables places nobody together
-        if self.all_to_all.collecting:
-            settled = given_all_to_all(claim.table, claim.slot)
-            return self.all_to_all.report(mission, plan, position, settled=settled, greeting=greeting)
-        return self.in_touch.report(position, claim.table, greeting=greeting) if self.in_touch.collecting else None
+        return self._joint.report(mission, plan, claim.table, position, greeting=greeting)
 
     def places(self, mission: Mission, plan: Plan | None, *, sees_bodies: bool) -> int | None:
         """Number of places of the plan that the robot is to propose now; None while it need not propose."""
@@ -175,9 +162,7 @@ class TeamMembership(Membership):
 
     def positions(self, mission: Mission, plan: Plan, claim: Claim) -> TeamPositions | None:
         """Where the robots are that are to be assigned jointly; None where there is nothing new to assign."""
-        silent = self.liveness.silent
-        every = None if silent else self.all_to_all.complete(plan)
-        return every or self.in_touch.positions(mission, plan, claim.table, silent)
+        return self._joint.positions(mission, plan, claim.table, self.liveness.silent)
 
     def route(
         self, mission: Mission, plan: Plan, claim: Claim, here: Point, bodies: Sequence[Point]
@@ -185,7 +170,7 @@ class TeamMembership(Membership):
         """The next intermediate target; visits to vacant slots where no robot was met are written in the claim."""
         slot, table = claim.slot, claim.table
         assert slot is not None, "a robot without a place has no way to it"
-        placed = given_all_to_all(table, slot) and not self._unplaced
+        placed = given_jointly(table, slot) and not self._unplaced
         target, visited, notes = self._connectivity.route(
             mission, plan, slot, table, here, bodies=bodies, placed=placed
         )
