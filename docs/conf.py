@@ -60,7 +60,7 @@ def _after_napoleon(app, what, name, obj, options, lines):
 
 def _before_build(app):
     """Autodoc evaluates the types of a struct's fields, and one of them is imported for type checkers only."""
-    from llm_flock.obstacles.roadmap import Roadmap
+    from llm_flock.roadmap import Roadmap
     from llm_flock.protocol.agreement import assignment
 
     assignment.Roadmap = Roadmap

@@ -28,12 +28,12 @@ import scipy
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.obstacles.roadmap import Roadmap
 from llm_flock.protocol.membership.rendezvous import landing
 from llm_flock.protocol.membership.search import MANY
 from llm_flock.protocol.messages.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.protocol.path_length import ways
 from llm_flock.protocol.plan import Plan
+from llm_flock.roadmap import Roadmap
 
 ROUNDS = 8
 """Rounds of a mission in which a large team passes on positions at the start; after that they are out of date."""
