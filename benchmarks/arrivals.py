@@ -29,19 +29,18 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 import llm_flock
-from llm_flock import metrics
+from llm_flock import metrics, shield
 from llm_flock.arrays import Point, Points
-from llm_flock.experiments.statistics import wilson
+from llm_flock.message import Course
 from llm_flock.metrics import ROUNDING
 from llm_flock.mission import Mission
-from llm_flock.protocol.messages.message import Course
-from llm_flock.protocol.motion import shield
-from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.projection import static_half_spaces
-from llm_flock.protocol.motion.right_of_way import RightOfWay
-from llm_flock.protocol.motion.safety import ShieldedSafety
-from llm_flock.protocol.parts import Observation
-from llm_flock.protocol.verification.steps import shortened
+from llm_flock.protocol._motion.leg import leg_to
+from llm_flock.protocol._motion.projection import static_half_spaces
+from llm_flock.protocol._motion.right_of_way import RightOfWay
+from llm_flock.protocol._motion.safety import ShieldedSafety
+from llm_flock.protocol._parts import Observation
+from llm_flock.protocol._verification.steps import shortened
+from llm_flock_lab._experiments.statistics import wilson
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ import argparse
 from collections.abc import Callable, Sequence
 
 import llm_flock
-from llm_flock.experiments.compare import build_cells, compare
+from llm_flock_lab._experiments.compare import build_cells, compare
 
 TEAMS = (("triangle", 3), ("square", 8), ("cross", 5), ("circle", 10))
 IDEAL = "simulated:ideal"

@@ -27,11 +27,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from llm_flock.robots.base import Position
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
-from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.testing.crtp import StandIns
+from llm_flock.robots._base import Position
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import build_fleet, start_of, with_drones
+from llm_flock_flight._flight.flight import Flight, FlightResult
+from llm_flock_flight._testing.crtp import StandIns
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5))
 """What the paper flies."""

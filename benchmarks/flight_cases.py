@@ -26,14 +26,14 @@ from typing import Any
 
 from benchmarks.flight import Watch, addressed, flight_config, yes
 
-from llm_flock.robots.base import Position
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.flight.reaction_times import reaction_times
-from llm_flock.runtime.flight.timed_planner import TimedPlanner
-from llm_flock.testing.crtp import StandIn, StandIns
-from llm_flock.testing.poses import PoseStream
+from llm_flock.robots._base import Position
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.flight import Flight, FlightResult
+from llm_flock_flight._flight.reaction_times import reaction_times
+from llm_flock_flight._flight.timed_planner import TimedPlanner
+from llm_flock_flight._testing.crtp import StandIn, StandIns
+from llm_flock_flight._testing.poses import PoseStream
 
 FAST: dict[str, Any] = {"take_off_group": 4, "take_off_s": 2.5, "round_s": 2.5, "land_s": 2.5, "connect_s": 10.0}
 """As fast as the stock controller allows: it follows at most 1 m/s."""

@@ -29,19 +29,19 @@ import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Point
-from llm_flock.experiments.statistics import wilson
 from llm_flock.links import LinkFaults
+from llm_flock.message import Message
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
-from llm_flock.protocol.messages.message import Message
-from llm_flock.protocol.motion.shield import project
-from llm_flock.runtime.network.body_control import BodyControl
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.observer import Observer
-from llm_flock.runtime.network.wire import Command, WorldState
+from llm_flock.shield import project
 from llm_flock.simulate import start_positions
-from llm_flock.transport.radio import Radio
-from llm_flock.trust.keys import make_keys
+from llm_flock.transport._radio import Radio
+from llm_flock_lab._experiments.statistics import wilson
+from llm_flock_swarm._network.body_control import BodyControl
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.wire import Command, WorldState
+from llm_flock_swarm._trust.keys import make_keys
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -179,9 +179,9 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path, hard: bool) -> 
     from lies import LIES, asks_for_ways, round_of_lies
     from swarms import swarm_config
 
-    from llm_flock.runtime.network.connection import load_keys, open_link
-    from llm_flock.runtime.network.swarm import launched
-    from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack, unpack
+    from llm_flock_swarm._network.connection import load_keys, open_link
+    from llm_flock_swarm._network.swarm import launched
+    from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack, unpack
 
     n = SWARM[liars]
     members = range(n - liars, n)
@@ -277,7 +277,7 @@ def wire_lies(lie: str, member: int, here: Point, rng: random.Random) -> list[tu
     import msgspec
     from reports import told
 
-    from llm_flock.runtime.network.wire import WIRE_VERSION, Beacon, pack
+    from llm_flock_swarm._network.wire import WIRE_VERSION, Beacon, pack
 
     now = time.time()
     match lie:

@@ -11,9 +11,9 @@ import sys
 import time
 from collections.abc import Iterator
 
-from llm_flock.cli.stand_ins import grid
-from llm_flock.robots.crazyflie import CrazyflieRobot
-from llm_flock.testing.robots import wait_until
+from llm_flock.testing._robots import wait_until
+from llm_flock_flight._cli.stand_ins import grid
+from llm_flock_flight._crazyflie import CrazyflieRobot
 
 DRONES = 10
 ROUNDS = 30

@@ -28,19 +28,19 @@ from typing import Any
 
 import numpy as np
 
-from llm_flock.distill.choices import draw_choices
-from llm_flock.distill.wishes import WORDINGS
-from llm_flock.llm.answer_forms import answer_grammar
-from llm_flock.llm.letter_planner import LetterPlanner
-from llm_flock.llm.local.engine import Engine, slot_count, thread_count
-from llm_flock.llm.local.weights import find_weights
-from llm_flock.llm.models import ModelPool
-from llm_flock.llm.planner import LanguagePlanner
-from llm_flock.llm.port import AnswerForm, Attempt
-from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.sharing import CallLane
-from llm_flock.runtime.api import run_async
-from llm_flock.runtime.result import Summary
+from llm_flock.llm._answer_forms import answer_grammar
+from llm_flock.llm._letter_planner import LetterPlanner
+from llm_flock.llm._models import ModelPool
+from llm_flock.llm._planner import LanguagePlanner
+from llm_flock.llm._port import AnswerForm, Attempt
+from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._sharing import CallLane
+from llm_flock.runtime._api import run_async
+from llm_flock.runtime._result import Summary
+from llm_flock_onboard._distill.choices import draw_choices
+from llm_flock_onboard._distill.wishes import WORDINGS
+from llm_flock_onboard._local.engine import Engine, slot_count, thread_count
+from llm_flock_onboard._local.weights import find_weights
 
 TRAINED, STOCK, IDEAL = "local:smollm2", "local:smollm2+none", "simulated:ideal"
 LETTERS_MODEL = "local:smollm2+letters"

@@ -20,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 ROOT = Path(__file__).parents[1]
-COPIED = ("src", "tests", "benchmarks", "pyproject.toml")
+COPIED = ("packages", "conftest.py", "tests", "benchmarks", "pyproject.toml")
 TIMEOUT_S = 300
 
 
@@ -37,7 +37,7 @@ class Mutant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def path(self, root: Path) -> Path:
         """The file that is changed."""
-        return root / "src" / "llm_flock" / self.file
+        return root / self.file
 
     def applied(self, text: str) -> str:
         """The source with the fault in it.
@@ -60,9 +60,12 @@ def load() -> list[Mutant]:
 def tests_pass(root: Path, tests: Iterable[str]) -> bool:
     """Whether these tests pass on the sources under `root`; they must exist, and finish in time."""
     command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "--hypothesis-seed=0"]
-    command += [f"tests/{test}" for test in dict.fromkeys(tests)]
+    command += dict.fromkeys(tests)
     # Byte code would outlive a change of the same size in the same second.
-    environment = os.environ | {"PYTHONPATH": str(root / "src"), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(map(str, root.glob("packages/*/src"))),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     done = subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, timeout=TIMEOUT_S)
     if done.returncode not in (0, 1):
         raise RuntimeError(f"pytest could not run:\n{done.stdout}{done.stderr}")

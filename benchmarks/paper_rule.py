@@ -22,13 +22,10 @@ from typing import Literal, TypeAlias
 import numpy as np
 from scipy.stats import beta
 
-from llm_flock import formations
+from llm_flock import shapes as formations
+from llm_flock.agent import Agent
 from llm_flock.algorithm1 import nearest_available
-from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.assignment import NearestAssignment
-from llm_flock.protocol.agreement.consensus import InfluenceConsensus, TieBreak
-from llm_flock.protocol.events import (
+from llm_flock.events import (
     AgreementEnded,
     Arrived,
     AskPlan,
@@ -42,9 +39,12 @@ from llm_flock.protocol.events import (
     Received,
     RoundBegan,
 )
-from llm_flock.protocol.parts import Parts
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import PlanAnswer, StepAnswer
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.assignment import NearestAssignment
+from llm_flock.protocol._agreement.consensus import InfluenceConsensus, TieBreak
+from llm_flock.protocol._parts import Parts
+from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 from llm_flock.simulate import Readings, draw_start
 
 Index: TypeAlias = Literal["id", "first", "random", "nearest"]

@@ -20,12 +20,12 @@ from unittest import mock
 import numpy as np
 from benchmarks.flight import ROOM
 
-from llm_flock.robots.base import Equipment, MotionLimits
-from llm_flock.robots.physics import STEP_S, PhysicsWorld
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import start_of, with_drones
-from llm_flock.runtime.flight.flight import Flight
-from llm_flock.runtime.flight.lag import STOCK_LAG_S
+from llm_flock.robots._base import Equipment, MotionLimits
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import start_of, with_drones
+from llm_flock_flight._flight.flight import Flight
+from llm_flock_flight._flight.lag import STOCK_LAG_S
+from llm_flock_flight._physics import STEP_S, PhysicsWorld
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
 FIELDS: dict[str, Any] = {

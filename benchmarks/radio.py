@@ -1,7 +1,7 @@
 """Twenty stand-ins on modelled Crazyradios, through the real cflib: `python -m benchmarks radio`.
 
-The radios are a model (`llm_flock.testing.crtp.radio`), not radios: it says what sharing costs if an exchange takes as
-long as it is said to take, and nothing about range or interference.
+The radios are a model (`llm_flock_flight._testing.crtp.radio`), not radios: it says what sharing costs if an exchange
+takes as long as it is said to take, and nothing about range or interference.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from llm_flock.cli.stand_ins import grid
-from llm_flock.robots.base import RobotError
-from llm_flock.robots.crazyflie import CrazyflieRobot
-from llm_flock.robots.crazyflie.radios import EXCHANGE_S, SETTING_S, exchanges_of, plan_radios, proposed_uris
-from llm_flock.testing.crtp import ModelledRadio, StandIns
+from llm_flock.robots._base import RobotError
+from llm_flock_flight._cli.stand_ins import grid
+from llm_flock_flight._crazyflie import CrazyflieRobot
+from llm_flock_flight._crazyflie.radios import EXCHANGE_S, SETTING_S, exchanges_of, plan_radios, proposed_uris
+from llm_flock_flight._testing.crtp import ModelledRadio, StandIns
 
 DRONES = 20
 RADIOS = (1, 2, 4)

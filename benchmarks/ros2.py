@@ -22,14 +22,14 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.members import WORLD
-from llm_flock.protocol.plan import Plan
-from llm_flock.ros2.types import POSE, from_cdr, type_hash
-from llm_flock.ros2.wire import topic_key
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import REPORT_S
-from llm_flock.runtime.network.swarm import free_port
-from llm_flock.runtime.network.wire import Body, RobotReport, WorldState, pack, unpack
-from llm_flock.transport.zenoh import ROOT, PlainSeal, open_session, settings
+from llm_flock.plan import Plan
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.connection import REPORT_S
+from llm_flock_swarm._network.swarm import free_port
+from llm_flock_swarm._network.wire import Body, RobotReport, WorldState, pack, unpack
+from llm_flock_swarm._ros2.types import POSE, from_cdr, type_hash
+from llm_flock_swarm._ros2.wire import topic_key
+from llm_flock_swarm._zenoh import ROOT, PlainSeal, open_session, settings
 
 ROBOTS, SECONDS = (int(os.environ.get(name, default)) for name, default in (("ROBOTS", "50"), ("SECONDS", "30")))
 LATENCY_MS, CORE = 3.0, 0.30

@@ -19,8 +19,8 @@ from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol.plan import Plan
-from llm_flock.runtime.result import RunResult
+from llm_flock.plan import Plan
+from llm_flock.runtime._result import RunResult
 
 HARD = Path(__file__).parents[1] / "experiments" / "hard.toml"
 

@@ -28,15 +28,15 @@ from typing import Any
 import numpy as np
 
 import llm_flock
-from llm_flock.protocol.messages.message import Message, MissionStamp, encode
-from llm_flock.protocol.signed.certificates import Proofs, wrap
-from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
-from llm_flock.runtime.network.connection import open_link
-from llm_flock.runtime.network.observer import Observer
-from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
-from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack
+from llm_flock.message import Message, MissionStamp, encode
 from llm_flock.simulate import start_positions
-from llm_flock.trust.keys import make_keys
+from llm_flock_swarm._network.config import NetworkConfig, SwarmConfig
+from llm_flock_swarm._network.connection import open_link
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launched
+from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack
+from llm_flock_swarm._signed.certificates import Proofs, wrap
+from llm_flock_swarm._trust.keys import make_keys
 
 RUNS, FAULT_RUNS, THIRTY_RUNS = (int(os.environ.get("RUNS", default)) for default in ("20", "5", "3"))
 SAFE = 3.0 - 1e-6

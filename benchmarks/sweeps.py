@@ -7,9 +7,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from llm_flock.experiments import tables
-from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.experiments.sweep_file import load_sweep
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.sweep import fly_sweep
+from llm_flock_lab._experiments.sweep_file import load_sweep
 
 SIMULATED = Path(__file__).parents[1] / "experiments" / "simulated.toml"
 

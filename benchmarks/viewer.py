@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from playwright.sync_api import Browser, Page, sync_playwright
 from sample_records import FakeRun, make_record
 
-from llm_flock.record.writer import RecordWriter
+from llm_flock.record._writer import RecordWriter
 
 STARTS = 5
 JUMPS = 60

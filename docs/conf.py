@@ -6,12 +6,13 @@ import tomllib
 from pathlib import Path
 
 HERE = Path(__file__).parent
-sys.path[:0] = [str(HERE / "_ext"), str(HERE.parent / "src")]
+sys.path[:0] = [str(HERE / "_ext"), *map(str, HERE.parent.glob("packages/*/src"))]
 
 project = "LLM-Flock"
 author = "LLM-Flock contributors"
 copyright = author
-release = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+CORE = HERE.parent / "packages" / "llm-flock"
+release = tomllib.loads((CORE / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
 extensions = [
     "myst_parser",
@@ -60,8 +61,8 @@ def _after_napoleon(app, what, name, obj, options, lines):
 
 def _before_build(app):
     """Autodoc evaluates the types of a struct's fields, and one of them is imported for type checkers only."""
+    from llm_flock.protocol._agreement import assignment
     from llm_flock.roadmap import Roadmap
-    from llm_flock.protocol.agreement import assignment
 
     assignment.Roadmap = Roadmap
 

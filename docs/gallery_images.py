@@ -19,8 +19,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from llm_flock.record.reader import read_record
-from llm_flock.viz import figures
+from llm_flock.record._reader import read_record
+from llm_flock_view._figures import figures
 
 DOCS = Path(__file__).parent
 COLOURS, FINER = 128, 256

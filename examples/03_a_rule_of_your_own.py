@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import llm_flock
-from llm_flock.protocol.agreement.consensus import Standing
-from llm_flock.protocol.messages.message import Message
-from llm_flock.protocol.plan import Plan
+from llm_flock.message import Message
+from llm_flock.plan import Plan
+from llm_flock.protocol import Standing
 from llm_flock.testing import check_consensus_rule
 
 

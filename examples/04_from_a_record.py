@@ -4,7 +4,7 @@ import tempfile
 from pathlib import Path
 
 import llm_flock
-from llm_flock.viz import figures
+import llm_flock_view as figures
 
 
 def main() -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from llm_flock.arrays import Point
-from llm_flock.llm.answers import read_plan, read_waypoints
-from llm_flock.llm.port import AnswerForm
-from llm_flock.protocol.plan import Plan
+from llm_flock.llm._answers import read_plan, read_waypoints
+from llm_flock.llm._port import AnswerForm
+from llm_flock.plan import Plan
 
 
 def parse_plan(text: str, n: int, dim: int, *, json: bool = False) -> tuple[Plan, int]:

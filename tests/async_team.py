@@ -15,16 +15,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from llm_flock.agent import Agent
 from llm_flock.arrays import Point
 from llm_flock.members import WORLD
 from llm_flock.metrics import AT_GOAL
 from llm_flock.obstacles import clearance
-from llm_flock.protocol.agent import Agent
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.robot import RobotProcess
-from llm_flock.runtime.network.wire import Command, RobotReport, WorldState, pack, unpack
-from llm_flock.runtime.network.world import WorldBodies
-from llm_flock.transport.zenoh import LinkTraffic
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.robot import RobotProcess
+from llm_flock_swarm._network.wire import Command, RobotReport, WorldState, pack, unpack
+from llm_flock_swarm._network.world import WorldBodies
+from llm_flock_swarm._zenoh import LinkTraffic
 
 Act = Callable[["AsyncTeam", float], None]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
-from llm_flock.robots.base import RobotError
-from llm_flock.robots.pose import Pose
-from llm_flock.robots.simulated_robot import SimulatedRobot
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import start_of
-from llm_flock.runtime.flight.sections import DroneConfig
+from llm_flock.robots._base import RobotError
+from llm_flock.robots._pose import Pose
+from llm_flock.robots._simulated_robot import SimulatedRobot
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import start_of
+from llm_flock_flight._flight.sections import DroneConfig
 
 PATIENCE_S = 0.9
 """Longest wait for a pose [s]."""

@@ -14,7 +14,7 @@ import pytest
 import typer
 
 from llm_flock.__main__ import main
-from llm_flock.cli.options import add_config_flags, with_config_flags
+from llm_flock.cli._options import add_config_flags, with_config_flags
 
 PLAIN = {"COLUMNS": "200", "NO_COLOR": "1", "TERM": "dumb"}
 ENV = {**os.environ, **PLAIN}

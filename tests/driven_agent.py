@@ -8,12 +8,9 @@ from rounds import round_began
 from tables import told
 from whole_agent import whole_agent
 
+from llm_flock.agent import Agent
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.auction import AuctionAssignment
-from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
-from llm_flock.protocol.events import (
+from llm_flock.events import (
     AgreementEnded,
     Arrived,
     AskPlan,
@@ -25,10 +22,13 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.message import BidTable, Message, MissionStamp, PositionReport, Provenance, encode
-from llm_flock.protocol.parts import Gaps
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.message import BidTable, Message, MissionStamp, PositionReport, Provenance, encode
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.auction import AuctionAssignment
+from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
+from llm_flock.protocol._parts import Gaps
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
 
 LINE = Mission(shape="line", n_robots=3, comm_range=60)
 PLAN = Plan.of(LINE.ideal or ())

@@ -9,9 +9,7 @@ from whole_agent import whole_agent
 
 from llm_flock import graph
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
-from llm_flock.protocol.agreement.auction import AuctionAssignment
-from llm_flock.protocol.events import (
+from llm_flock.events import (
     AgreementEnded,
     Arrived,
     AskPlan,
@@ -24,9 +22,11 @@ from llm_flock.protocol.events import (
     Received,
     RoundBegan,
 )
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, StepAnswer
-from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.auction import AuctionAssignment
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.runtime._rules import PRESETS, assignment_rule, consensus_rule
 
 Links = Sequence[Sequence[int]]
 """For each robot the ids of those that hear it, symmetric."""

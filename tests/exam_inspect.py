@@ -15,7 +15,7 @@ def main(log_dir: str, limit: int) -> None:
     inspect_ai: Any = import_module("inspect_ai")
     models: Any = import_module("inspect_ai.model")
 
-    from llm_flock.exam.inspect_task import exam
+    from llm_flock_lab._exam.inspect_task import exam
 
     @models.modelapi(name="hashed")
     def provider() -> Any:

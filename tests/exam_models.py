@@ -9,15 +9,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from llm_flock.exam.ask import round_of
-from llm_flock.exam.generate_steps import sidestep
-from llm_flock.exam.questions import Question
-from llm_flock.exam.score import meant
-from llm_flock.llm.port import Call
-from llm_flock.llm.simulated.model import Responder
-from llm_flock.llm.simulated.profiles import parse_profile
-from llm_flock.protocol.geometry import GeometryPlanner
-from llm_flock.protocol.planning import PlanAnswer, StepAnswer
+from llm_flock.llm._port import Call
+from llm_flock.llm._simulated.model import Responder
+from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock.protocol._geometry import GeometryPlanner
+from llm_flock.protocol._planning import PlanAnswer, StepAnswer
+from llm_flock_lab._exam.ask import round_of
+from llm_flock_lab._exam.generate_steps import sidestep
+from llm_flock_lab._exam.questions import Question
+from llm_flock_lab._exam.score import meant
 
 
 class Key:

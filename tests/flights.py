@@ -7,17 +7,17 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from llm_flock.record.schema import Entry
-from llm_flock.robots.base import Equipment
-from llm_flock.robots.cascade import pid
-from llm_flock.robots.point_mass import PointMass
-from llm_flock.robots.simulated_robot import SimulatedRobot
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet, start_of, with_drones
-from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.flight.preflight import PreflightReport
-from llm_flock.runtime.flight.sections import DroneConfig
-from llm_flock.runtime.result import FlightFigures, RunResult
+from llm_flock.record._schema import Entry
+from llm_flock.robots._base import Equipment
+from llm_flock.robots._point_mass import PointMass
+from llm_flock.robots._simulated_robot import SimulatedRobot
+from llm_flock.runtime._result import FlightFigures, RunResult
+from llm_flock_flight._cascade import pid
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import build_fleet, start_of, with_drones
+from llm_flock_flight._flight.flight import Flight, FlightResult
+from llm_flock_flight._flight.preflight import PreflightReport
+from llm_flock_flight._flight.sections import DroneConfig
 
 ROOM = {"center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 20}
 BRISK = {"round_s": 0.6, "max_speed_m_s": 6.0, "take_off_s": 0.4, "land_s": 0.4, "settle_s": 0.3, "deadman": False}

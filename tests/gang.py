@@ -12,19 +12,11 @@ from msgspec.structs import replace
 from tables import told
 
 from llm_flock.errors import MessageError
+from llm_flock.message import NO_OWNER, UNSAID, BidEntry, Message, Offer, decode, encode
 from llm_flock.mission import Mission
-from llm_flock.protocol.agreement.auction import rank
-from llm_flock.protocol.membership.liveness import PER_BEAT
-from llm_flock.protocol.messages.message import (
-    NO_OWNER,
-    UNSAID,
-    BidEntry,
-    Message,
-    Offer,
-    decode,
-    encode,
-)
-from llm_flock.protocol.signed.certificates import (
+from llm_flock.protocol._agreement.auction import rank
+from llm_flock.protocol._membership.liveness import PER_BEAT
+from llm_flock_swarm._signed.certificates import (
     LEFT,
     Authenticator,
     Certificate,

@@ -21,9 +21,7 @@ from signed_team import SignedTeam
 from toy_keys import ToyKeys
 
 from llm_flock.arrays import Point
-from llm_flock.mission import Mission
-from llm_flock.protocol.agreement.auction import rank
-from llm_flock.protocol.messages.message import (
+from llm_flock.message import (
     BLOCKED,
     HIGHEST,
     MOST_STOPS,
@@ -36,7 +34,9 @@ from llm_flock.protocol.messages.message import (
     encode,
     mission_text,
 )
-from llm_flock.protocol.signed.certificates import (
+from llm_flock.mission import Mission
+from llm_flock.protocol._agreement.auction import rank
+from llm_flock_swarm._signed.certificates import (
     Certificate,
     Proofs,
     WitnessStatement,

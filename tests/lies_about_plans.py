@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from driven_team import turned
 from gang import Gang, Said
 
-from llm_flock.protocol.messages.message import UNSAID, Provenance
-from llm_flock.protocol.plan import Plan
+from llm_flock.message import UNSAID, Provenance
+from llm_flock.plan import Plan
 
 PLANS_EACH = 35
 """Communication rounds from one plan to the next."""

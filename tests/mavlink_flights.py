@@ -6,9 +6,9 @@ import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from typing import Any
 
-from llm_flock.robots.base import MotionLimits
-from llm_flock.robots.mavlink import LocalFrame, MavlinkRobot
-from llm_flock.testing.mavlink import AutopilotStandIn, AutopilotStandIns
+from llm_flock.robots._base import MotionLimits
+from llm_flock_flight._mavlink import LocalFrame, MavlinkRobot
+from llm_flock_flight._testing.mavlink import AutopilotStandIn, AutopilotStandIns
 
 HOME = (1.0, 2.0, 0.0)
 FLAVOURS = ("px4", "ardupilot")

@@ -5,19 +5,14 @@ from __future__ import annotations
 from rounds import round_began
 from whole_agent import whole_agent
 
+from llm_flock.agent import Agent
+from llm_flock.events import Effect, Note, Planned, RoundBegan
+from llm_flock.message import Message, MissionStamp, Provenance, encode
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.auction import AuctionAssignment
-from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
-from llm_flock.protocol.events import (
-    Effect,
-    Note,
-    Planned,
-    RoundBegan,
-)
-from llm_flock.protocol.messages.message import Message, MissionStamp, Provenance, encode
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import PlanAnswer
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.auction import AuctionAssignment
+from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
+from llm_flock.protocol._planning import PlanAnswer
 
 MISSION = Mission(shape="triangle", n_robots=3)
 PLAN = Plan.of([[50.0, 50.0], [60.0, 50.0], [55.0, 58.66]])

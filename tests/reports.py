@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from llm_flock.protocol.plan import Plan
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.wire import RobotReport
+from llm_flock.plan import Plan
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.wire import RobotReport
 
 N = 3
 CONFIG = SwarmConfig.build({}, shape="triangle", n_robots=N, model="simulated:ideal")

@@ -8,9 +8,9 @@ from typing import Any
 
 from mcap_ros2._dynamic import generate_dynamic, serialize_dynamic
 
-from llm_flock.ros2 import drawing
-from llm_flock.ros2.drawing import MarkerDrawer, TeamView
-from llm_flock.ros2.types import (
+from llm_flock_swarm._ros2 import drawing
+from llm_flock_swarm._ros2.drawing import MarkerDrawer, TeamView
+from llm_flock_swarm._ros2.types import (
     CLOCK,
     DIAGNOSTICS,
     MARKERS,

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from llm_flock.arrays import Point
-from llm_flock.protocol.events import RoundBegan
-from llm_flock.protocol.parts import Observation
+from llm_flock.events import RoundBegan
+from llm_flock.protocol._parts import Observation
 
 
 def round_began(

@@ -6,8 +6,8 @@ import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from llm_flock.protocol.agreement.consensus import Standing
-from llm_flock.protocol.messages.message import Message
+from llm_flock.message import Message
+from llm_flock.protocol._agreement.consensus import Standing
 
 
 class Unpicklable(Exception):

@@ -6,12 +6,12 @@ from collections import Counter
 import numpy as np
 from rounds import observation
 
+from llm_flock.message import Course
 from llm_flock.metrics import AT_GOAL, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, segment_clearance
-from llm_flock.protocol.messages.message import Course
-from llm_flock.protocol.motion.leg import leg_to
-from llm_flock.protocol.motion.safety import ShieldedSafety
+from llm_flock.protocol._motion.leg import leg_to
+from llm_flock.protocol._motion.safety import ShieldedSafety
 
 SAFE = 3.0
 

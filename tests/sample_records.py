@@ -9,8 +9,8 @@ import numpy as np
 
 from llm_flock import graph
 from llm_flock.mission import build_mission
-from llm_flock.protocol.plan import Plan
-from llm_flock.record.schema import (
+from llm_flock.plan import Plan
+from llm_flock.record._schema import (
     CallUsage,
     ChatLine,
     LlmEntry,
@@ -24,7 +24,7 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
-from llm_flock.record.writer import RecordWriter
+from llm_flock.record._writer import RecordWriter
 
 
 def run_info(seed: int = 0, **changes: Any) -> RunInfo:

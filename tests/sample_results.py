@@ -7,12 +7,12 @@ from typing import Any
 
 from sample_records import FakeRun
 
-from llm_flock.experiments import tables
-from llm_flock.experiments.store import Store
-from llm_flock.experiments.trial import TrialResult
-from llm_flock.record.writer import RecordWriter
-from llm_flock.runtime.config import load_config
-from llm_flock.runtime.result import Summary
+from llm_flock.record._writer import RecordWriter
+from llm_flock.runtime._config import load_config
+from llm_flock.runtime._result import Summary
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.store import Store
+from llm_flock_lab._experiments.trial import TrialResult
 
 TEAMS = (("triangle", 3), ("circle", 10))
 PROTOCOLS = ("flock", "paper", "baseline")

@@ -14,11 +14,9 @@ from toy_keys import ToyKeys
 from whole_agent import whole_agent
 
 from llm_flock import graph
+from llm_flock.agent import Agent
 from llm_flock.arrays import Point
-from llm_flock.metrics import segment_separation
-from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.events import (
+from llm_flock.events import (
     AgreementEnded,
     Arrived,
     AskPlan,
@@ -33,20 +31,14 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.message import (
-    NO_OWNER,
-    UNSAID,
-    BidEntry,
-    Message,
-    MissionStamp,
-    Offer,
-    Provenance,
-    encode,
-)
-from llm_flock.protocol.parts import Gaps
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import PlanAnswer, StepAnswer
-from llm_flock.protocol.signed.certificates import (
+from llm_flock.message import NO_OWNER, UNSAID, BidEntry, Message, MissionStamp, Offer, Provenance, encode
+from llm_flock.metrics import segment_separation
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._parts import Gaps
+from llm_flock.protocol._planning import PlanAnswer, StepAnswer
+from llm_flock.runtime._rules import PRESETS, assignment_rule, consensus_rule
+from llm_flock_swarm._signed.certificates import (
     Certificate,
     Context,
     Proofs,
@@ -59,9 +51,8 @@ from llm_flock.protocol.signed.certificates import (
     word_statement,
     wrap,
 )
-from llm_flock.protocol.signed.channel import SignedChannel
-from llm_flock.protocol.signed.evidence import Evidence
-from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
+from llm_flock_swarm._signed.channel import SignedChannel
+from llm_flock_swarm._signed.evidence import Evidence
 
 Sends = Callable[[], Sequence[bytes]]
 

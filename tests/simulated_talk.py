@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.simulated.model import Responder
-from llm_flock.llm.simulated.profiles import parse_profile
+from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._simulated.model import Responder
+from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import PlanQuestion, StepQuestion
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import PlanQuestion, StepQuestion
 
 TEXT, JSON = PromptSet.load(), PromptSet.load(json=True)
 CIRCLE = build_mission(shape="circle", n_robots=10)

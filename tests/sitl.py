@@ -9,9 +9,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from llm_flock.robots.base import MotionLimits, RobotError
-from llm_flock.robots.crazyflie import CrazyflieRobot
-from llm_flock.testing.robots import distance, wait_until
+from llm_flock.robots._base import MotionLimits, RobotError
+from llm_flock.testing._robots import distance, wait_until
+from llm_flock_flight._crazyflie import CrazyflieRobot
 
 LIMITS = MotionLimits(low=(-50.0, -50.0, -1.0), high=(50.0, 50.0, 3.0), max_speed_m_s=1.0)
 CONNECT_S = 60.0

@@ -12,13 +12,9 @@ from rounds import round_began
 from whole_agent import whole_agent
 
 from llm_flock import graph
+from llm_flock.agent import Agent
 from llm_flock.arrays import Point
-from llm_flock.links import LinkFaults, MemoryTransport
-from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.auction import AuctionAssignment
-from llm_flock.protocol.agreement.consensus import ProvenanceConsensus
-from llm_flock.protocol.events import (
+from llm_flock.events import (
     AgreementEnded,
     Arrived,
     AskPlan,
@@ -32,10 +28,14 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.message import order_time
-from llm_flock.protocol.parts import Gaps
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer, PlanQuestion
+from llm_flock.links import LinkFaults, MemoryTransport
+from llm_flock.message import order_time
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.auction import AuctionAssignment
+from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
+from llm_flock.protocol._parts import Gaps
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))
 PERFECT = LinkFaults()

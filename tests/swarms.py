@@ -7,9 +7,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.observer import Observer
-from llm_flock.runtime.network.swarm import Swarm, SwarmResult, launched
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launched
 
 
 def swarm_config(robots: int = 5, *, seed: int = 1, **options: Any) -> SwarmConfig:

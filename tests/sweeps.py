@@ -7,8 +7,8 @@ from typing import Any
 
 import polars as pl
 
-from llm_flock.experiments import tables
-from llm_flock.experiments.sweep_file import Sweep, load_sweep
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.sweep_file import Sweep, load_sweep
 
 SMALL = """
 [sweep]

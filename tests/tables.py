@@ -2,7 +2,7 @@
 
 from typing import TypedDict
 
-from llm_flock.protocol.messages.message import BidTable, Claims, claims_in, table_digest
+from llm_flock.message import BidTable, Claims, claims_in, table_digest
 
 
 class Told(TypedDict):

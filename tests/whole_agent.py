@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from llm_flock.agent import Agent
 from llm_flock.bounds import TIME_OUT
 from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.agreement.assignment import AssignmentRule
-from llm_flock.protocol.agreement.consensus import ConsensusRule
-from llm_flock.protocol.breaker import Fallback
-from llm_flock.protocol.parts import Gaps
-from llm_flock.protocol.signed.certificates import LIARS, Authenticator
-from llm_flock.protocol.signed.parts import signed_parts
-from llm_flock.runtime.roster import make_parts
+from llm_flock.protocol._agreement.assignment import AssignmentRule
+from llm_flock.protocol._agreement.consensus import ConsensusRule
+from llm_flock.protocol._breaker import Fallback
+from llm_flock.protocol._parts import Gaps
+from llm_flock.runtime._roster import make_parts
+from llm_flock_swarm._signed.certificates import LIARS, Authenticator
+from llm_flock_swarm._signed.parts import signed_parts
 
 
 def whole_agent(

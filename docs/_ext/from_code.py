@@ -32,7 +32,9 @@ from sphinx.util.docutils import SphinxDirective
 from state_diagram import draw
 
 ROOT = Path(__file__).parents[2]
-SOURCE = ROOT / "src" / "llm_flock"
+SOURCE = ROOT / "packages" / "llm-flock" / "src" / "llm_flock"
+TOPS = sorted(ROOT.glob("packages/*/src/llm_flock*"), key=lambda top: (top != SOURCE, top.name))
+"""The package of every part, the core first."""
 
 LONGEST_VALUE = 40
 """Constants whose value is longer than this [characters] are tables of the code, not figures of the protocol."""
@@ -67,7 +69,7 @@ class AgentStates(SphinxDirective):
     """The agent's state machine, as a picture and as a table."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.protocol.events import TRANSITIONS
+        from llm_flock.events import TRANSITIONS
 
         edges = [
             (str(source), event.__name__, sorted(map(str, targets))) for (source, event), targets in TRANSITIONS.items()
@@ -137,7 +139,7 @@ class ConfigFields(SphinxDirective):
     """One section a table of the configuration file."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.runtime.network.config import SwarmConfig
+        from llm_flock_swarm._network.config import SwarmConfig
 
         sections: list[nodes.Node] = []
         for name, info in SwarmConfig.model_fields.items():
@@ -160,7 +162,7 @@ class SummaryKeys(SphinxDirective):
     """The keys of the object that `run --json` prints, from the docstring of the summary."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.runtime.result import Summary
+        from llm_flock.runtime._result import Summary
 
         return [table(("Key", "Meaning"), attributes(Summary), 1)]
 
@@ -169,7 +171,7 @@ class SweepFields(SphinxDirective):
     """The fields of the tables that only a sweep's file has."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.experiments import sweep_file
+        from llm_flock_lab._experiments import sweep_file
 
         tables = {
             "sweep": sweep_file.SweepTable,
@@ -197,7 +199,7 @@ class ResultColumns(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.experiments import tables
+        from llm_flock_lab._experiments import tables
 
         columns = {"trials": tables.TRIALS, "rounds": tables.ROUNDS}[self.arguments[0]]
         rows = [(column.name, column.kind, column.unit, column.meaning) for column in columns]
@@ -208,7 +210,7 @@ class MessageFields(SphinxDirective):
     """The fields of a protocol message, from its docstring."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.protocol.messages.message import Message
+        from llm_flock.message import Message
 
         return [table(("Field", "Meaning"), attributes(Message), 1)]
 
@@ -217,7 +219,7 @@ class Shapes(SphinxDirective):
     """What `llm-flock shapes` prints."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock import formations
+        from llm_flock import shapes as formations
 
         rows = [(shape.name, shape.legal, shape.description) for shape in formations.shapes()]
         return [table(("Shape", "N", "What it is"), rows, 1)]
@@ -227,7 +229,7 @@ class Providers(SphinxDirective):
     """What `llm-flock models` prints of providers."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.llm.providers import PROVIDERS
+        from llm_flock.llm._providers import PROVIDERS
 
         rows = [
             (
@@ -247,7 +249,7 @@ class RecordFields(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.record.schema import CHANNELS, channel_schema
+        from llm_flock.record._schema import CHANNELS, channel_schema
 
         rows = record_rows(channel_schema(CHANNELS[self.arguments[0]]), CHANNELS[self.arguments[0]])
         return [table(("Field", "Type", "Meaning"), rows, 1)]
@@ -273,9 +275,10 @@ def record_rows(schema: dict[str, Any], model: Any, prefix: str = "") -> list[tu
 
 
 def packages() -> Iterator[tuple[str, Path]]:
-    """Dotted name below `llm_flock` and folder of every package, in the order of their names."""
-    for init in sorted(SOURCE.rglob("__init__.py")):
-        yield ".".join(init.parent.relative_to(SOURCE).parts), init.parent
+    """Dotted name and folder of every package, the core first; the core's names are those below `llm_flock`."""
+    for top in TOPS:
+        for init in sorted(top.rglob("__init__.py")):
+            yield ".".join(init.parent.relative_to(top if top == SOURCE else top.parent).parts), init.parent
 
 
 def first_line(module: Path) -> str:

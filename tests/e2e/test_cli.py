@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from command_line import ENV, Done, flock, flock_process
 
-from llm_flock.record.reader import read_record
-from llm_flock.runtime.result import Summary
+from llm_flock.record._reader import read_record
+from llm_flock.runtime._result import Summary
 
 
 def test_run_figure_animate_inspect(tmp_path: Path) -> None:

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from exam_models import Guesser, Key
 
-from llm_flock.exam.ask import Examiner, Outcome, round_of
-from llm_flock.exam.leaderboard import summary
-from llm_flock.exam.questions import SECTIONS, WORDS, Question
-from llm_flock.exam.score import word_marks
-from llm_flock.exam.splits import paper, public_split
-from llm_flock.llm.own import OwnModel
-from llm_flock.llm.port import LanguageModel
-from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.simulated.model import SimulatedModel
-from llm_flock.llm.simulated.profiles import parse_profile
+from llm_flock.llm._own import OwnModel
+from llm_flock.llm._port import LanguageModel
+from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._simulated.model import SimulatedModel
+from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock_lab._exam.ask import Examiner, Outcome, round_of
+from llm_flock_lab._exam.leaderboard import summary
+from llm_flock_lab._exam.questions import SECTIONS, WORDS, Question
+from llm_flock_lab._exam.score import word_marks
+from llm_flock_lab._exam.splits import paper, public_split
 
 EXAMINER = Examiner(PromptSet.load("full"), "world")
 

@@ -20,10 +20,10 @@ from foxglove_client import FoxgloveClient
 from playwright.sync_api import Browser, Page, expect
 from sample_records import FakeRun, make_record, run_info
 
-from llm_flock.record.reader import read_record
-from llm_flock.record.schema import Entry, ProtocolEvent, RunInfo
-from llm_flock.record.writer import RecordWriter
-from llm_flock.runtime.network.swarm import free_port
+from llm_flock.record._reader import read_record
+from llm_flock.record._schema import Entry, ProtocolEvent, RunInfo
+from llm_flock.record._writer import RecordWriter
+from llm_flock_swarm._network.swarm import free_port
 
 HOSTILE = """</script><script>window.pwned=1</script>"><img src=x onerror="window.pwned=2">"""
 

@@ -47,7 +47,7 @@ def folder(tmp_path: Path) -> Path:
 def command(folder: Path, *words: str) -> str:
     """Run the command in a folder; it must succeed."""
     script = folder.parent / "bin" / "llm_flock_command.py"
-    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    environment = {**os.environ}
     done = subprocess.run(
         [sys.executable, str(script), *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=60
     )

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from command_line import Done, flock
 
-from llm_flock.record.reader import read_record
+from llm_flock.record._reader import read_record
 
 ROOT = Path(__file__).parents[2]
 FLY = ["fly", "--config", str(ROOT / "examples" / "flight.toml"), "--no-record"]

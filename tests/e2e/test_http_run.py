@@ -10,8 +10,8 @@ from integration.fault_server import answering, completion, running
 from slowness import slowness
 
 import llm_flock
-from llm_flock.llm.limits import RetryPolicy
-from llm_flock.runtime import planners
+from llm_flock.llm._limits import RetryPolicy
+from llm_flock.runtime import _planners as planners
 
 MODEL = "openai-compatible:test"
 

@@ -13,12 +13,12 @@ from answer_readers import parse_path, parse_plan, parse_plan_json, parse_step, 
 from gguf_files import write_model
 
 from llm_flock.errors import AnswerError, InputError, ModelError
-from llm_flock.llm.client import CallSettings
-from llm_flock.llm.local.engine import ENGINES, Engine, slot_count
-from llm_flock.llm.local.model import EngineLeases, LocalModel
-from llm_flock.llm.local.weights import Weights, find_weights
-from llm_flock.llm.port import AnswerForm, Call, ChatMessage
-from llm_flock.llm.whole_answer import whole_answer
+from llm_flock.llm._client import CallSettings
+from llm_flock.llm._port import AnswerForm, Call, ChatMessage
+from llm_flock.llm._whole_answer import whole_answer
+from llm_flock_onboard._local.engine import ENGINES, Engine, slot_count
+from llm_flock_onboard._local.model import EngineLeases, LocalModel
+from llm_flock_onboard._local.weights import Weights, find_weights
 
 pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")

@@ -14,13 +14,13 @@ import pytest
 from sweeps import small
 
 from llm_flock.errors import InputError
-from llm_flock.experiments import tables
-from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.llm.local import engine
-from llm_flock.llm.local.engine import ENGINES
-from llm_flock.llm.local.weights import find_weights
-from llm_flock.record.reader import read_record
-from llm_flock.runtime.api import run
+from llm_flock.record._reader import read_record
+from llm_flock.runtime._api import run
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.sweep import fly_sweep
+from llm_flock_onboard._local import engine
+from llm_flock_onboard._local.engine import ENGINES
+from llm_flock_onboard._local.weights import find_weights
 
 pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")

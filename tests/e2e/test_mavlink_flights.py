@@ -13,12 +13,12 @@ pytest.importorskip("pymavlink")
 from flights import STARTS, flight_config, yes
 from mavlink_flights import CALM, until
 
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.deadman import land_all
-from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.flight import Flight, FlightResult
-from llm_flock.runtime.flight.landing import LANDED, TAKEN
-from llm_flock.testing.mavlink import AutopilotStandIns
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.deadman import land_all
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.flight import Flight, FlightResult
+from llm_flock_flight._flight.landing import LANDED, TAKEN
+from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
 pytestmark = pytest.mark.clock(1.5)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from llm_flock.errors import RecordError
-from llm_flock.record.reader import read_record
+from llm_flock.record._reader import read_record
 
 TESTS = Path(__file__).parents[1]
 
@@ -53,7 +53,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def writers() -> Iterator[subprocess.Popen[str]]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(TESTS), str(TESTS.parent / "src")])}
+    environment = os.environ | {"PYTHONPATH": str(TESTS)}
     command = [sys.executable, "-c", WRITER]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True

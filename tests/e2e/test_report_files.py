@@ -8,8 +8,8 @@ from pathlib import Path
 
 from sample_results import trial, write_results
 
-from llm_flock.experiments.store import Store
-from llm_flock.report.page import write_report
+from llm_flock_lab._experiments.store import Store
+from llm_flock_lab._report.page import write_report
 
 
 class Page(HTMLParser):

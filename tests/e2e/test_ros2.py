@@ -22,15 +22,15 @@ from ros2_messages import SAMPLES, definition, points, same
 from zenoh_router import listener, router
 
 from llm_flock.errors import MessageError
-from llm_flock.robots.pose import PoseFrame
-from llm_flock.ros2 import drawing
-from llm_flock.ros2.flight import RosPoses
-from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.types import CLOCK, DIAGNOSTICS, POINTS, POSE, TEXT, type_hash
-from llm_flock.ros2.wire import Attachment
-from llm_flock.runtime.network.swarm import free_port
-from llm_flock.runtime.ros2_config import Ros2Config
-from llm_flock.trust.keys import make_keys
+from llm_flock.robots._pose import PoseFrame
+from llm_flock.runtime._ros2_config import Ros2Config
+from llm_flock_swarm._network.swarm import free_port
+from llm_flock_swarm._ros2 import drawing
+from llm_flock_swarm._ros2.flight import RosPoses
+from llm_flock_swarm._ros2.graph import Graph
+from llm_flock_swarm._ros2.types import CLOCK, DIAGNOSTICS, POINTS, POSE, TEXT, type_hash
+from llm_flock_swarm._ros2.wire import Attachment
+from llm_flock_swarm._trust.keys import make_keys
 
 SDK: Any = importlib.import_module("zenoh_ros2_sdk")
 DISCOVERY: Any = importlib.import_module("zenoh_ros2_sdk.discovery")

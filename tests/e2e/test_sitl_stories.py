@@ -12,7 +12,7 @@ pytest.importorskip("cflib")
 from sitl import everybody_down, fly_together, robots_at
 
 from llm_flock.testing import check_robot
-from llm_flock.testing.crtp import StandIns
+from llm_flock_flight._testing.crtp import StandIns
 
 pytestmark = pytest.mark.clock(2)
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 from command_line import flock
 
-from llm_flock.record.reader import read_record
-from llm_flock.runtime.network import watch
-from llm_flock.runtime.network.swarm import free_port
+from llm_flock.record._reader import read_record
+from llm_flock_swarm._network import watch
+from llm_flock_swarm._network.swarm import free_port
 
 MARK = "LLM_FLOCK_TEST"
 TEAM = ["--shape", "circle", "--start", "connected", "--seed", "1"]

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from swarms import fly, formed, swarm_config
 
-from llm_flock.record.reader import read_record
-from llm_flock.runtime.network.observer import Observer
-from llm_flock.runtime.network.swarm import Swarm, SwarmResult
-from llm_flock.runtime.network.watch import give_mission
+from llm_flock.record._reader import read_record
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult
+from llm_flock_swarm._network.watch import give_mission
 
 SAFE = 3.0 - 1e-6
 

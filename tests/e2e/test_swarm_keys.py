@@ -9,13 +9,13 @@ from pathlib import Path
 
 from swarms import swarm_config
 
-from llm_flock.protocol.messages.message import Message, encode
-from llm_flock.runtime.network.config import NetworkConfig, SwarmConfig
-from llm_flock.runtime.network.connection import SPARE, open_link
-from llm_flock.runtime.network.swarm import free_port, launched
-from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, pack
-from llm_flock.transport.zenoh import BURST_S
-from llm_flock.trust.keys import make_keys
+from llm_flock.message import Message, encode
+from llm_flock_swarm._network.config import NetworkConfig, SwarmConfig
+from llm_flock_swarm._network.connection import SPARE, open_link
+from llm_flock_swarm._network.swarm import free_port, launched
+from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack
+from llm_flock_swarm._trust.keys import make_keys
+from llm_flock_swarm._zenoh import BURST_S
 
 
 def saying(message: Message) -> bytes:

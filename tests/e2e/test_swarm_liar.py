@@ -18,9 +18,13 @@ from llm_flock.arrays import Point
 from llm_flock.cli import app
 from llm_flock.errors import MessageError
 from llm_flock.members import WORLD
-from llm_flock.protocol.messages.message import UNSAID, Message, Provenance, decode, encode
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.signed.certificates import (
+from llm_flock.message import UNSAID, Message, Provenance, decode, encode
+from llm_flock.plan import Plan
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.connection import load_keys, open_link
+from llm_flock_swarm._network.swarm import SwarmResult, launched
+from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
+from llm_flock_swarm._signed.certificates import (
     Certificate,
     Context,
     Proofs,
@@ -30,11 +34,7 @@ from llm_flock.protocol.signed.certificates import (
     unwrap,
     wrap,
 )
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import load_keys, open_link
-from llm_flock.runtime.network.swarm import SwarmResult, launched
-from llm_flock.runtime.network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
-from llm_flock.trust.keys import make_keys
+from llm_flock_swarm._trust.keys import make_keys
 
 N, LIAR = 5, 4
 LIES_S = 6.0

@@ -9,12 +9,12 @@ from pathlib import Path
 from swarms import fly, formed, swarm_config
 
 from llm_flock.members import OPERATOR, WATCHER
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.network.connection import open_link
-from llm_flock.runtime.network.observer import Observer
-from llm_flock.runtime.network.swarm import Swarm
-from llm_flock.runtime.network.wire import MissionOrder, pack
-from llm_flock.trust.keys import make_keys
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.connection import open_link
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.swarm import Swarm
+from llm_flock_swarm._network.wire import MissionOrder, pack
+from llm_flock_swarm._trust.keys import make_keys
 
 N = 3
 CHANGE = ("--set", "shape=line", "--set", "center=45,55")

@@ -11,12 +11,12 @@ from integration.fault_server import running
 from sweeps import results, small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments import tables
-from llm_flock.experiments.store import trial_files
-from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.experiments.tally import expect_cells
-from llm_flock.experiments.trial import TrialResult
-from llm_flock.record.reader import read_record
+from llm_flock.record._reader import read_record
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.store import trial_files
+from llm_flock_lab._experiments.sweep import fly_sweep
+from llm_flock_lab._experiments.tally import expect_cells
+from llm_flock_lab._experiments.trial import TrialResult
 
 
 def test_one_process_and_a_pool_give_identical_tables(tmp_path: Path) -> None:

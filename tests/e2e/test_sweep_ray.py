@@ -15,10 +15,10 @@ import pytest
 from polars.testing import assert_frame_equal
 from sweeps import results, small, small_file
 
-from llm_flock.experiments.sweep import fly_sweep
+from llm_flock_lab._experiments.sweep import fly_sweep
 
-SOURCE = Path(__file__).parents[2] / "src"
-ENV = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0", "PYTHONPATH": str(SOURCE), "NO_COLOR": "1", "TERM": "dumb"}
+SOURCE = os.pathsep.join(map(str, Path(__file__).parents[2].glob("packages/*/src")))
+ENV = {**os.environ, "RAY_USAGE_STATS_ENABLED": "0", "PYTHONPATH": SOURCE, "NO_COLOR": "1", "TERM": "dumb"}
 
 
 @pytest.fixture(scope="module")

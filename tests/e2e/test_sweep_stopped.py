@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from sweeps import small, small_file
 
-from llm_flock.experiments import tables
-from llm_flock.experiments.store import read_trial, trial_files
-from llm_flock.experiments.sweep import fly_sweep
-from llm_flock.experiments.trial import TrialResult
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.store import read_trial, trial_files
+from llm_flock_lab._experiments.sweep import fly_sweep
+from llm_flock_lab._experiments.trial import TrialResult
 
 
 @pytest.mark.parametrize("executor", ["one", "pool"])

@@ -16,15 +16,15 @@ pytest.importorskip("pymavlink")
 from flights import flight_config
 from mavlink_flights import CALM
 
-from llm_flock.protocol.geometry import GeometryPlanner
-from llm_flock.protocol.planning import NoAnswer, PlanQuestion
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.flight import NEVER_UP, Flight, FlightResult
-from llm_flock.runtime.flight.landing import LANDED, LOST, STOPPED, TOLD
-from llm_flock.runtime.flight.preflight import PreflightReport
-from llm_flock.testing.crtp import StandIns
-from llm_flock.testing.mavlink import AutopilotStandIns
+from llm_flock.protocol._geometry import GeometryPlanner
+from llm_flock.protocol._planning import NoAnswer, PlanQuestion
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.flight import NEVER_UP, Flight, FlightResult
+from llm_flock_flight._flight.landing import LANDED, LOST, STOPPED, TOLD
+from llm_flock_flight._flight.preflight import PreflightReport
+from llm_flock_flight._testing.crtp import StandIns
+from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
 pytestmark = pytest.mark.clock(1.5)
 

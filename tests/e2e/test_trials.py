@@ -7,10 +7,10 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import FlockError, InputError
-from llm_flock.experiments.compare import build_cells, compare
-from llm_flock.experiments.grid import Cell
-from llm_flock.experiments.trial import TrialResult
-from llm_flock.runtime.config import build_config
+from llm_flock.runtime._config import build_config
+from llm_flock_lab._experiments.compare import build_cells, compare
+from llm_flock_lab._experiments.grid import Cell
+from llm_flock_lab._experiments.trial import TrialResult
 
 
 def timeless(summary: dict[str, Any] | None) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from sample_records import FakeRun, make_record
 from viewer_pages import choose, page_at, ready, shown_round, until, viewer
 
 import llm_flock
-from llm_flock.record.schema import SummaryMessage
-from llm_flock.record.writer import RecordWriter
+from llm_flock.record._schema import SummaryMessage
+from llm_flock.record._writer import RecordWriter
 
 
 @contextmanager

@@ -10,9 +10,9 @@ from playwright.sync_api import Browser, Page, expect
 from sample_records import FakeRun, make_record
 from viewer_pages import page_at, ready, viewer
 
-from llm_flock.record.schema import Entry, State
-from llm_flock.record.writer import RecordWriter
-from llm_flock.viewer.page import bundle
+from llm_flock.record._schema import Entry, State
+from llm_flock.record._writer import RecordWriter
+from llm_flock_view._viewer.page import bundle
 
 PLACE = """([n, wide, seed]) => {
     let state = seed;

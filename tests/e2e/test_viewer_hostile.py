@@ -9,7 +9,7 @@ from playwright.sync_api import Browser, Page, expect
 from sample_records import FakeRun, llm_entry
 from viewer_pages import page_at, ready, viewer
 
-from llm_flock.record.schema import (
+from llm_flock.record._schema import (
     Entry,
     LlmEntry,
     MissionInfo,
@@ -19,7 +19,7 @@ from llm_flock.record.schema import (
     State,
     SummaryMessage,
 )
-from llm_flock.record.writer import RecordWriter
+from llm_flock.record._writer import RecordWriter
 
 HOSTILE = (
     "<script>window.broken = 1</script><img src=x onerror='window.broken = 2'> {{ 1 + 1 }} ${window.broken = 3} "

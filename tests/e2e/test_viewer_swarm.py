@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import expect, sync_playwright
 from viewer_pages import until
 
-from llm_flock.runtime.network.swarm import free_port
+from llm_flock_swarm._network.swarm import free_port
 
 TEAM = """
 [mission]

@@ -13,10 +13,10 @@ from swarms import fly, swarm_config
 
 from llm_flock.arrays import Point
 from llm_flock.obstacles import Obstacle, segment_clearance
-from llm_flock.record.reader import read_record
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.flight import Flight
+from llm_flock.record._reader import read_record
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.flight import Flight
 
 SAFE = 3.0
 
@@ -44,7 +44,7 @@ def test_a_swarm_of_processes(tmp_path: Path) -> None:
 
 def test_drones_with_a_radio() -> None:
     pytest.importorskip("cflib")
-    from llm_flock.testing.crtp import StandIns
+    from llm_flock_flight._testing.crtp import StandIns
 
     starts, obstacles = [(-0.4, -0.3, 0.0), (-0.4, 0.3, 0.0)], wall(13.0, 15.0, 30.0)
     room = {"shape": "line", "n_robots": 2, "center": [20, 15], "spacing": 6, "arena": [[0, 0], [30, 30]]}

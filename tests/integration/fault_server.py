@@ -206,8 +206,8 @@ def stand_in(options: Options) -> Answer:
     """Who answers: a fixed text, or a simulated model that reads the prompt; the same prompt has the same answer."""
     if options.fixed_answer:
         return lambda model, messages: options.fixed_answer
-    from llm_flock.llm.simulated.model import Responder
-    from llm_flock.llm.simulated.profiles import parse_profile
+    from llm_flock.llm._simulated.model import Responder
+    from llm_flock.llm._simulated.profiles import parse_profile
 
     good, bad = parse_profile(options.profile), parse_profile(options.bad_profile)
 
@@ -248,7 +248,7 @@ class Server:
 @contextlib.contextmanager
 def running(**options: Any) -> Iterator[Server]:
     """Start the server in its own process with these `Options`; it ends with the block, or with the test process."""
-    source = Path(__file__).parents[2] / "src"
+    source = os.pathsep.join(map(str, Path(__file__).parents[2].glob("packages/*/src")))
     command = [sys.executable, __file__, "--end-with-stdin"]
     for name, value in options.items():
         command += [f"--{name.replace('_', '-')}", str(value)]

@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
-from llm_flock.cli.extensions import Finding
-from llm_flock.cli.fly import reach_drones
-from llm_flock.cli.swarm import reach_router
+from llm_flock.cli._extensions import Finding
+from llm_flock_flight._cli.fly import reach_drones
+from llm_flock_swarm._cli.swarm import reach_router
 
 
 def test_the_doctor_says_what_is_there_and_shows_no_key(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -33,7 +33,7 @@ def test_the_doctor_says_what_is_there_and_shows_no_key(monkeypatch: pytest.Monk
 
 def test_the_doctor_finds_a_drone_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("cflib")
-    from llm_flock.robots.crazyflie import link
+    from llm_flock_flight._crazyflie import link
 
     monkeypatch.setattr(link, "in_reach", lambda: ("udp://127.0.0.1:19850",))
     assert reach_drones()[0].ok

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
+pytest.importorskip("inspect_ai")
+
+
 import asyncio
 import json
 import shlex
@@ -16,11 +21,11 @@ from command_line import ENV, Done, flock_process
 from exam_models import Hashed
 from integration.fault_server import running
 
-from llm_flock.exam.ask import Examiner, Outcome
-from llm_flock.exam.leaderboard import Row, read_rows
-from llm_flock.exam.splits import paper
-from llm_flock.llm.own import OwnModel
-from llm_flock.llm.prompting import PromptSet
+from llm_flock.llm._own import OwnModel
+from llm_flock.llm._prompting import PromptSet
+from llm_flock_lab._exam.ask import Examiner, Outcome
+from llm_flock_lab._exam.leaderboard import Row, read_rows
+from llm_flock_lab._exam.splits import paper
 
 pytestmark = pytest.mark.skipif(find_spec("inspect_ai") is None, reason="the extra exam is not installed")
 

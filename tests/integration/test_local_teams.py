@@ -10,15 +10,15 @@ from swarms import swarm_config
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments import executors
-from llm_flock.experiments.compare import build_cells, compare
-from llm_flock.experiments.sweep_file import load_sweep
-from llm_flock.experiments.tally import expect_cells
-from llm_flock.llm.local.engine import ENGINES
-from llm_flock.llm.local.weights import find_weights
-from llm_flock.runtime.config import build_config
-from llm_flock.runtime.network.swarm import run_swarm
-from llm_flock.runtime.planners import TeamPlanners
+from llm_flock.runtime._config import build_config
+from llm_flock.runtime._planners import TeamPlanners
+from llm_flock_lab._experiments import executors
+from llm_flock_lab._experiments.compare import build_cells, compare
+from llm_flock_lab._experiments.sweep_file import load_sweep
+from llm_flock_lab._experiments.tally import expect_cells
+from llm_flock_onboard._local.engine import ENGINES
+from llm_flock_onboard._local.weights import find_weights
+from llm_flock_swarm._network.swarm import run_swarm
 
 pytest.importorskip("xllamacpp")
 pytestmark = pytest.mark.usefixtures("own_cache")

@@ -14,11 +14,11 @@ import pytest
 from command_line import flock
 from zenoh_router import listener, router
 
-from llm_flock.ros2.graph import Graph
-from llm_flock.ros2.types import TEXT
-from llm_flock.runtime.network.swarm import free_port
-from llm_flock.transport.zenoh import MAX_SEALED_BYTES, open_session, settings
-from llm_flock.viewer.server import listen
+from llm_flock_swarm._network.swarm import free_port
+from llm_flock_swarm._ros2.graph import Graph
+from llm_flock_swarm._ros2.types import TEXT
+from llm_flock_swarm._zenoh import MAX_SEALED_BYTES, open_session, settings
+from llm_flock_view._viewer.server import listen
 
 
 @pytest.mark.parametrize("endpoint", ["nowhere", "tcp/127.0.0.1:1"])
@@ -29,7 +29,7 @@ def test_a_router_that_does_not_answer_is_refused_before_a_process_starts(
         raise AssertionError(f"started {words}")
 
     monkeypatch.setattr("asyncio.create_subprocess_exec", refuse)
-    monkeypatch.setattr("llm_flock.ros2.graph.WAIT_MS", 200)
+    monkeypatch.setattr("llm_flock_swarm._ros2.graph.WAIT_MS", 200)
     done = flock("swarm", "--ros2", endpoint, "--robots", "3", "--shape", "triangle", cwd=tmp_path, check=False)
     assert done.returncode == 2 and done.stderr.startswith(f"error: --ros2 {endpoint}: expected an endpoint such as ")
     assert done.stderr.count("\n") == 1, "nothing is said to start"

@@ -27,15 +27,10 @@ from signed_team import Liar, SignedTeam, good_plan
 from toy_keys import ToyKeys
 from whole_agent import whole_agent
 
-from llm_flock.cli.accusations import show_accusations
-from llm_flock.cli.display import show_conversation, show_overview
+from llm_flock.agent import Agent
+from llm_flock.cli._display import show_conversation, show_overview
 from llm_flock.errors import AnswerError, FlockError, InputError, MessageError, RecordError
-from llm_flock.formations import load_points
-from llm_flock.foxglove.file import write_file
-from llm_flock.llm.local.gguf import read_header
-from llm_flock.mission import Mission
-from llm_flock.protocol.agent import Agent
-from llm_flock.protocol.events import (
+from llm_flock.events import (
     AgreementEnded,
     Arrived,
     AskStep,
@@ -46,16 +41,20 @@ from llm_flock.protocol.events import (
     Planned,
     Received,
 )
-from llm_flock.protocol.messages.message import decode
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import NoAnswer, PlanAnswer
-from llm_flock.protocol.signed.guilt import guilt
-from llm_flock.protocol.verification.validator import Validator
-from llm_flock.record.reader import iter_messages, read_record
-from llm_flock.record.schema import NullWriter
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.network.observer import Observer
-from llm_flock.runtime.network.wire import (
+from llm_flock.message import decode
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer
+from llm_flock.protocol._verification.validator import Validator
+from llm_flock.record._reader import iter_messages, read_record
+from llm_flock.record._schema import NullWriter
+from llm_flock.runtime._rules import PRESETS, assignment_rule, consensus_rule
+from llm_flock.shapes import load_points
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_onboard._local.gguf import read_header
+from llm_flock_swarm._cli.accusations import show_accusations
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.wire import (
     Beacon,
     BeaconedMessage,
     Body,
@@ -66,13 +65,14 @@ from llm_flock.runtime.network.wire import (
     pack,
     unpack,
 )
-from llm_flock.runtime.network.world import WorldBodies
-from llm_flock.runtime.rules import PRESETS, assignment_rule, consensus_rule
-from llm_flock.trust.envelope import Envelope
-from llm_flock.viewer import data, events
-from llm_flock.viewer.library import Library, load
-from llm_flock.viewer.mind import mind
-from llm_flock.viewer.replay_page import write_page
+from llm_flock_swarm._network.world import WorldBodies
+from llm_flock_swarm._signed.guilt import guilt
+from llm_flock_swarm._trust.envelope import Envelope
+from llm_flock_view._foxglove.file import write_file
+from llm_flock_view._viewer import data, events
+from llm_flock_view._viewer.library import Library, load
+from llm_flock_view._viewer.mind import mind
+from llm_flock_view._viewer.replay_page import write_page
 
 CASES = 25
 VALIDATOR = Validator(shield_on=True)

@@ -11,7 +11,7 @@ from benchmarks import arrivals, scenes
 from benchmarks.orca import orca_line, orca_velocities, orca_velocity
 
 from llm_flock.mission import Mission
-from llm_flock.protocol.motion.right_of_way import RightOfWay
+from llm_flock.protocol._motion.right_of_way import RightOfWay
 
 LIMITS = {"diameter": 3.0, "longest": 6.0, "horizon": 2.0, "period": 0.1}
 

@@ -15,16 +15,16 @@ from typing import Any
 import pytest
 from flights import flight_config
 
-from llm_flock.record.schema import NullWriter
-from llm_flock.robots.crazyflie.threads import in_thread
-from llm_flock.robots.mavlink.conversation import Conversation
-from llm_flock.robots.mavlink.port import Port
-from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.log import FlightLog
-from llm_flock.runtime.flight.takeoff import take_off
-from llm_flock.runtime.flight.team import FlyingTeam
+from llm_flock.record._schema import NullWriter
+from llm_flock_flight._crazyflie.threads import in_thread
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.log import FlightLog
+from llm_flock_flight._flight.takeoff import take_off
+from llm_flock_flight._flight.team import FlyingTeam
+from llm_flock_flight._mavlink.conversation import Conversation
+from llm_flock_flight._mavlink.port import Port
 
-SOURCES = Path(__file__).parents[2] / "src" / "llm_flock"
+SOURCES = Path(__file__).parents[2] / "packages"
 
 End = Callable[[], object]
 

@@ -11,11 +11,11 @@ from typer.testing import CliRunner, Result
 
 from llm_flock import extras
 from llm_flock.cli import app
-from llm_flock.cli.display import live_line
+from llm_flock.cli._display import live_line
 from llm_flock.errors import InputError
-from llm_flock.experiments.sweep_file import load_sweep
-from llm_flock.llm.mission_words import MissionReader
-from llm_flock.runtime.trial import TrialProgress
+from llm_flock.llm._mission_words import MissionReader
+from llm_flock.runtime._trial import TrialProgress
+from llm_flock_lab._experiments.sweep_file import load_sweep
 
 
 def call(*argv: object, monkeypatch: pytest.MonkeyPatch) -> Result:
@@ -53,8 +53,8 @@ def test_the_live_line_says_what_it_waits_for_until_a_robot_is_there(capsys: pyt
 def test_a_picture_of_a_run_that_broke_off_says_so_and_what_it_replaces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("llm_flock.viz.figures.snapshots", lambda record, rounds: None)
-    monkeypatch.setattr("llm_flock.viz.figures.save", lambda drawn, path: path.touch())
+    monkeypatch.setattr("llm_flock_view._figures.figures.snapshots", lambda record, rounds: None)
+    monkeypatch.setattr("llm_flock_view._figures.figures.save", lambda drawn, path: path.touch())
     first = call("figure", make_record(tmp_path / "run.mcap", n=3, rounds=2), monkeypatch=monkeypatch)
     assert (first.exit_code, first.stderr) == (0, "")
     (tmp_path / "run.mcap").unlink()
@@ -103,7 +103,7 @@ def test_the_viewer_shows_no_address_before_all_is_known_to_work(
 
 
 def test_missions_in_words_take_models_on_board(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("llm_flock.llm.local.source.OnBoard.digests", lambda self, model: {})
+    monkeypatch.setattr("llm_flock_onboard._local.source.OnBoard.digests", lambda self, model: {})
     assert MissionReader("local:smollm2").model == "local:smollm2"
 
 
@@ -123,7 +123,7 @@ def test_a_sweep_is_shortened_from_the_command_line(tmp_path: Path) -> None:
 
 def test_compare_prints_a_table_or_markdown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("llm_flock.experiments.compare.compare", lambda cells, **options: ())
+    monkeypatch.setattr("llm_flock_lab._experiments.compare.compare", lambda cells, **options: ())
     argv = ("compare", "--cells", "triangle/3", "--protocols", "flock")
     assert call(*argv, monkeypatch=monkeypatch).stdout.startswith("┏")
     assert call(*argv, "--markdown", monkeypatch=monkeypatch).stdout.startswith("| protocol |")

@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 
 from llm_flock.cli import app
 from llm_flock.errors import InputError
-from llm_flock.runtime.config import RunConfig
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.network.config import SwarmConfig
+from llm_flock.runtime._config import RunConfig
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_swarm._network.config import SwarmConfig
 
 MOST = {
     "run": 20,

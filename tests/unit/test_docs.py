@@ -18,11 +18,11 @@ import typer.main
 
 from llm_flock import plugins
 from llm_flock.cli import app
-from llm_flock.experiments.sweep_file import load_sweep
-from llm_flock.runtime.config import RunConfig
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.network.config import SwarmConfig
-from llm_flock.runtime.result import Summary
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._result import Summary
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_lab._experiments.sweep_file import load_sweep
+from llm_flock_swarm._network.config import SwarmConfig
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))
@@ -115,7 +115,7 @@ def test_configuration_examples_are_valid(page: Path, tmp_path: Path) -> None:
 def test_tests_that_pages_name_exist() -> None:
     existing = {
         name
-        for file in (ROOT / "tests").rglob("test_*.py")
+        for file in (*ROOT.glob("tests/**/test_*.py"), *ROOT.glob("packages/*/tests/**/test_*.py"))
         for name in (file.name, *re.findall(r"^def (test_\w+)\(", file.read_text(encoding="utf-8"), re.MULTILINE))
     }
     examples = {"test_my_model", "test_my_own_model", "test_my_prompts", "test_my_shape"}
@@ -176,10 +176,10 @@ GLOSSARY_NAMES = sorted(
 
 def found(name: str) -> bool:
     """Whether a dotted name below the package is a module, or an attribute of one."""
-    parts = name.split(".")
+    parts = name.split(".") if name.startswith("llm_flock") else ["llm_flock", *name.split(".")]
     for k in range(len(parts), 0, -1):
         try:
-            thing: Any = importlib.import_module(".".join(["llm_flock", *parts[:k]]))
+            thing: Any = importlib.import_module(".".join(parts[:k]))
         except ImportError:
             continue
         try:
@@ -211,13 +211,13 @@ def test_the_code_of_the_paper_exists(name: str) -> None:
 
 
 def test_a_name_that_does_not_exist_is_noticed() -> None:
-    assert not found("protocol.agent.Mind") and not found("protocol.talks") and found("protocol.agent.Agent.goal")
+    assert not found("agent.Mind") and not found("protocol.talks") and found("agent.Agent.goal")
 
 
 def test_every_package_and_module_says_what_it_is_for() -> None:
-    files = [*from_code.SOURCE.rglob("*.py")]
+    files = [path for top in from_code.TOPS for path in top.rglob("*.py")]
     assert [path.name for path in files if not from_code.first_line(path)] == []
-    assert {"trust", "obstacles", "protocol.agreement"} <= {name for name, _ in from_code.packages()}
+    assert {"llm_flock_swarm._trust", "obstacles", "protocol._agreement"} <= {name for name, _ in from_code.packages()}
 
 
 def test_the_layers_are_those_of_the_import_contract() -> None:

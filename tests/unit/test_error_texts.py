@@ -10,8 +10,8 @@ from typer.testing import CliRunner
 
 from llm_flock.cli import app
 from llm_flock.errors import FieldError, InputError, unknown
-from llm_flock.experiments.sweep_file import load_sweep
-from llm_flock.runtime.config import RunConfig, build_config, load_config
+from llm_flock.runtime._config import RunConfig, build_config, load_config
+from llm_flock_lab._experiments.sweep_file import load_sweep
 
 
 def said(*argv: str, monkeypatch: pytest.MonkeyPatch) -> str:

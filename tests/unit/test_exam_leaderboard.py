@@ -11,8 +11,8 @@ import yaml
 from command_line import flock
 
 from llm_flock.errors import InputError
-from llm_flock.exam.leaderboard import PAGE, Row, page_text, publish, read_rows
-from llm_flock.exam.splits import paper
+from llm_flock_lab._exam.leaderboard import PAGE, Row, page_text, publish, read_rows
+from llm_flock_lab._exam.splits import paper
 
 FOLDER = Path(__file__).parents[2] / "docs" / "leaderboard"
 ROWS = read_rows(FOLDER)

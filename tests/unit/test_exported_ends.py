@@ -10,8 +10,8 @@ from mcap.writer import Writer
 from sample_records import make_record
 
 from llm_flock.errors import RecordError
-from llm_flock.record.reader import read_end, read_record
-from llm_flock.ros2.bag import write_bag
+from llm_flock.record._reader import read_end, read_record
+from llm_flock_swarm._ros2.bag import write_bag
 
 
 def test_the_export_of_a_broken_record_says_where_it_ends(tmp_path: Path) -> None:

@@ -16,13 +16,13 @@ from pydantic import BaseModel
 
 from llm_flock import plugins
 from llm_flock.errors import InputError
-from llm_flock.robots.base import PEAK_SPEED
-from llm_flock.robots.segment import Segment
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.dry_run import dry_run
-from llm_flock.runtime.flight.fleet import build_fleet
-from llm_flock.runtime.flight.setpoints import SetPointCheck, resting
-from llm_flock.runtime.mission_frame import MissionFrame
+from llm_flock.robots._base import PEAK_SPEED
+from llm_flock.robots._segment import Segment
+from llm_flock.runtime._mission_frame import MissionFrame
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.dry_run import dry_run
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.setpoints import SetPointCheck, resting
 
 SPACE: dict[str, Any] = {
     "points": [[0, 0, -4], [0, 0, 4], [8, 0, 0]],
@@ -210,7 +210,7 @@ def test_drones_of_crazyflies_yaml(tmp_path: Path) -> None:
     assert [robot.name for robot in build_fleet(settings)] == ["cf0", "cf1", "cf2", "cf3"]
 
 
-@pytest.mark.parametrize("robot", ["tricycle", "llm_flock.robots.base:nothing", "no.such.module:make"])
+@pytest.mark.parametrize("robot", ["tricycle", "llm_flock.robots._base:nothing", "no.such.module:make"])
 def test_a_driver_that_is_not_there(robot: str) -> None:
     with pytest.raises(InputError, match="robot"):
         build_fleet(flight_config(robot=robot))

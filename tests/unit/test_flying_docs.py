@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from benchmarks.flight_cases import ALL, case_config
 
-from llm_flock.cli.fly import WORD
-from llm_flock.cli.keyboard import CUT_KEYS, LAND_KEYS, RETURN_KEYS
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.flight.dry_run import dry_run
-from llm_flock.runtime.flight.monitors import TroubleKind
-from llm_flock.runtime.flight.reaction_times import reaction_times
+from llm_flock_flight._cli.fly import WORD
+from llm_flock_flight._cli.keyboard import CUT_KEYS, LAND_KEYS, RETURN_KEYS
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.dry_run import dry_run
+from llm_flock_flight._flight.monitors import TroubleKind
+from llm_flock_flight._flight.reaction_times import reaction_times
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "flying.md").read_text(encoding="utf-8")

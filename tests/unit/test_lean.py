@@ -17,12 +17,12 @@ import typer.main
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
-from llm_flock.cli.start import next_steps
+from llm_flock.cli._start import next_steps
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, ExtraMissing, require, require_posix
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PROJECT = tomllib.loads((ROOT / "packages" / "llm-flock" / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 HEAVY = (
     *("scipy.optimize", "scipy.sparse", "scipy.spatial", "scipy.special", "shapely", "polars", "matplotlib", "PIL"),
@@ -107,7 +107,7 @@ def test_the_probe_would_notice() -> None:
 def test_the_viewer_loads_no_other_command() -> None:
     # A page waits for it. It refuses what it is given here after it has built its options.
     probe = PROBE.replace("sys.argv[1:] = line.split()", 'sys.argv[1:] = ["view", *line.split()]')
-    *said, found = probed('[["no-such-file", ["llm_flock.cli.run", "rich", "asyncio", "typer", "numpy"]]]', probe)
+    *said, found = probed('[["no-such-file", ["llm_flock.cli._run", "rich", "asyncio", "typer", "numpy"]]]', probe)
     assert "no-such-file" in "\n".join(said)
     assert found == '[["typer"]]'
 

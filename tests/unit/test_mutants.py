@@ -25,7 +25,7 @@ def test_every_mutant_fits_the_sources() -> None:
 def test_the_tests_that_have_to_fail_exist() -> None:
     for mutant in MUTANTS:
         path, _, function = mutant.test.partition("::")
-        assert f"def {function}(" in Path(ROOT / "tests" / path).read_text(encoding="utf-8"), mutant.name
+        assert f"def {function}(" in Path(ROOT / path).read_text(encoding="utf-8"), mutant.name
 
 
 def test_a_snippet_that_is_gone_or_occurs_twice_is_refused() -> None:

@@ -10,12 +10,12 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm import own
-from llm_flock.llm.own import OwnModel
-from llm_flock.llm.port import Call, ChatMessage, Reply, Usage
-from llm_flock.llm.providers import parse_model
+from llm_flock.llm import _own as own
+from llm_flock.llm._own import OwnModel
+from llm_flock.llm._port import Call, ChatMessage, Reply, Usage
+from llm_flock.llm._providers import parse_model
 from llm_flock.own_code import load_own
-from llm_flock.runtime.rules import consensus_rule
+from llm_flock.runtime._rules import consensus_rule
 from llm_flock.testing import check_model
 
 CALL = Call(robot=0, round=1, kind="plan", attempt=0, messages=(ChatMessage("user", "Plan?"),))

@@ -18,18 +18,18 @@ from pose_frames import LIMITS, NAMES, frame, reason
 from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing
-from llm_flock.robots.base import RobotError, RobotState
-from llm_flock.robots.crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
-from llm_flock.robots.point_mass import PointMass
-from llm_flock.robots.pose import Pose, PoseFrame
-from llm_flock.robots.positions import PoseFeed, PoseGate
-from llm_flock.robots.positions.mocap import frame_of_bodies
-from llm_flock.ros2.flight import RosPoses
-from llm_flock.ros2.wire import Attachment
-from llm_flock.runtime.flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source
-from llm_flock.runtime.ros2_config import Ros2Config
-from llm_flock.testing.crtp.external import SILENT_S as STANDS_S
-from llm_flock.testing.crtp.firmware import LOCALIZATION, Firmware, packet
+from llm_flock.robots._base import RobotError, RobotState
+from llm_flock.robots._point_mass import PointMass
+from llm_flock.robots._pose import Pose, PoseFrame
+from llm_flock.runtime._ros2_config import Ros2Config
+from llm_flock_flight._crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
+from llm_flock_flight._flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source
+from llm_flock_flight._positions import PoseFeed, PoseGate
+from llm_flock_flight._positions.mocap import frame_of_bodies
+from llm_flock_flight._testing.crtp.external import SILENT_S as STANDS_S
+from llm_flock_flight._testing.crtp.firmware import LOCALIZATION, Firmware, packet
+from llm_flock_swarm._ros2.flight import RosPoses
+from llm_flock_swarm._ros2.wire import Attachment
 
 
 class Source:

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import tomllib
 from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+PARTS = sorted(ROOT.glob("packages/*/pyproject.toml"))
+PROJECTS = [tomllib.loads(path.read_text(encoding="utf-8"))["project"] for path in PARTS]
+PROJECT = next(project for project in PROJECTS if project["name"] == "llm-flock")
 
 
-LOCK = (ROOT / "requirements.txt").read_text(encoding="utf-8").replace("\\\n", "").splitlines()
-"""What `make setup` installs: a requirement and its hashes on one line."""
+TEXT = (ROOT / "requirements.txt").read_text(encoding="utf-8").replace("\\\n", "")
+LOCK = [line for line in TEXT.splitlines() if not line.startswith("# ")]
+"""What `make everything` installs: a requirement and its hashes on one line."""
 
 
 def pins() -> list[str]:
@@ -39,7 +43,8 @@ def test_every_file_that_is_installed_has_a_hash() -> None:
 
 
 def test_every_declared_dependency_is_pinned() -> None:
-    declared = [*PROJECT["dependencies"], *(d for extra in PROJECT["optional-dependencies"].values() for d in extra)]
+    declared = [d for project in PROJECTS for d in project.get("dependencies", ())]
+    declared += [d for extra in PROJECT["optional-dependencies"].values() for d in extra]
     names = {normal(re.split(r"[^A-Za-z0-9._-]", line)[0]) for line in declared}
     ours = {path.name for path in (ROOT / "packages").iterdir()}
     assert names <= {normal(line.split("==")[0]) for line in pins()} | ours | {"llm-flock"}
@@ -54,7 +59,38 @@ def test_the_changelog_speaks_of_this_version() -> None:
 def test_a_class_name_is_used_once() -> None:
     found = Counter(
         name
-        for path in (ROOT / "src").rglob("*.py")
+        for path in ROOT.glob("packages/*/src/**/*.py")
         for name in re.findall(r"^class ([A-Z]\w*)", path.read_text(encoding="utf-8"), re.MULTILINE)
     )
     assert [name for name, count in found.items() if count > 1] == []
+
+
+def test_the_parts_have_one_version() -> None:
+    assert {project["version"] for project in PROJECTS} == {PROJECT["version"]}
+    ours = [d for project in PROJECTS for d in project.get("dependencies", ()) if d.startswith("llm-flock")]
+    assert ours and {d.partition("==")[2] for d in ours} == {PROJECT["version"]}
+
+
+def private(module: str, name: str = "") -> bool:
+    """Whether an import reaches into the core below its public modules."""
+    return module.split(".")[0] == "llm_flock" and any(part.startswith("_") for part in f"{module}.{name}".split("."))
+
+
+def imports(path: Path) -> list[tuple[str, str]]:
+    """Module and name of every import of a file."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+    found = [(alias.name, "") for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    return found + [
+        (node.module or "", alias.name) for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names
+    ]
+
+
+def test_a_part_imports_only_public_modules_of_the_core() -> None:
+    files = list(ROOT.glob("packages/llm-flock-*/src/**/*.py"))
+    assert len(files) > 100
+    assert [(path.name, *found) for path in files for found in imports(path) if private(*found)] == []
+    assert (
+        private("llm_flock.llm._port", "Call")
+        and private("llm_flock.llm", "_port")
+        and not private("llm_flock.llm", "Call")
+    )

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import InputError
-from llm_flock.llm.prompt_values import nearest_text, number_text, position_decimals, short_text
-from llm_flock.llm.prompting import VARIABLES, PromptSet
+from llm_flock.llm._prompt_values import nearest_text, number_text, position_decimals, short_text
+from llm_flock.llm._prompting import VARIABLES, PromptSet
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import PlanQuestion, StepQuestion
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import PlanQuestion, StepQuestion
 
 ROOT = Path(__file__).parents[2]
 MISSION = build_mission(

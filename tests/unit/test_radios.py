@@ -12,7 +12,7 @@ from command_line import flock
 from flights import STARTS, flight_config
 
 from llm_flock.errors import InputError
-from llm_flock.robots.crazyflie.radios import (
+from llm_flock_flight._crazyflie.radios import (
     EXCHANGE_S,
     LAST_IN_BAND,
     MOST_SHARE,
@@ -26,8 +26,8 @@ from llm_flock.robots.crazyflie.radios import (
     radios_for,
     wifi_over,
 )
-from llm_flock.runtime.flight.preflight import radio_checks, radio_plan
-from llm_flock.testing.crtp.radio import BEHIND_S, QUEUE, RELAXED_S, ModelledRadio
+from llm_flock_flight._flight.preflight import radio_checks, radio_plan
+from llm_flock_flight._testing.crtp.radio import BEHIND_S, QUEUE, RELAXED_S, ModelledRadio
 
 ROOT = Path(__file__).parents[2]
 TRAFFIC = exchanges_of(round_s=3.0)

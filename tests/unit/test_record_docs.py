@@ -10,16 +10,9 @@ from typing import Any
 
 import pytest
 
-from llm_flock.protocol import events
-from llm_flock.record import scene
-from llm_flock.record.schema import (
-    CHANNELS,
-    SCENE_TOPIC,
-    VOLATILE_RESULTS,
-    LlmEntry,
-    channel_schema,
-    volatile_fields,
-)
+from llm_flock import events
+from llm_flock.record import _scene as scene
+from llm_flock.record._schema import CHANNELS, SCENE_TOPIC, VOLATILE_RESULTS, LlmEntry, channel_schema, volatile_fields
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "docs" / "_ext"))

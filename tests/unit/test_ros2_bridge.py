@@ -15,19 +15,19 @@ from pydantic import ValidationError
 from ros2_messages import SAMPLES, points, same
 
 from llm_flock.errors import InputError, MessageError
-from llm_flock.record.schema import BodySample, FlightEvent, MissionInfo
-from llm_flock.ros2 import drawing
-from llm_flock.ros2.bridge import Stamps
-from llm_flock.ros2.flight import FlightShow
-from llm_flock.ros2.nodes import Refused
-from llm_flock.ros2.orders import ORDERED, mission_fields, places_fields
-from llm_flock.ros2.sensors import FRESH_S, LATE_S, LOST_S, SensedBodies
-from llm_flock.ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, from_cdr, to_cdr, type_store
-from llm_flock.ros2.wire import Attachment
-from llm_flock.runtime.flight.config import FlightConfig
-from llm_flock.runtime.journal import mission_info
-from llm_flock.runtime.network.wire import Command
-from llm_flock.runtime.ros2_config import Ros2Config
+from llm_flock.record._schema import BodySample, FlightEvent, MissionInfo
+from llm_flock.runtime._journal import mission_info
+from llm_flock.runtime._ros2_config import Ros2Config
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_swarm._network.wire import Command
+from llm_flock_swarm._ros2 import drawing
+from llm_flock_swarm._ros2.bridge import Stamps
+from llm_flock_swarm._ros2.flight import FlightShow
+from llm_flock_swarm._ros2.nodes import Refused
+from llm_flock_swarm._ros2.orders import ORDERED, mission_fields, places_fields
+from llm_flock_swarm._ros2.sensors import FRESH_S, LATE_S, LOST_S, SensedBodies
+from llm_flock_swarm._ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, from_cdr, to_cdr, type_store
+from llm_flock_swarm._ros2.wire import Attachment
 
 NAN = math.nan
 

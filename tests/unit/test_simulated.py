@@ -14,19 +14,19 @@ import pytest
 from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
 from simulated_talk import CIRCLE, JSON, PLAN, TEXT, Conversation, plan_talk, responder, step_talk
 
-from llm_flock import formations
+from llm_flock import shapes as formations
 from llm_flock.errors import AnswerError, InputError, ModelError
-from llm_flock.llm.planner import LanguagePlanner
-from llm_flock.llm.port import Call, ChatMessage
-from llm_flock.llm.prompting import PromptSet
-from llm_flock.llm.simulated.model import SimulatedModel
-from llm_flock.llm.simulated.profiles import FAILURES, PROFILES, Profile, parse_profile
+from llm_flock.llm._planner import LanguagePlanner
+from llm_flock.llm._port import Call, ChatMessage
+from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._simulated.model import SimulatedModel
+from llm_flock.llm._simulated.profiles import FAILURES, PROFILES, Profile, parse_profile
 from llm_flock.metrics import procrustes
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol.geometry import turned
-from llm_flock.protocol.plan import Plan
-from llm_flock.protocol.planning import StepAnswer, StepQuestion
-from llm_flock.protocol.verification.plans import check_plan
+from llm_flock.plan import Plan
+from llm_flock.protocol._geometry import turned
+from llm_flock.protocol._planning import StepAnswer, StepQuestion
+from llm_flock.protocol._verification.plans import check_plan
 
 ROOT = Path(__file__).parents[2]
 

@@ -9,12 +9,12 @@ import polars as pl
 import pytest
 
 from llm_flock.errors import InputError, RecordError
-from llm_flock.experiments import tables
-from llm_flock.experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
-from llm_flock.experiments.trial import Earlier, TrialResult
-from llm_flock.llm.limits import Spent
-from llm_flock.runtime.config import build_config
-from llm_flock.runtime.result import Summary
+from llm_flock.llm._limits import Spent
+from llm_flock.runtime._config import build_config
+from llm_flock.runtime._result import Summary
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
+from llm_flock_lab._experiments.trial import Earlier, TrialResult
 
 DOCS = Path(__file__).parents[2] / "docs"
 

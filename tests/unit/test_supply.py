@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
+pytest.importorskip("cyclonedx")
+
+
 import json
 import zipfile
 from pathlib import Path

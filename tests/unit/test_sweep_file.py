@@ -7,9 +7,9 @@ import pytest
 from sweeps import small, small_file
 
 from llm_flock.errors import InputError
-from llm_flock.experiments.grid import trial_id
-from llm_flock.experiments.sweep_file import load_sweep
-from llm_flock.runtime.config import build_config
+from llm_flock.runtime._config import build_config
+from llm_flock_lab._experiments.grid import trial_id
+from llm_flock_lab._experiments.sweep_file import load_sweep
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
 

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from sample_records import FakeRun
 
-from llm_flock.protocol.events import NOTES
-from llm_flock.record.history import RunHistory
-from llm_flock.record.schema import ProtocolEvent
-from llm_flock.viewer.data import event_lines
-from llm_flock.viewer.events import in_words, told_kinds
+from llm_flock.events import NOTES
+from llm_flock.record._history import RunHistory
+from llm_flock.record._schema import ProtocolEvent
+from llm_flock_view._viewer.data import event_lines
+from llm_flock_view._viewer.events import in_words, told_kinds
 
 VALUES: dict[str, Any] = {
     "plan": "ab12", "asked": "ab12", "slot": 3, "before": None, "from": 2, "by": "model", "question": "step",

@@ -10,10 +10,10 @@ from signed_team import SignedTeam, evidence_of, line_up
 from tables import told
 from toy_keys import ToyKeys
 
+from llm_flock.message import NO_OWNER, UNSAID, Message
 from llm_flock.mission import Mission
-from llm_flock.protocol.agreement.auction import LAST_EXCHANGED
-from llm_flock.protocol.messages.message import NO_OWNER, UNSAID, Message
-from llm_flock.protocol.signed.certificates import (
+from llm_flock.protocol._agreement.auction import LAST_EXCHANGED
+from llm_flock_swarm._signed.certificates import (
     LIARS,
     Certificate,
     Proofs,
@@ -22,7 +22,7 @@ from llm_flock.protocol.signed.certificates import (
     most_exchanges,
     word_statement,
 )
-from llm_flock.protocol.signed.words import MOST_PASSED_ON, in_turn
+from llm_flock_swarm._signed.words import MOST_PASSED_ON, in_turn
 
 N, TWO = 7, 2
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)

@@ -1,0 +1,5 @@
+"""Real drones: preflight, flight and landing, with Crazyflies, MAVLink and simulated physics."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,76 @@
+"""Records a flight: events, samples of every drone, and measurements over both."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+from llm_flock import metrics
+from llm_flock.record import BodySample, FlightEvent, RecordSink
+from llm_flock.robots import RobotState, Segment
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.lag import Tracking
+from llm_flock_flight._flight.setpoints import scale_heights
+
+SAMPLE_S = 0.1
+"""Time between two samples in the record [s]."""
+
+
+class FlightLog:
+    """Writes the entries of a record that only flights have, and keeps measurements over drones in the air.
+
+    Attributes:
+        lag_s: longest delay of drones behind their set-points so far [s].
+    """
+
+    def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
+        self.round = 0
+        self.nearest_m, self.worst_m = math.inf, 0.0
+        self.squares, self.counted = 0.0, 0
+        self.lag_s = 0.0
+        self.fan_outs_s: list[float] = []
+        self._safety = config.safety
+        self._sink = sink
+        self._began = time.monotonic()
+        self._sampled = -math.inf
+
+    def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
+        """Record an event."""
+        seconds = round(time.monotonic() - self._began, 3)
+        self._sink.write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
+
+    def look(
+        self,
+        now_s: float,
+        states: Sequence[RobotState],
+        motions: Sequence[Segment],
+        airborne: frozenset[int],
+        tracking: Tracking,
+    ) -> None:
+        """Measure all drones; every `SAMPLE_S` also record them."""
+        commanded = [motion.at(state.stamp_s)[0] for state, motion in zip(states, motions, strict=True)]
+        for robot in airborne:
+            off = tracking.off_m[robot]
+            self.worst_m = max(self.worst_m, off)
+            self.squares += off * off
+            self.counted += 1
+            self.lag_s = max(self.lag_s, tracking.delay_s[robot])
+        safety = self._safety
+        flying = [states[robot].position for robot in sorted(airborne)]
+        if len(flying) > 1:
+            nearest = metrics.min_separation(scale_heights(flying, safety.min_separation_m, safety.downwash_m))
+            self.nearest_m = min(self.nearest_m, nearest)
+        if now_s - self._sampled >= SAMPLE_S:
+            self._sampled = now_s
+            sample = BodySample(
+                round=self.round,
+                time_s=round(now_s - self._began, 3),
+                measured=[[round(x, 4) for x in state.position] for state in states],
+                commanded=[[round(x, 4) for x in point] for point in commanded],
+                flying=[state.flying for state in states],
+                battery_v=[state.battery_v for state in states],
+                link=[0.0 if state.link_lost else state.link for state in states],
+            )
+            self._sink.write(sample)

@@ -1,0 +1,82 @@
+"""The body of a stand-in: a point mass that follows set-points with a lag, and falls without motors. Reads no clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from llm_flock.robots import Position
+
+STEP_S = 0.005
+"""Step of the integration [s]."""
+
+GAIN = 3.0
+"""Speed towards a set-point, by distance [1/s]."""
+
+LAG_S = 0.08
+"""Time constant of the speed [s]."""
+
+FASTEST_M_S = 4.0
+GRAVITY = 9.81
+LANDING_M_S = 0.7
+CLIMB_M_S = 0.8
+"""Of a landing and of a take-off that the autopilot flies by itself [m/s]."""
+
+REST: Position = (0.0, 0.0, 0.0)
+
+
+@dataclass(slots=True)
+class Airframe:
+    """Position and velocity (north, east, down), from the place where it was switched on; the ground is at 0.
+
+    Attributes:
+        ned: [m].
+        velocity: [m/s].
+        target: what it flies to [m]; None to stop.
+        feed_forward: velocity of the target [m/s].
+        motors: they turn.
+        at_s: time up to which it has moved [s].
+    """
+
+    ned: Position = REST
+    velocity: Position = REST
+    target: Position | None = None
+    feed_forward: Position = REST
+    motors: bool = False
+    lifted: bool = False
+    at_s: float = field(default=0.0)
+
+    @property
+    def height_m(self) -> float:
+        """Above the ground [m]."""
+        return -self.ned[2]
+
+    def advance(self, now: float) -> None:
+        """Move until `now`; a long gap is cut short."""
+        self.at_s = max(self.at_s, now - 1.0)
+        while self.at_s + STEP_S <= now:
+            self.at_s += STEP_S
+            self._step()
+
+    def _step(self) -> None:
+        if not self.motors:
+            self.lifted = False
+            fall = self.velocity[2] + GRAVITY * STEP_S if self.height_m > 0.0 else 0.0
+            self.velocity = (0.0, 0.0, fall)
+        elif self.lifted:
+            wanted = self._wanted()
+            share = STEP_S / LAG_S
+            north, east, down = (v + share * (w - v) for v, w in zip(self.velocity, wanted, strict=True))
+            self.velocity = (north, east, down)
+        else:
+            self.velocity = REST
+        north, east, down = (p + v * STEP_S for p, v in zip(self.ned, self.velocity, strict=True))
+        self.ned = (north, east, min(down, 0.0))
+        if down > 0.0:
+            self.velocity = REST
+
+    def _wanted(self) -> Position:
+        if self.target is None:
+            return REST
+        rows = [f + GAIN * (t - p) for t, p, f in zip(self.target, self.ned, self.feed_forward, strict=True)]
+        north, east, down = (min(max(v, -FASTEST_M_S), FASTEST_M_S) for v in rows)
+        return (north, east, down)

@@ -1,0 +1,208 @@
+"""Serves stand-in autopilots, each behind a UDP socket of its own, in one thread."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import selectors
+import socket
+import threading
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from llm_flock.robots import Position
+from llm_flock_flight._mavlink.codec import GROUND_STATION, Codec
+from llm_flock_flight._mavlink.frames import enu
+from llm_flock_flight._testing.mavlink.autopilot import Autopilot
+
+PORTS = (20_000, 32_000)
+"""Of drivers: below those that systems choose by themselves."""
+
+STEP_S = 0.005
+"""Time between two steps of the vehicles [s]."""
+
+
+class AutopilotStandIn:
+    """One vehicle: call anything here while it flies, from any thread. `autopilot` only `with vehicle.lock`.
+
+    Attributes:
+        uri: where a driver reaches it.
+        system_id: of its autopilot.
+        flavour: "px4" or "ardupilot".
+        loss: share of packets lost in each direction.
+        silent: every packet is lost, in both directions.
+        deaf: every packet towards it is lost.
+    """
+
+    def __init__(
+        self,
+        uri: str,
+        home: Position,
+        autopilot: Autopilot,
+        system_id: int,
+        calls: tuple[str, int] | None,
+        loss: float,
+        rng: np.random.Generator,
+    ) -> None:
+        self.uri, self.system_id, self.autopilot = uri, system_id, autopilot
+        self.flavour = "px4" if autopilot.px4 else "ardupilot"
+        self.loss, self.silent, self.deaf = loss, False, False
+        self.lock = threading.Lock()
+        self._home = home
+        self._rng = rng
+        self._calls = self._peer = calls
+        self._codec = Codec()
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+
+    @property
+    def position(self) -> Position:
+        """Where the body is [m; world frame]."""
+        with self.lock:
+            x, y, z = (a + b for a, b in zip(self._home, enu(self.autopilot.body.ned), strict=True))
+        return (x, y, z)
+
+    @property
+    def armed(self) -> bool:
+        """Whether the motors turn."""
+        with self.lock:
+            return self.autopilot.armed
+
+    @property
+    def mode(self) -> str:
+        """The mode, in words."""
+        with self.lock:
+            return self.autopilot.flavour.name_of(self.autopilot.mode)
+
+    def switch(self, mode: str) -> None:
+        """Change the mode by its name, as a pilot does by radio."""
+        with self.lock:
+            modes = {name: number for number, name in self.autopilot.flavour.names.items()}
+            self.autopilot.switch(modes[mode])
+
+    # The rest is for the thread that serves it.
+
+    def receive(self) -> None:
+        """Take all packets that have arrived."""
+        while True:
+            try:
+                data, peer = self.socket.recvfrom(4096)
+            except (BlockingIOError, ConnectionError):
+                return
+            if self.silent or self.deaf or self._lost():
+                continue
+            if self._calls is None:
+                self._peer = peer
+            elif peer[1] != self._calls[1]:
+                continue  # a late packet for whoever had this port before must not turn it away from its driver
+            for message in self._codec.datagram(data):
+                if int(message.get_srcSystem()) == GROUND_STATION:
+                    with self.lock:
+                        answers = self.autopilot.handle(message, time.monotonic())
+                    self._send(answers)
+
+    def tick(self) -> None:
+        """Fly on, and send what is due."""
+        with self.lock:
+            due = self.autopilot.tick(time.monotonic())
+        self._send(due)
+
+    def _lost(self) -> bool:
+        return self.loss > 0.0 and bool(self._rng.random() < self.loss)
+
+    def _send(self, packets: Sequence[bytes]) -> None:
+        for packet in packets:
+            if self._peer is not None and not self.silent and not self._lost():
+                with contextlib.suppress(BlockingIOError, ConnectionError):
+                    self.socket.sendto(packet, self._peer)
+
+
+class AutopilotStandIns:
+    """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`.
+
+    Args:
+        homes: place of each before take-off [m; world frame]: the zero of its local frame.
+        flavour: "px4" or "ardupilot".
+        host: address of the driver, which listens there.
+        port: that they call; 0 takes free ones. Where they do not share it, the others follow.
+        shared: they all call one port, with system ids 1, 2 and so on; otherwise each calls its own.
+        listening: they wait to be called instead, at `udpout://`.
+        loss: share of packets lost, in each direction.
+        seed: of the losses.
+    """
+
+    def __init__(
+        self,
+        homes: Sequence[Position],
+        *,
+        flavour: str = "px4",
+        host: str = "127.0.0.1",
+        port: int = 0,
+        shared: bool = False,
+        listening: bool = False,
+        loss: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="stand-ins", daemon=True)
+        rng = np.random.default_rng(seed)
+        ports = [port] * len(homes) if shared else [port + k if port else 0 for k in range(len(homes))]
+        if not port and not listening:
+            ports = _free_ports(host, 1) * len(homes) if shared else _free_ports(host, len(homes))
+        self._vehicles: list[AutopilotStandIn] = []
+        for k, (home, at) in enumerate(zip(homes, ports, strict=True)):
+            autopilot = Autopilot(flavour, k + 1)
+            calls = None if listening else (host, at)
+            vehicle = AutopilotStandIn(f"udp://{host}:{at}", home, autopilot, k + 1, calls, loss, rng)
+            if listening:
+                vehicle.socket.bind((host, at))
+                vehicle.uri = f"udpout://{host}:{vehicle.socket.getsockname()[1]}"
+            self._vehicles.append(vehicle)
+
+    @property
+    def uris(self) -> list[str]:
+        """Addresses for the driver."""
+        return [vehicle.uri for vehicle in self._vehicles]
+
+    def __getitem__(self, index: int) -> AutopilotStandIn:
+        return self._vehicles[index]
+
+    def __len__(self) -> int:
+        return len(self._vehicles)
+
+    def __enter__(self) -> AutopilotStandIns:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        for vehicle in self._vehicles:
+            vehicle.socket.close()
+
+    def _serve(self) -> None:
+        with selectors.DefaultSelector() as selector:
+            for vehicle in self._vehicles:
+                selector.register(vehicle.socket, selectors.EVENT_READ, vehicle)
+            due = time.monotonic()
+            while not self._stop.is_set():
+                for key, _ in selector.select(max(0.0, due - time.monotonic())):
+                    key.data.receive()
+                if time.monotonic() >= due:
+                    due = time.monotonic() + STEP_S
+                    for vehicle in self._vehicles:
+                        vehicle.tick()
+
+
+def _free_ports(host: str, count: int) -> list[int]:
+    """UDP ports that nobody uses now, and that no system gives to whoever asks for any before the driver is there."""
+    found: list[int] = []
+    for port in random.SystemRandom().sample(range(*PORTS), PORTS[1] - PORTS[0]):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, contextlib.suppress(OSError):
+            one.bind((host, port))
+            found.append(port)
+        if len(found) == count:
+            return found
+    raise OSError(f"fewer than {count} free ports at {host}")

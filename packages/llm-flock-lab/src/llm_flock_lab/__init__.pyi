@@ -1,0 +1,10 @@
+from ._env import FlockEnv as FlockEnv
+from ._env import parallel_env as parallel_env
+from ._experiments.compare import build_cells as build_cells
+from ._experiments.compare import compare as compare
+from ._experiments.sweep import fly_sweep as fly_sweep
+from ._experiments.sweep_file import Sweep as Sweep
+from ._experiments.sweep_file import load_sweep as load_sweep
+from ._experiments.tables import read_rounds as read_rounds
+from ._experiments.tables import read_trials as read_trials
+from ._report.page import write_report as write_report

@@ -1,0 +1,97 @@
+"""`llm-flock compare`: many seeded trials of several protocols and shapes."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from llm_flock.cli import EXIT_FAILED, EXIT_INTERRUPTED, Screen, say, with_config_flags
+from llm_flock.errors import InputError, unknown
+
+if TYPE_CHECKING:
+    from llm_flock_lab._experiments.grid import Cell
+    from llm_flock_lab._experiments.trial import TrialResult
+
+
+SET_BY_COMPARE = ("protocol", "shape", "n_robots", "seed", "out", "record_llm")
+"""Fields that differ between cells or trials, or are files of a single run."""
+
+
+@with_config_flags(shown=("model", "base_url", "max_cost", "rounds", "kill_random", "loss"), without=SET_BY_COMPARE)
+def compare(
+    cells: Annotated[
+        str, typer.Option(help="Shapes and team sizes: SHAPE/N with commas between them", metavar="SHAPE/N,...")
+    ] = "triangle/3,triangle/6,square/8,cross/5,circle/10,circle/20",
+    protocols: Annotated[str, typer.Option(help="Presets with commas between them")] = "flock,paper,baseline",
+    trials: Annotated[int, typer.Option(min=1, help="Trials of each row")] = 100,
+    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the first trial; the others follow it")] = 0,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes [one for each core]", show_default=False)] = None,
+    fit_arena: Annotated[
+        bool, typer.Option("--fit-arena", help="Grow the arena of a team until its formation and its starts fit")
+    ] = False,
+    config: Annotated[Path | None, typer.Option(help="Configuration file (TOML); flags override it")] = None,
+    out: Annotated[Path | None, typer.Option(help="CSV file to write, with a line for each trial")] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list of rows instead of a table")] = False,
+    as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
+    **flags: Any,
+) -> None:
+    """Fly many seeded trials of several protocols and shapes, and print a table of the results.
+
+    Flags of the configuration hold for every trial, budgets too. Trials are not recorded; `run --seed` repeats one.
+    """
+    from llm_flock.runtime import PRESETS, check_planners
+    from llm_flock_lab._experiments import compare as comparison
+    from llm_flock_lab._experiments.grid import parse_teams
+
+    if json_output and as_markdown:
+        raise InputError("as_markdown", None, says="has no effect with --json")
+    presets = [name.strip() for name in protocols.split(",")]
+    for name in presets:
+        if name not in PRESETS:
+            raise InputError("protocols", name, says=unknown("protocol", name, PRESETS))
+    found = comparison.build_cells(parse_teams(cells), presets, file=config, fit_arena=fit_arena, **flags)
+    for cell in found:  # before the file is there: it would be in the way of the next try
+        check_planners(cell.config)
+    finished = formed = 0
+    try:
+        with ExitStack() as stack:
+            add = None if out is None else stack.enter_context(comparison.trial_file(out))
+
+            def note(cell: Cell, seed: int, result: TrialResult) -> None:
+                nonlocal finished, formed
+                if add is not None:
+                    add(cell, seed, result)
+                finished, formed = finished + 1, formed + result.formed
+                if finished == trials:
+                    if not quiet:
+                        text = f"{cell.protocol} {cell.shape} {cell.n_robots}: {formed} of {trials} formed"
+                        say(text, error=True)
+                    finished = formed = 0
+
+            jobs = jobs or os.cpu_count() or 1
+            rows = comparison.compare(found, trials=trials, first_seed=first_seed, jobs=jobs, on_result=note)
+    except KeyboardInterrupt:
+        say(f"interrupted{f'; finished trials are in {out}' if out else ''}", error=True)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    if json_output:
+        say(json.dumps([asdict(row) for row in rows], allow_nan=False))
+    elif as_markdown:
+        say(comparison.markdown(rows))
+    else:
+        table = Table(*(name for name, _ in comparison.COLUMNS))
+        for row in rows:
+            table.add_row(*(escape(text(row)) for _, text in comparison.COLUMNS))
+        Screen().show(table)
+        for line in comparison.notes(rows):
+            say(line)
+    if any(row.broken for row in rows):
+        raise typer.Exit(EXIT_FAILED)

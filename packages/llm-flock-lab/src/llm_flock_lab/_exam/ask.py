@@ -1,0 +1,358 @@
+"""Ask one question: through the planner of a robot, with its prompts, parsers and checks, and score the answers."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from llm_flock.errors import ModelError
+from llm_flock.llm import (
+    REASONING,
+    Attempt,
+    Call,
+    ChatMessage,
+    FrameName,
+    LanguageModel,
+    LanguagePlanner,
+    PromptSet,
+    Reply,
+    frame_plan,
+    frame_step,
+    mission_call,
+    place_text,
+)
+from llm_flock.mission import Mission
+from llm_flock.protocol import GeometryPlanner, NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion, Verdict
+from llm_flock_lab._exam.questions import WORDS, Question
+from llm_flock_lab._exam.score import (
+    Marks,
+    objection_to_plan,
+    plan_marks,
+    shortfall,
+    step_marks,
+    verdict_on_step,
+    word_marks,
+)
+
+SCRIPT = "exam:script"
+"""Name of the model of answers that are put into a model's mouth."""
+
+SAID = "I have worked it out."
+
+ROUNDS = 1_000_000
+"""Numbers of questions before those of the first repeat."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """The result of one question, once.
+
+    Attributes:
+        question: its id.
+        repeat: 0 for the first time that it was asked.
+        tries: reasons that the model was given before its answer was right, 0 for none; None if it never was.
+        readable: whether the first answer could be read.
+        flyable: whether a robot would fly the first answer, clipped if need be; for words, whether nobody would be
+            shown a wrong mission.
+        error: of the first answer, as in `Marks`.
+        degrees: of the first answer, as in `Marks`.
+        separation: of the first answer, as in `Marks`.
+        seconds: from asking to the last answer, waits for faults of the provider included [s].
+        cost_usd: [US dollars]; None where the price is not known.
+        answered_by: name by which the model that gave the first answer calls itself; None without a call.
+        cause: kind of the fault where no answer came (`timeout`, ...), None otherwise.
+        reason: what was wrong with the first answer, None if nothing was.
+    """
+
+    question: str
+    section: str
+    tags: tuple[str, ...]
+    n: int
+    distance: float | None
+    repeat: int
+    tries: int | None
+    readable: bool
+    flyable: bool
+    error: float | None = None
+    degrees: float | None = None
+    separation: bool | None = None
+    calls: int
+    tokens_input: int
+    tokens_output: int
+    seconds: float
+    cost_usd: float | None
+    answered_by: str | None = None
+    cause: str | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """What came back from one robot.
+
+    Attributes:
+        answer: the accepted answer, or why there is none.
+        attempts: calls of the model, without those that were scripted.
+        first: the answer at first ask, if it could be read.
+    """
+
+    answer: PlanAnswer | StepAnswer | NoAnswer
+    attempts: Sequence[Attempt] = ()
+    first: PlanAnswer | StepAnswer | None = None
+
+
+class Scripted:
+    """A `LanguageModel` that gives fixed answers first, and asks another one from then on."""
+
+    def __init__(self, model: LanguageModel, texts: tuple[str, ...]) -> None:
+        self.name = model.name
+        self._model = model
+        self._texts = list(texts)
+
+    async def ask(self, call: Call) -> Reply:
+        """The next fixed answer, or the model's own."""
+        if self._texts:
+            return Reply(text=self._texts.pop(0), model=SCRIPT, cost_usd=0.0)
+        return await self._model.ask(call)
+
+
+def round_of(question: Question, repeat: int) -> int:
+    """The number of a question's calls, by which a recording finds them and stand-ins draw their chance.
+
+    It is the same for every selection of questions.
+    """
+    section, _, number = question.id.rpartition("-")
+    place = int.from_bytes(hashlib.blake2b(section.encode(), digest_size=1).digest()) * 1000 + int(number)
+    return repeat * ROUNDS + place
+
+
+class Examiner:
+    """Asks questions with one set of prompts.
+
+    Args:
+        prompts: renders the questions.
+        frame: coordinates of the prompts.
+        max_retries: rejected answers that are sent back with the reason.
+    """
+
+    def __init__(self, prompts: PromptSet, frame: FrameName, *, max_retries: int = 2) -> None:
+        self._prompts = prompts
+        self._frame: FrameName = frame
+        self._retries = max_retries
+
+    def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
+        """What a model sees at first ask, for each robot that is asked, without answers put into its mouth."""
+        if question.words is not None:
+            yield mission_call(question.words).messages
+            return
+        mission = question.build_mission()
+        for robot in question.robots:
+            if question.asks_plan:
+                plan = frame_plan(question.plan_question(mission, robot, 0), self._frame).framed
+                system, user = self._prompts.system(plan.mission), self._prompts.plan(plan)
+            else:
+                step = frame_step(question.step_question(mission, 0), self._frame).framed
+                system, user = self._prompts.system(step.mission), self._prompts.step(step)
+            yield ChatMessage("system", system), ChatMessage("user", user)
+
+    def prompts_digest(self, questions: Sequence[Question]) -> str:
+        """16 hexadecimal digits that identify all prompts of these questions."""
+        found = hashlib.blake2b(digest_size=8)
+        for question in questions:
+            for messages in self.first_messages(question):
+                found.update("\0".join(message.text for message in messages).encode())
+        return found.hexdigest()
+
+    async def ask(self, question: Question, model: LanguageModel | None, repeat: int = 0) -> Outcome:
+        """Ask a question, and score what comes back.
+
+        Args:
+            question: the question.
+            model: who is asked; None asks geometry.
+            repeat: how often it was asked before.
+
+        Raises:
+            ReplayDrift: a recording holds another question.
+        """
+        round_ = round_of(question, repeat)
+        if question.section == WORDS:
+            assert model is not None, "geometry cannot read"
+            return await self._ask_words(question, model, round_, repeat)
+        mission = question.build_mission()
+        asked = [await self._ask_robot(question, mission, robot, model, round_) for robot in question.robots]
+        return _outcome(question, mission, asked, repeat)
+
+    async def _ask_robot(
+        self, question: Question, mission: Mission, robot: int, model: LanguageModel | None, round_: int
+    ) -> _Asked:
+        """Ask one robot's question through its planner."""
+        attempts: list[Attempt] = []
+        seen: list[PlanAnswer | StepAnswer] = []
+        first: PlanAnswer | StepAnswer | None = None
+        asked: PlanQuestion | StepQuestion
+        if question.asks_plan:
+            asked = question.plan_question(mission, robot, round_)
+        else:
+            asked = question.step_question(mission, round_)
+
+        def check_plan(given: PlanQuestion, answer: PlanAnswer) -> str | None:
+            if given is asked:
+                seen.append(answer)
+            # Which place robots choose is asked apart from whether their plans are right.
+            return None if question.section == "place" else objection_to_plan(given, answer)
+
+        def judge(given: StepQuestion, answer: StepAnswer) -> Verdict:
+            if given is asked:
+                seen.append(answer)
+            return verdict_on_step(given, answer)
+
+        def note(attempt: Attempt) -> None:
+            nonlocal first
+            if attempt.model == SCRIPT:
+                seen.clear()
+                return
+            attempts.append(attempt)
+            if len(attempts) == 1:
+                # The checks have seen the answer by now, if it could be read.
+                first = next(iter(seen), None)
+
+        if model is None:
+            return await _by_geometry(asked, check_plan, judge)
+        with_history = question.own is not None and self._frame == "world"
+        planner = LanguagePlanner(
+            robot,
+            Scripted(model, self._script(question, mission, robot, round_)),
+            self._prompts,
+            max_retries=self._retries + (question.first is not None),
+            history=None if with_history else 0,
+            on_attempt=note,
+            check_plan=check_plan,
+            judge=judge,
+            frame=self._frame,
+        )
+        if with_history:
+            await planner.plan(question.plan_question(mission, robot, round_))
+        answer = await (planner.plan(asked) if isinstance(asked, PlanQuestion) else planner.step(asked))
+        return _Asked(answer=answer, attempts=attempts, first=first)
+
+    def _script(self, question: Question, mission: Mission, robot: int, round_: int) -> tuple[str, ...]:
+        """The answers to put into the model's mouth, in the frame and the form of the prompts."""
+        if question.own is not None and self._frame == "world":
+            return (self._plan_text(question.own, question, mission, robot, round_),)
+        if question.first is None:
+            return ()
+        if "text" in question.first:
+            return (question.first["text"],)
+        if "plan" in question.first:
+            return (self._plan_text(question.first, question, mission, robot, round_),)
+        framed = frame_step(question.step_question(mission, round_), self._frame).frame
+        waypoint = question.first["waypoint"]
+        place = place_text(waypoint if framed is None else framed.rounded(waypoint))
+        return (self._worded(f"Position: {place}", {"position": json.loads(place)}),)
+
+    def _plan_text(self, said: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int) -> str:
+        framed = frame_plan(question.plan_question(mission, robot, round_), self._frame).frame
+        rows = said["plan"] if framed is None else [framed.rounded(point) for point in said["plan"]]
+        plan = f"[{', '.join(map(place_text, rows))}]"
+        lines = f"Plan: {plan}\nmy plan: {said['slot']}"
+        return self._worded(lines, {"plan": json.loads(plan), "my_plan": said["slot"]})
+
+    def _worded(self, lines: str, fields: dict[str, Any]) -> str:
+        """An answer in the form that the prompts ask for."""
+        if self._prompts.json:
+            return json.dumps({REASONING: SAID, **fields} if self._prompts.reasons else fields)
+        return f"{SAID}\n\n{lines}" if self._prompts.reasons else lines
+
+    async def _ask_words(self, question: Question, model: LanguageModel, round_: int, repeat: int) -> Outcome:
+        """Ask for a mission in plain words: once, as the cockpit does."""
+        assert question.words is not None
+        call = replace(mission_call(question.words), round=round_)
+        try:
+            reply = await model.ask(call)
+        except ModelError as error:
+            attempt = Attempt(call=call, model=error.model or model.name, error=(error.kind, error.detail))
+            return _scored(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
+        marks = word_marks(question, reply.text)
+        attempt = Attempt(call=call, model=reply.model, reply=reply, rejected=marks.reason, latency_s=reply.latency_s)
+        tries = 0 if marks.reason is None else None
+        scored = _scored(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
+        return replace(scored, readable=marks.read, flyable=marks.safe)
+
+
+async def _by_geometry(
+    asked: PlanQuestion | StepQuestion,
+    check_plan: Callable[[PlanQuestion, PlanAnswer], str | None],
+    judge: Callable[[StepQuestion, StepAnswer], Verdict],
+) -> _Asked:
+    """The answer of geometry, after the checks that a model's answer goes through."""
+    reason: str | None = None
+    if isinstance(asked, PlanQuestion):
+        answer = await GeometryPlanner().plan(asked)
+        reason = check_plan(asked, answer) if isinstance(answer, PlanAnswer) else None
+    else:
+        answer = await GeometryPlanner().step(asked)
+        reason = judge(asked, answer).reason if isinstance(answer, StepAnswer) else None
+    first = None if isinstance(answer, NoAnswer) else answer
+    return _Asked(answer=answer if reason is None else NoAnswer(cause="answer", reason=reason), first=first)
+
+
+def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repeat: int) -> Outcome:
+    """The score of a question for a plan or a step."""
+    usable = [one.answer for one in asked if not isinstance(one.answer, NoAnswer)]
+    failed = [one.answer for one in asked if isinstance(one.answer, NoAnswer)]
+    cause = next((answer.cause for answer in failed if answer.cause != "answer"), None)
+    refused = (one.attempts[0].rejected for one in asked if one.attempts)
+    reason = next(filter(None, refused), None) or next((answer.reason for answer in failed), None)
+    tries: int | None = None
+    if not failed:
+        lacking = shortfall(question, mission, usable)
+        reason = reason or lacking
+        if lacking is None:
+            tries = max(max(0, len(one.attempts) - 1) for one in asked)
+    marks: Marks | None = None
+    first = next((one.first for one in asked if one.first is not None), None)
+    if isinstance(first, PlanAnswer):
+        marks = plan_marks(question, mission, first)
+    elif first is not None:
+        marks = step_marks(question, mission, first)
+    attempts = [attempt for one in asked for attempt in one.attempts]
+    return _scored(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
+
+
+def _scored(
+    question: Question,
+    repeat: int,
+    attempts: list[Attempt],
+    *,
+    tries: int | None,
+    marks: Marks | None,
+    cause: str | None,
+    reason: str | None,
+) -> Outcome:
+    replies = [attempt.reply for attempt in attempts if attempt.reply is not None]
+    costs = [reply.cost_usd for reply in replies]
+    return Outcome(
+        question=question.id,
+        section=question.section,
+        tags=question.tags,
+        n=question.n,
+        distance=question.distance,
+        repeat=repeat,
+        tries=tries,
+        readable=marks is not None,
+        flyable=marks is not None and marks.flyable,
+        error=None if marks is None or marks.error is None else round(marks.error, 4),
+        degrees=None if marks is None or marks.degrees is None else round(marks.degrees, 2),
+        separation=None if marks is None else marks.separation,
+        calls=len(attempts),
+        tokens_input=sum(reply.usage.input for reply in replies),
+        tokens_output=sum(reply.usage.output for reply in replies),
+        seconds=round(sum(attempt.latency_s for attempt in attempts), 4),
+        cost_usd=None if None in costs else sum(cost for cost in costs if cost is not None),
+        answered_by=replies[0].model if replies else None,
+        cause=cause,
+        reason=None if reason is None else reason[:300],
+    )

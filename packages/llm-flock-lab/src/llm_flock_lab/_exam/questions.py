@@ -1,0 +1,160 @@
+"""The questions of the exam: what each holds, and how it stands in a file of JSON lines.
+
+A question holds no prompt. Prompts are rendered when it is asked, from the templates that robots use.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, fields
+from typing import Any, cast
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.mission import Mission, build_mission
+from llm_flock.plan import Plan
+from llm_flock.protocol import PlanQuestion, StepQuestion
+
+SECTIONS: Mapping[str, str] = {
+    "plan": "a plan of the whole formation: every shape, in the plane and in space, 3 to 30 places",
+    "place": "each robot of a team chooses a place, and no two the same",
+    "step": "the next position: near, far, others beside the way, walls, obstacles, limits",
+    "others": "robots that stand in the way of a step, or on the places of a plan",
+    "path": "a path of several positions",
+    "retry": "an answer after the reason why the first was refused",
+    "agreement": "a step by the team's plan after its own plan was not adopted",
+    "mission": "a mission in plain words as fields, or a refusal where it cannot be flown",
+    "distraction": "a plan of a shape in words with irrelevant, contradictory or hostile text in it",
+}
+"""The sections, in the order in which they are asked, and what each asks for."""
+
+WORDS = "mission"
+"""The section that stand-ins and geometry are not asked: they cannot read plain words."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Question:
+    """One question; lengths and positions in mission units, world frame.
+
+    Attributes:
+        id: section and number, such as `step-0012`.
+        tags: what is special about it, for finer tables.
+        n: number of places, or robots of a mission in words.
+        distance: of the goal [step limits]; None for plans and words.
+        mission: fields of the mission; None for words.
+        robots: who is asked; several in `place` only.
+        plan: the team's plan of a step; empty for plans.
+        first: an answer that is put into the model's mouth, and is refused (`retry`): `plan` and `slot`, `waypoint`,
+            or `text`.
+        own: the plan that the model is taken to have proposed before (`agreement`): `plan` and `slot`.
+        meant: the shape that a text describes (`distraction`).
+        words: a mission in plain words.
+        wanted: fields of that mission; for an impossible one, what the words say.
+        possible: whether such a mission can be flown.
+    """
+
+    id: str
+    section: str
+    n: int
+    tags: tuple[str, ...] = ()
+    distance: float | None = None
+    mission: Mapping[str, Any] | None = None
+    robots: tuple[int, ...] = (0,)
+    position: Point | None = None
+    neighbors: tuple[Point, ...] = ()
+    still: tuple[Point, ...] = ()
+    plan: tuple[Point, ...] = ()
+    slot: int | None = None
+    corner: Point | None = None
+    horizon: int = 1
+    first: Mapping[str, Any] | None = None
+    own: Mapping[str, Any] | None = None
+    meant: str | None = None
+    words: str | None = None
+    wanted: Mapping[str, Any] | None = None
+    possible: bool = True
+
+    @property
+    def asks_plan(self) -> bool:
+        """Whether the question is for a plan, and not for a step or a mission."""
+        return self.words is None and not self.plan
+
+    @property
+    def content(self) -> str:
+        """All but the id, as JSON: two questions with the same content are the same question."""
+        plain = plain_question(self)
+        del plain["id"]
+        return json.dumps(plain, sort_keys=True)
+
+    def build_mission(self) -> Mission:
+        """The mission that is asked about."""
+        assert self.mission is not None, "a question in words has no mission"
+        return build_mission(**self.mission)
+
+    def plan_question(self, mission: Mission, robot: int, round_: int) -> PlanQuestion:
+        """The question for a plan, as a robot's agent asks it."""
+        return PlanQuestion(
+            mission=mission,
+            robot=robot,
+            round=round_,
+            position=self.position or mission.center,
+            neighbors=self.neighbors,
+            still=self.still,
+        )
+
+    def step_question(self, mission: Mission, round_: int) -> StepQuestion:
+        """The question for a step or a path, as a robot's agent asks it."""
+        assert self.position is not None, "a question for a step has a position"
+        return StepQuestion(
+            mission=mission,
+            robot=self.robots[0],
+            round=round_,
+            position=self.position,
+            neighbors=self.neighbors,
+            plan=Plan.of(self.plan),
+            slot=self.slot,
+            corner=self.corner,
+            horizon=self.horizon,
+        )
+
+
+_DEFAULTS = {field.name: field.default for field in fields(Question)}
+
+
+def plain_question(question: Question) -> dict[str, Any]:
+    """A question as JSON values, without fields that have their default."""
+    return {name: value for name, value in asdict(question).items() if value != _DEFAULTS[name]}
+
+
+def to_lines(questions: Iterable[Question]) -> str:
+    """Questions as JSON lines."""
+    return "".join(json.dumps(plain_question(q), separators=(",", ":")) + "\n" for q in questions)
+
+
+def from_lines(text: str, source: str) -> list[Question]:
+    """Questions from JSON lines; `source` names them in errors.
+
+    Raises:
+        InputError: for field `questions`: a line is not a question.
+    """
+    found: list[Question] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        try:
+            found.append(Question(**{name: _frozen(value) for name, value in json.loads(line).items()}))
+        except (TypeError, ValueError, AttributeError) as error:
+            raise InputError("questions", f"{source}, line {number}", f"a question of the exam ({error})") from None
+    return found
+
+
+def digest(questions: Iterable[Question]) -> str:
+    """16 hexadecimal digits that identify a set of questions and their order."""
+    return hashlib.blake2b(to_lines(questions).encode(), digest_size=8).hexdigest()
+
+
+def _frozen(value: Any) -> Any:
+    """Lists as tuples, at every depth: a question read from a file equals the one that was written."""
+    if isinstance(value, dict):
+        return {name: _frozen(part) for name, part in cast("dict[str, Any]", value).items()}
+    return tuple(map(_frozen, cast("list[Any]", value))) if isinstance(value, list) else value

@@ -1,0 +1,185 @@
+"""Score answers by code: whether robots would take them, and how far they are off.
+
+The verdict is that of the checks in `llm_flock.protocol._verification`. A few questions ask for more: the shape that
+words describe, a way that is clear of obstacles, the team's plan and not the own one, different places.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import cast
+
+import numpy as np
+
+from llm_flock import metrics
+from llm_flock.arrays import Point
+from llm_flock.errors import AnswerError, InputError
+from llm_flock.llm import answer_of, draft_of
+from llm_flock.mission import Mission
+from llm_flock.protocol import (
+    ROUNDING,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+    Verdict,
+    check_plan,
+    check_proposal,
+    judge,
+    straight_path,
+)
+from llm_flock_lab._exam.questions import Question
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Marks:
+    """What is measured of one answer that could be read; None where it does not apply.
+
+    Attributes:
+        flyable: whether a robot would fly the answer, clipped if need be.
+        error: distance from the best answer [step limits; of plans, the mean distance from the shape in spacings].
+        degrees: angle between the step and the way to the goal.
+        separation: whether it keeps the safe distance to all robots that the question shows, or between places.
+    """
+
+    flyable: bool
+    error: float | None = None
+    degrees: float | None = None
+    separation: bool | None = None
+
+
+def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+    """Why a robot refuses the plan that its own model proposes, in words for the model; None if it does not."""
+    return check_proposal(question.mission, answer.plan, question.still, question.position)
+
+
+def verdict_on_step(question: StepQuestion, answer: StepAnswer) -> Verdict:
+    """What a robot with a shield makes of a step."""
+    return judge(question, answer, shield_on=True)
+
+
+def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Marks:
+    """The marks of a plan that could be read, right or wrong."""
+    asked = question.plan_question(mission, question.robots[0], 0)
+    rows = answer.plan.array
+    ideal = meant(question, mission).ideal
+    error = None
+    if ideal is not None and len(ideal) == len(rows):
+        error = metrics.ShapeTarget(np.array(ideal)).error(rows).mean / mission.spacing
+    apart = np.linalg.norm(rows[:, None] - rows[None], axis=2)
+    np.fill_diagonal(apart, np.inf)
+    # Rounded coordinates may take this much where the spacing is the safe distance.
+    kept = float(apart.min()) >= min(mission.safe_distance, (1 - ROUNDING) * mission.spacing)
+    return Marks(flyable=objection_to_plan(asked, answer) is None, error=error, separation=kept)
+
+
+def step_marks(question: Question, mission: Mission, answer: StepAnswer) -> Marks:
+    """The marks of a step or a path that could be read, right or wrong."""
+    asked = question.step_question(mission, 0)
+    here, goal = asked.position, asked.goal
+    best = straight_path(asked)
+    end = (answer.waypoint, *answer.path)[-1]
+    wanted = (best.waypoint, *best.path)[-1]
+    moved, way = math.dist(here, answer.waypoint), math.dist(here, goal)
+    degrees = None
+    if moved > 0 and way > 0:
+        along = sum((p - x) * (g - x) for x, p, g in zip(here, answer.waypoint, goal, strict=True)) / (moved * way)
+        degrees = math.degrees(math.acos(max(-1.0, min(1.0, along))))
+    kept = all(math.dist(answer.waypoint, other) >= mission.safe_distance for other in question.neighbors)
+    return Marks(
+        flyable=judge(asked, answer, shield_on=True).fit is not None,
+        error=math.dist(end, wanted) / mission.max_step,
+        degrees=degrees,
+        separation=kept if question.neighbors else None,
+    )
+
+
+def meant(question: Question, mission: Mission) -> Mission:
+    """The mission against which a plan is scored: where words describe a shape, the one that they mean."""
+    return mission if question.meant is None else mission.change(shape=question.meant)
+
+
+def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
+    """What is missing from answers that robots take, as a sentence; None if nothing is.
+
+    Args:
+        question: the question.
+        mission: the mission of the question.
+        answers: one for each robot that was asked.
+    """
+    if question.section == "place":
+        taken = [answer.slot for answer in answers if isinstance(answer, PlanAnswer)]
+        return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."
+    (answer,) = answers
+    if isinstance(answer, PlanAnswer):
+        return check_plan(meant(question, mission), answer.plan) if question.meant is not None else None
+    assert question.position is not None
+    way = [question.position, answer.waypoint, *answer.path]
+    for start, end in pairwise(way):
+        if any(o.segment_distance(start, end) < (1 - ROUNDING) * mission.body_radius for o in mission.obstacles):
+            return "the way comes too near to an obstacle."
+    if question.own is not None and not _nearer_to_team(question, mission, answer.waypoint):
+        return "the step heads for the place in the own plan, not in the team's."
+    return None
+
+
+def _nearer_to_team(question: Question, mission: Mission, waypoint: Point) -> bool:
+    """Whether a waypoint is nearer to the best one by the team's plan than to the best one by the own plan."""
+    assert question.own is not None
+    asked = question.step_question(mission, 0)
+    place = tuple(question.own["plan"][question.own["slot"]])
+    own = straight_path(replace(asked, target=place, corner=None)).waypoint
+    return math.dist(waypoint, straight_path(asked).waypoint) < math.dist(waypoint, own)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WordMarks:
+    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is.
+
+    Attributes:
+        read: whether the answer has the form that was asked for.
+        safe: whether people would not be shown a mission that nobody asked for.
+    """
+
+    reason: str | None
+    read: bool
+    safe: bool
+
+
+def word_marks(question: Question, text: str) -> WordMarks:
+    """Compare a mission that a model read in plain words with what the words say.
+
+    A mission that cannot be flown is right if the answer says what the words say, so that it is refused.
+    """
+    assert question.wanted is not None
+    refused: str | None = None
+    try:
+        said = answer_of(text).model_dump(exclude_none=True)
+    except AnswerError as error:
+        return WordMarks(reason=str(error), read=False, safe=True)
+    try:
+        draft_of(text)
+    except (AnswerError, InputError) as error:
+        refused = str(error)
+    wrong = _differs(question.wanted, said)
+    safe = refused is not None or (question.possible and wrong is None)
+    if wrong is None and question.possible and refused is not None:
+        wrong = refused
+    if wrong is None and not question.possible and refused is None:
+        wrong = "a mission came out that cannot be flown."
+    return WordMarks(reason=wrong, read=True, safe=safe)
+
+
+def _differs(wanted: Mapping[str, object], said: Mapping[str, object]) -> str | None:
+    """The first field that differs. One that was not mentioned may be left out, or have the mission's default."""
+    defaults = {name: Mission.model_fields[name].default for name in ("center", "spacing")}
+    for name in ("shape", "n_robots", "center", "spacing"):
+        asked, found = wanted.get(name, defaults.get(name)), said.get(name, defaults.get(name))
+        if isinstance(asked, tuple | list) and isinstance(found, tuple | list):
+            asked, found = list(cast("tuple[float, ...]", asked)), list(cast("tuple[float, ...]", found))
+        if asked != found:
+            return f"{name} is {found!r}, and the words say {asked!r}."
+    return None

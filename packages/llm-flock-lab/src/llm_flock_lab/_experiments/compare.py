@@ -1,0 +1,306 @@
+"""Compare protocols: fly the same shapes with the same seeds, and sum up each cell in one row of a table."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+from collections import Counter
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from llm_flock.errors import InputError
+from llm_flock.printable import csv_cell
+from llm_flock.runtime import load_config
+from llm_flock_lab._experiments.executors import Display, Session, fly_in_pool
+from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
+from llm_flock_lab._experiments.statistics import Estimate, mean_interval, median, wilson
+from llm_flock_lab._experiments.trial import TrialResult
+
+TOLERANCE = 1e-6
+"""Robots nearer than the safe distance by more than this are a violation [units]."""
+
+SHOWN_SEEDS = 20
+"""Most failed seeds that are listed for a row; JSON has all of them."""
+
+FIGURES = (
+    "formed",
+    "formed_by_models",
+    "rounds_to_formed",
+    "lower_bound_rounds",
+    "stopped",
+    "rounds",
+    "procrustes_mean",
+    "min_separation",
+    "start_violations",
+    "min_separation_after_start",
+    "plans_in_use",
+    "distinct_goals",
+    "plan_robot",
+    "plan_by",
+    "breakers_opened",
+    "model_calls",
+    "calls_rejected",
+    "calls_failed",
+    "tokens",
+    "bytes_per_robot_round",
+    "wall_s",
+)
+"""Fields of `Summary` in a line of the CSV file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Comparison:
+    """The figures of one cell; field names are the keys of `--json`.
+
+    Attributes:
+        simulated: whether any language model was a simulated stand-in.
+        trials: all of them; those that broke off count as not formed.
+        formed: share of formed trials (see `Summary.formed`), with Wilson's 95 % interval.
+        by_models: share of trials that formed without help from geometry (see `Summary.formed_by_models`), likewise.
+        broken: trials that broke off.
+        rounds: median of rounds_to_formed over the formed trials; None without any.
+        ratio: median of rounds_to_formed / lower_bound_rounds over the formed trials, a bound of 0 counted as 1.
+        min_separation: smallest separation in any trial, along segments too [units]; None for teams of one.
+        violations: trials in which two robots were nearer than safe_distance by more than `TOLERANCE`.
+        unsafe_starts: trials in which two robots were nearer than safe_distance at the start.
+        min_separation_after_start: as min_separation, but these pairs counted only once they had come apart [units].
+        calls: model calls per robot and trial: mean with Student's 95 % interval, cut at 0; None if all broke off.
+        waypoints: waypoints flown in all trials, by origin.
+        failed_seeds: seeds of the trials that are not in `formed`.
+        errors: what broke trials off, the first of each kind, with its seed.
+    """
+
+    protocol: str
+    shape: str
+    n_robots: int
+    simulated: bool
+    trials: int
+    formed: Estimate
+    by_models: Estimate
+    broken: int
+    rounds: float | None
+    ratio: float | None
+    min_separation: float | None
+    violations: int
+    unsafe_starts: int
+    min_separation_after_start: float | None
+    calls: Estimate | None
+    waypoints: dict[str, int]
+    failed_seeds: tuple[int, ...]
+    errors: tuple[str, ...]
+
+
+def build_cells(
+    teams: Iterable[tuple[str, int]],
+    protocols: Sequence[str],
+    *,
+    file: Path | None = None,
+    fit_arena: bool = False,
+    **overrides: Any,
+) -> list[Cell]:
+    """One cell for each team (a shape and a size) and preset, team by team.
+
+    The configuration file and the overrides hold for all of them; None means: not given. With `fit_arena`, the arena of
+    each team grows as `grid.fitted_arena` describes.
+
+    Raises:
+        InputError: a value is not allowed, for any of the cells.
+    """
+    cells: list[Cell] = []
+    load = partial(load_config, file)
+    for shape, n_robots in teams:
+        fields = {**overrides, "shape": shape, "n_robots": n_robots}
+        with naming_team("cells", f"{shape}/{n_robots}"):
+            if fit_arena:
+                fields["arena"] = arena_of(load, fields)
+            cells.extend(Cell(config=load(**{**fields, "protocol": protocol})) for protocol in protocols)
+    return cells
+
+
+OnResult = Callable[[Cell, int, TrialResult], None]
+"""Called with a trial's cell, its seed and its result."""
+
+
+class _InOrder(Display):
+    """Passes results on in the order of the trials, whichever finishes first."""
+
+    def __init__(self, trials: Sequence[tuple[Cell, int]], on_result: OnResult | None) -> None:
+        self.results: list[TrialResult] = []
+        self._trials = trials
+        self._on_result = on_result
+        self._early: dict[int, TrialResult] = {}
+
+    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
+        self._early[int(spec.id)] = result
+        while (found := self._early.pop(len(self.results), None)) is not None:
+            cell, seed = self._trials[len(self.results)]
+            self.results.append(found)
+            if self._on_result is not None:
+                self._on_result(cell, seed, found)
+
+
+def compare(
+    cells: Sequence[Cell], *, trials: int, first_seed: int = 0, jobs: int = 1, on_result: OnResult | None = None
+) -> list[Comparison]:
+    """Fly every cell with the seeds first_seed .. first_seed + trials - 1; returns one row for each cell.
+
+    All cells get the same seeds, so that protocols start from the same positions. Trials are flown as in a sweep, but
+    nothing is stored; `on_result` is called for each, cell by cell, in the order of seeds. With models on board there
+    is one job, because their engine uses all cores but one. Workers are spawned: a script that calls this needs its
+    `if __name__ == "__main__":` guard.
+
+    Raises:
+        InputError: a number is out of its range, or a trial was refused.
+        FlockError: a worker was killed.
+        KeyboardInterrupt: after all workers were stopped.
+    """
+    for field, value in (("trials", trials), ("jobs", jobs)):
+        if value < 1:
+            raise InputError(field, value, "at least 1")
+    if any(model.startswith("local:") for cell in cells for model in models_of(cell.config)):
+        jobs = 1
+    seeds = range(first_seed, first_seed + trials)
+    pairs = list(itertools.product(cells, seeds))
+    display = _InOrder(pairs, on_result)
+    specs = [cell.trial(seed, str(number)) for number, (cell, seed) in enumerate(pairs)]
+    fly_in_pool(specs, Session(store=None, display=display), jobs)
+    results = iter(display.results)
+    return [row(cell, dict(zip(seeds, results, strict=False))) for cell in cells]
+
+
+def row(cell: Cell, results: dict[int, TrialResult]) -> Comparison:
+    """The figures of one cell from at least one trial; results are given by seed."""
+    known = [r.summary for r in results.values() if r.summary is not None and r.error is None]
+    flown = [(s["rounds_to_formed"] or 0, s["lower_bound_rounds"] or 0) for s in known if s["formed"]]
+    separations = [s["min_separation"] for s in known if s["min_separation"] is not None]
+    later = [s["min_separation_after_start"] for s in known if s["min_separation_after_start"] is not None]
+    limit = cell.config.mission.safe_distance - TOLERANCE
+    waypoints = Counter[str]()
+    for summary in known:
+        waypoints.update(summary["waypoints"])
+    errors: dict[str, str] = {}
+    for seed, result in results.items():
+        if result.error is not None:
+            errors.setdefault(result.error.partition(":")[0], f"seed {seed}: {result.error}")
+    return Comparison(
+        protocol=cell.protocol,
+        shape=cell.shape,
+        n_robots=cell.n_robots,
+        simulated=any(s["simulated"] for s in known),
+        trials=len(results),
+        formed=wilson(len(flown), len(results)),
+        by_models=wilson(sum(s["formed_by_models"] for s in known), len(results)),
+        broken=len(results) - len(known),
+        rounds=median([rounds for rounds, _ in flown]),
+        ratio=median([rounds / max(1, bound) for rounds, bound in flown]),
+        min_separation=min(separations, default=None),
+        violations=sum(separation < limit for separation in separations),
+        unsafe_starts=sum(s["start_violations"] > 0 for s in known),
+        min_separation_after_start=min(later, default=None),
+        calls=mean_interval([s["model_calls"] / s["n_robots"] for s in known], least=0.0),
+        waypoints=dict(sorted(waypoints.items())),
+        failed_seeds=tuple(seed for seed, result in results.items() if not result.formed),
+        errors=tuple(errors.values()),
+    )
+
+
+COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (
+    ("protocol", lambda row: row.protocol),
+    ("shape", lambda row: row.shape),
+    ("N", lambda row: str(row.n_robots)),
+    ("formed % [95 %]", lambda row: _interval(row.formed, 1, factor=100.0)),
+    ("by models %", lambda row: f"{100.0 * row.by_models.value:.1f}"),
+    ("rounds", lambda row: _number(row.rounds, "g")),
+    ("ratio", lambda row: _number(row.ratio, ".2f")),
+    ("min sep.", lambda row: _number(row.min_separation, ".6f")),
+    ("violations", lambda row: str(row.violations)),
+    ("calls/robot [95 %]", lambda row: _interval(row.calls, 2)),
+    ("waypoints %", lambda row: _shares(row.waypoints)),
+)
+
+
+def markdown(rows: Sequence[Comparison]) -> str:
+    """The rows as a table with aligned columns, and below it the failed seeds and a note on simulated models."""
+    lines = [[name for name, _ in COLUMNS], *([text(row) for _, text in COLUMNS] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    texts = ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
+    texts.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
+    return "\n".join([*texts, *notes(rows)])
+
+
+def notes(rows: Sequence[Comparison]) -> list[str]:
+    """The lines below a table of these rows: failed seeds, unsafe starts, and whether models were simulated."""
+    simulated = ["", "simulated language models"] if any(row.simulated for row in rows) else []
+    return [*simulated, *(note for row in rows for note in _notes(row))]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _interval(estimate: Estimate | None, digits: int, factor: float = 1.0) -> str:
+    if estimate is None:
+        return "-"
+    value = f"{factor * estimate.value:.{digits}f}"
+    if estimate.low is None or estimate.high is None:
+        return value
+    return f"{value} [{factor * estimate.low:.{digits}f}, {factor * estimate.high:.{digits}f}]"
+
+
+def _shares(counts: dict[str, int]) -> str:
+    total = sum(counts.values())
+    return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items() if count) or "-"
+
+
+def _notes(row: Comparison) -> list[str]:
+    name = f"{row.protocol} {row.shape} {row.n_robots}"
+    lines: list[str] = []
+    if row.unsafe_starts:
+        later = _number(row.min_separation_after_start, ".6f")
+        lines += ["", f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"]
+        lines[-1] += f" smallest separation once they had come apart: {later}"
+    if not row.failed_seeds:
+        return lines
+    seeds = ", ".join(map(str, row.failed_seeds[:SHOWN_SEEDS]))
+    more = len(row.failed_seeds) - SHOWN_SEEDS
+    lines += ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
+    lines[-1] += f", and {more} more" if more > 0 else ""
+    if row.broken:
+        lines += ["", f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"]
+    return lines
+
+
+@contextmanager
+def trial_file(path: Path) -> Generator[OnResult]:
+    """A CSV file with a line for each trial; yields the function that adds one.
+
+    Missing folders are created. Each line is handed to the operating system at once. The figures of a trial that broke
+    off stay empty.
+
+    Raises:
+        InputError: the file exists, or cannot be created.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.open("x", newline="", encoding="utf-8")
+    except OSError as error:
+        if path.exists():
+            raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    with file:
+        writer = csv.writer(file)
+        writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
+
+        def add(cell: Cell, seed: int, result: TrialResult) -> None:
+            summary = {} if result.summary is None or result.error is not None else result.summary
+            figures = [summary.get(name) for name in FIGURES]
+            waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
+            shape, error = csv_cell(cell.shape), csv_cell(result.error or "")
+            writer.writerow((cell.protocol, shape, cell.n_robots, seed, *figures, waypoints, error))
+            file.flush()
+
+        yield add

@@ -1,0 +1,281 @@
+"""Fly trials: in this process, where many wait for answers at once, or in a pool of processes.
+
+A trial depends only on its configuration, so its result is the same in either of them and on a cluster
+(`executors_ray`).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Awaitable, Callable, Collection, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeAlias
+
+import msgspec
+
+from llm_flock.errors import FlockError
+from llm_flock.llm import Budget, CallLane, ModelPool, Rate, SharedGate, Spent
+from llm_flock.runtime import TrialProgress
+from llm_flock_lab._experiments.grid import TrialSpec
+from llm_flock_lab._experiments.store import SpendingLog, Store
+from llm_flock_lab._experiments.trial import Earlier, KeepRecords, TrialResult, fly
+
+try:
+    import resource
+except ImportError:  # pragma: no cover - systems without such limits
+    resource = None
+
+BOOKKEEPING_S = 1.0
+"""Interval at which spending is shared with other processes [s]."""
+
+
+class Display:
+    """Shows the progress of an experiment; this one shows nothing. Override the methods of interest.
+
+    All methods are called in the thread that called the executor.
+    """
+
+    def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
+        """Called first, with the trials that exist already, and those to fly."""
+
+    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
+        """Called after each round of a trial; only where trials are flown in this process."""
+
+    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
+        """Called when a trial is over; not `fresh` if another process has flown it since the sweep started.
+
+        After a flight in a pool, `config` and `rounds` of the result are empty.
+        """
+
+    def spent(self, spent: Spent, reason: str | None) -> None:
+        """Called with what all processes have spent, and with the limit of the budget that is used up."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Session:
+    """Settings and state that all trials of an experiment share while they are flown.
+
+    Attributes:
+        store: where results are kept; None if they are not, which only a pool allows.
+        keep: trials whose record is kept.
+        budget: of all trials together.
+        rates: of each provider that has any.
+        at_once: trials in flight at once in a process, of those that wait for answers.
+        busy: trials that were left out because another process was flying them.
+        reason: which limit of the budget is used up.
+    """
+
+    store: Store | None
+    display: Display
+    keep: KeepRecords = "none"
+    budget: Budget = field(default_factory=Budget)
+    rates: Mapping[str, Rate] = field(default_factory=dict[str, Rate])
+    at_once: int = 256
+    busy: list[TrialSpec] = field(default_factory=list[TrialSpec])
+    reason: str | None = None
+
+    def note(self, spec: TrialSpec, found: Found) -> None:
+        """Take note of a trial that is over or left out."""
+        if found is None:
+            self.busy.append(spec)
+        else:
+            result, fresh = found
+            self.display.finished(spec, result, fresh=fresh)
+
+
+Found: TypeAlias = tuple[TrialResult, bool] | None
+"""A result and whether this process has flown it; None while another process flies the trial."""
+
+Fly: TypeAlias = Callable[[TrialSpec, tuple[Earlier, ...]], Awaitable[tuple[TrialResult, Path | bytes | None]]]
+"""Flies a trial after its earlier tries; returns its result and its record."""
+
+State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
+"""Takes what other processes have spent; returns own spending, the limit that is used up, and whether to stop."""
+
+
+async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Found:
+    """Fly a trial and keep its result in the store, if any, unless another process does that or has done it."""
+    if store is None:
+        return (await fly_it(spec, ()))[0], True
+    with store.lease(spec.id) as mine:
+        if not mine:
+            return None
+        known = store.load(spec.id)
+        if known is not None and known.tries != spec.tries:
+            return known, False
+        result, record = await fly_it(spec, () if known is None else known.as_earlier())
+        if record is not None:
+            store.keep_record(spec.id, record)
+        store.clear_scratch(spec.id)
+        store.save(result)
+        return result, True
+
+
+def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
+    """Fly trials in this process: those that wait for answers at once, the others one after another.
+
+    Raises:
+        FlockError: results cannot be kept.
+        KeyboardInterrupt: after all records were brought to a readable end.
+    """
+    if not specs:
+        return
+    if resource is not None:  # each call holds a connection: allow as many open files as the system lets us
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        with suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+    asyncio.run(_fly_here(specs, session))
+
+
+async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
+    assert session.store is not None
+    store, gate, pool = session.store, SharedGate(session.budget, session.rates), ModelPool()
+
+    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
+        return await fly(
+            spec,
+            lane=CallLane(gate, pool),
+            keep=session.keep,
+            scratch=store.scratch(spec.id),
+            earlier=earlier,
+            on_round=lambda now: session.display.progress(spec, now),
+        )
+
+    async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
+        gate.elsewhere = elsewhere
+        return gate.spent, gate.reason, gate.exhausted
+
+    try:
+        await drive(specs, session, fly_it, state, computing=1)
+    finally:
+        await pool.aclose()
+
+
+async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:
+    """Fly trials on this event loop until all are over or the budget is used up.
+
+    Of the trials that never wait, `computing` are in flight at once.
+    """
+    assert session.store is not None
+    store, elsewhere = session.store, Spent()
+    log = SpendingLog(store)
+
+    async def balance() -> None:
+        nonlocal elsewhere
+        elsewhere = log.others()
+        own, reason, _ = await state(elsewhere)
+        log.write(own)
+        session.reason = reason or session.reason
+        session.display.spent(own + elsewhere, reason)
+
+    async def balance_regularly() -> None:
+        while True:
+            await asyncio.sleep(BOOKKEEPING_S)
+            await balance()
+
+    async def work(queue: Iterator[TrialSpec]) -> None:
+        for spec in queue:
+            if (await state(elsewhere))[2]:
+                return
+            session.note(spec, await fly_and_keep(spec, store, fly_it))
+
+    await balance()
+    waiting = [spec for spec in specs if spec.waits]
+    others = [spec for spec in specs if not spec.waits]
+    balancing = asyncio.create_task(balance_regularly())
+    try:
+        async with asyncio.TaskGroup() as group:
+            for found, workers in ((waiting, session.at_once), (others, computing)):
+                queue = iter(found)
+                for _ in range(min(workers, len(found))):
+                    group.create_task(work(queue))
+    except ExceptionGroup as errors:
+        raise errors.exceptions[0] from None
+    finally:
+        balancing.cancel()
+        await balance()
+
+
+def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:
+    """Fly trials that compute and do not wait in a pool of processes.
+
+    Each process keeps its own results, so a kill loses only the trials in flight. The processes share nothing but the
+    directory: budgets and rates need `fly_here`. Workers are spawned: a script that calls this needs its
+    `if __name__ == "__main__":` guard.
+
+    Raises:
+        InputError: a value is not allowed; only without a store.
+        FlockError: a worker was killed, or results cannot be kept.
+        KeyboardInterrupt: after all workers were stopped.
+    """
+    if not specs:
+        return
+    others = set(multiprocessing.active_children())
+    jobs = min(jobs, len(specs))
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    log = None if session.store is None else SpendingLog(session.store)
+    spent, done, finished = Spent(), 0, False
+    try:
+        with _interrupts_held():
+            running = {pool.submit(_fly_in_worker, spec, session.store, session.keep): spec for spec in specs}
+        for future in as_completed(list(running)):
+            spec, found = running.pop(future), future.result()
+            if log is not None and found is not None and found[1]:
+                spent += found[0].spent
+                log.write(spent)
+            session.note(spec, found)
+            session.display.spent(spent, None)
+            done += 1
+        finished = True
+    except BrokenProcessPool:
+        again = "" if session.store is None else " The same command goes on"
+        raise FlockError(f"a worker was killed after {done} trials; is there memory for {jobs} jobs?{again}") from None
+    finally:
+        if not finished:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+        pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_held() -> Generator[None]:
+    """Block Ctrl-C while workers start. They inherit the block, so that only the parent handles it.
+
+    A terminal sends Ctrl-C to the whole group of processes, and each worker would print a traceback.
+    """
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_with_parent() -> None:
+    """Let a worker end when its parent dies."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None, "runs in workers only"
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> Found:
+    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
+        return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id), earlier=earlier)
+
+    found = asyncio.run(fly_and_keep(spec, store, fly_it))
+    return None if found is None else (msgspec.structs.replace(found[0], config={}, rounds={}), found[1])

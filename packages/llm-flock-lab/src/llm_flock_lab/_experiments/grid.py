@@ -1,0 +1,214 @@
+"""The cells of an experiment, their arenas, and the trials that they stand for."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from llm_flock import shapes as formations
+from llm_flock.arrays import Point, Vector
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.errors import FieldError, InputError
+from llm_flock.llm import PACKAGED, model_digests, parse_model, parse_models, waits
+from llm_flock.mission import Mission, start_volume
+from llm_flock.runtime import RunConfig, points_file
+from llm_flock.shapes import load_points
+
+PLACES = {"trial": {"out"}, "model": {"record_llm"}}
+"""Fields that say where files go. They do not change what happens in a trial."""
+
+UNDISTURBED: Mapping[str, Any] = {"kill": "", "join": "", "kill_random": 0, "join_random": 0, "changes": ()}
+"""Settings of a run in which nothing happens to robots or mission in flight."""
+
+ID_LENGTH = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Cell:
+    """Trials that differ only in their seed.
+
+    Attributes:
+        label: everything but the seed, in a few words.
+        axes: label of each axis of the grid that has no column in the tables.
+    """
+
+    config: RunConfig
+    label: str = ""
+    axes: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    @property
+    def protocol(self) -> str:
+        """Name of the preset."""
+        return self.config.protocol.protocol
+
+    @property
+    def shape(self) -> str:
+        """The mission's shape."""
+        return self.config.mission.shape
+
+    @property
+    def n_robots(self) -> int:
+        """Team size N."""
+        return self.config.mission.n_robots
+
+    def with_seed(self, seed: int) -> RunConfig:
+        """Configuration of the trial with this seed."""
+        return self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
+
+    def trial(self, seed: int, trial: str | None = None) -> TrialSpec:
+        """The trial with this seed; `trial` is its id, by default `trial_id`."""
+        config = self.with_seed(seed)
+        return TrialSpec(id=trial or trial_id(config), cell=self.label, axes=self.axes, config=config)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialSpec:
+    """A trial to fly.
+
+    Attributes:
+        id: name of the trial; in a results directory, `trial_id` of its configuration.
+        cell: label of its cell, whose `axes` it has.
+        config: resolved configuration.
+        tries: how often it had been flown when the sweep started. A trial that has been flown since is left alone.
+    """
+
+    id: str
+    cell: str
+    axes: Mapping[str, str]
+    config: RunConfig
+    tries: int = 0
+
+    @property
+    def seed(self) -> int:
+        """Seed of the trial."""
+        return self.config.trial.seed
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """The models in use, each once."""
+        return models_of(self.config)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the trial mostly waits for answers, so that many of its kind fit into one process."""
+        return any(map(waits, self.models))
+
+
+def models_of(config: RunConfig) -> tuple[str, ...]:
+    """The models that a configuration uses, each once."""
+    return tuple(dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)))
+
+
+def trial_id(config: RunConfig) -> str:
+    """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
+    sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    prompts = config.model.prompts
+    files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
+    for model in models_of(config):
+        name = parse_model(model)
+        if name.kind == "replay":
+            files.append(_digest(Path(name.model)))
+        files.extend(model_digests(model).values())
+    text = json.dumps([sections, files], sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
+
+
+def _digest(path: Path) -> str:
+    """Hash of a file, or of all files in a folder. Missing files are reported when they are used, not here."""
+    digest = hashlib.sha256()
+    try:
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.is_file():
+                digest.update(f"{file.relative_to(path)}\0".encode() + file.read_bytes() + b"\0")
+    except OSError as error:
+        raise InputError("model", str(path), f"a cassette, or a folder of prompts ({error.strerror})") from None
+    return digest.hexdigest()
+
+
+def parse_teams(text: str) -> list[tuple[str, int]]:
+    """Read `SHAPE/N,SHAPE/N,...`, such as `triangle/6,circle/10`.
+
+    Raises:
+        InputError: for field `cells`.
+    """
+    teams: list[tuple[str, int]] = []
+    for part in text.split(","):
+        shape, slash, count = part.strip().rpartition("/")
+        if not (slash and shape and count.isascii() and count.isdecimal() and len(count) <= 9):
+            raise InputError("cells", text, "SHAPE/N with commas between them, such as triangle/6,circle/10")
+        teams.append((shape, int(count)))
+    return teams
+
+
+@contextmanager
+def naming_team(field: str, team: str) -> Generator[None]:
+    """Errors of a shape or a number of robots name where both were given: `field`, as `SHAPE/N`."""
+    try:
+        yield
+    except InputError as error:
+        if isinstance(error, FieldError) or error.field not in ("shape", "n_robots"):
+            raise
+        raise InputError(field, team, says=error.says) from None
+
+
+def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple[Point, Point]:
+    """The arena of a configuration that may be refused for lack of room, as `fitted_arena` grows it.
+
+    `load` makes a configuration of `fields`, among which are `shape` and `n_robots`.
+
+    Raises:
+        InputError: a value is not allowed.
+    """
+    shape, n_robots = fields["shape"], fields["n_robots"]
+    if not isinstance(shape, str) or type(n_robots) is not int or not 1 <= n_robots <= MAX_ROBOTS:
+        raise InputError("team", f"{shape}/{n_robots}", f"SHAPE/N with N from 1 to {MAX_ROBOTS}")
+    places = fields.get("places")
+    if places is not None and (type(places) is not int or not 1 <= places <= MAX_ROBOTS):
+        raise InputError("places", places, f"a number from 1 to {MAX_ROBOTS}")
+    # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
+    team = load(**{**fields, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
+    points = load_points(points_file(shape), "shape") if shape.startswith("points:") else None
+    return fitted_arena(team, shape if points is None else "points", n_robots, points)
+
+
+def fitted_arena(
+    team: Mission, shape: str, n_robots: int, points: Sequence[Point] | None = None
+) -> tuple[Point, Point]:
+    """The team's arena, grown where a formation needs more room.
+
+    Each wall moves out until it is at least one spacing farther from the centre than the farthest place of the shape,
+    in any orientation, so that a robot can pass between formation and wall. If random starts at the safe distance do
+    not fit then, all walls move out to a cube in which they do. Walls never move inwards.
+
+    Centre, spacing, safe distance and the initial arena are those of `team`, and so is the number of places unless
+    there is one for each robot. `points` are the target points of the shape `points` [units].
+
+    Returns:
+        lower and upper corner [units].
+
+    Raises:
+        InputError: there is no such shape, or not for this team size.
+    """
+    center = np.array(team.center)
+    ideal = formations.ideal_points(shape, team.places or n_robots, team.center, team.spacing, points)
+    room = 0.0 if ideal is None else formations.circumradius(ideal, team.center) + team.spacing
+    low, high = _grown(team, center, room)
+    needed = start_volume(n_robots, team.dim, team.safe_distance)
+    if float(np.prod(high - low)) < needed:
+        # A thousandth more, so that rounding cannot make it too small again.
+        low, high = _grown(team, center, 1.001 * math.pow(needed, 1 / team.dim) / 2)
+    return tuple(low.tolist()), tuple(high.tolist())
+
+
+def _grown(team: Mission, center: Vector, room: float) -> tuple[Vector, Vector]:
+    """Corners of the arena after moving each wall out to `room` from the centre."""
+    low, high = (np.array(corner) for corner in team.arena)
+    return np.minimum(low, center - room), np.maximum(high, center + room)

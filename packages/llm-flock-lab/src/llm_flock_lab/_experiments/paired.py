@@ -1,0 +1,139 @@
+"""Compare two protocols trial by trial, on the same seeds."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import scipy
+
+from llm_flock.errors import InputError
+from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedMeans:
+    """A figure of two protocols on the same seeds.
+
+    Attributes:
+        pairs: seeds on which both have the figure.
+        difference: mean of (first - second), in the figure's unit, with its interval.
+        effect: the difference in standard deviations of the differences (Hedges' g of pairs) with its interval; None
+            for fewer than three pairs, or if all differences are equal.
+    """
+
+    pairs: int
+    difference: Estimate
+    effect: Estimate | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PairedShares:
+    """Success of two protocols on the same seeds.
+
+    Attributes:
+        pairs: seeds that both flew.
+        only_first: seeds on which the first alone succeeded; `only_second` likewise.
+        difference: share of the first minus share of the second, with its interval.
+    """
+
+    pairs: int
+    only_first: int
+    only_second: int
+    difference: Estimate
+
+
+def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans | None:
+    """Compare two figures pair by pair; None without pairs.
+
+    The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
+    meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
+    Figures are finite, one for each seed, and of the same seeds in the same order.
+
+    Raises:
+        InputError: the lengths differ.
+    """
+    _check_pairs(first, second)
+    differences = [a - b for a, b in zip(first, second, strict=True)]
+    mean = mean_interval(differences)
+    if mean is None:
+        return None
+    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences))
+
+
+def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares | None:
+    """Compare success pair by pair; None without pairs.
+
+    The interval is Newcombe's of squared and added score intervals, corrected for the pairs' correlation (Improved
+    confidence intervals for the difference between binomial proportions based on paired data, Statistics in Medicine
+    1998, method 10). It has a width where all or none succeeded.
+
+    Raises:
+        InputError: the lengths differ.
+    """
+    _check_pairs(first, second)
+    n = len(first)
+    if not n:
+        return None
+    one, two = wilson(sum(first), n), wilson(sum(second), n)
+    both = sum(a and b for a, b in zip(first, second, strict=True))
+    only_first, only_second = sum(first) - both, sum(second) - both
+    correlation = _correlation(both, only_first, only_second, n - both - only_first - only_second)
+    difference = one.value - two.value
+    (below_one, above_one), (below_two, above_two) = _arms(one), _arms(two)
+    down = _combined(below_one, above_two, correlation)
+    up = _combined(above_one, below_two, correlation)
+    return PairedShares(
+        pairs=n,
+        only_first=only_first,
+        only_second=only_second,
+        difference=Estimate(value=difference, low=max(-1.0, difference - down), high=min(1.0, difference + up)),
+    )
+
+
+def _effect(differences: Sequence[float]) -> Estimate | None:
+    n = len(differences)
+    if n < 3:
+        return None
+    mean, spread = statistics.fmean(differences), statistics.stdev(differences)
+    if spread <= 1e-12 * max(map(abs, differences)):
+        return None  # no spread to measure the difference by
+    free = n - 1
+    # Without this factor the effect of few pairs would be overestimated.
+    unbiased = math.exp(math.lgamma(free / 2) - math.lgamma((free - 1) / 2)) / math.sqrt(free / 2)
+    score = mean / spread * math.sqrt(n)
+    low, high = (
+        float(scipy.special.nctdtrinc(free, share, score)) / math.sqrt(n) * unbiased
+        for share in ((1 + CONFIDENCE) / 2, (1 - CONFIDENCE) / 2)
+    )
+    sane = math.isfinite(low) and math.isfinite(high) and low < high
+    value = mean / spread * unbiased
+    return Estimate(value=value, low=low if sane else None, high=high if sane else None)
+
+
+def _correlation(both: int, only_first: int, only_second: int, neither: int) -> float:
+    """Correlation of the two successes, with Newcombe's correction for chance where it is positive."""
+    margins = (both + only_first) * (only_second + neither) * (both + only_second) * (only_first + neither)
+    if not margins:
+        return 0.0
+    surplus = float(both * neither - only_first * only_second)
+    if surplus > 0:
+        surplus = max(surplus - (both + only_first + only_second + neither) / 2, 0.0)
+    return surplus / math.sqrt(margins)
+
+
+def _arms(share: Estimate) -> tuple[float, float]:
+    """Distances from a share down and up to the ends of its interval."""
+    assert share.low is not None and share.high is not None, "Wilson's interval always has ends"
+    return share.value - share.low, share.high - share.value
+
+
+def _combined(one: float, two: float, correlation: float) -> float:
+    return math.sqrt(max(0.0, one * one - 2 * correlation * one * two + two * two))
+
+
+def _check_pairs(first: Sequence[object], second: Sequence[object]) -> None:
+    if len(first) != len(second):
+        raise InputError("pairs", (len(first), len(second)), "as many of the one as of the other")

@@ -1,0 +1,194 @@
+"""One trial of an experiment, from its specification to its result."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import msgspec
+
+from llm_flock import runtime
+from llm_flock.errors import InputError
+from llm_flock.llm import CallLane, Spent, parse_model
+from llm_flock.own_code import is_cancelled, shown
+from llm_flock.record import Entry, MetricsRow, SummaryMessage
+from llm_flock.runtime import RECORD_NAME, TrialProgress, run_async
+from llm_flock_lab._experiments.grid import TrialSpec
+
+KeepRecords: TypeAlias = Literal["all", "failed", "none"]
+"""Trials whose record is kept."""
+
+FORMAT = 1
+"""Version of the files in `trials/`."""
+
+
+class Earlier(msgspec.Struct, frozen=True, kw_only=True):
+    """Why an earlier try of a trial ended, and its use; the cost [US dollars] is None where no price is known."""
+
+    stopped: str
+    model_calls: int
+    tokens: int
+    cost_usd: float | None
+
+
+class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
+    """The result of one trial, as `trials/ID.json` holds it; id, cell and axes are those of its `TrialSpec`.
+
+    Attributes:
+        summary: `Summary.to_dict()`, also of a trial that broke off; None where it broke off before it began.
+        rounds: a list for each column of `tables.ROUNDS` but the first, all of the same length.
+        error: what broke the trial off; None where nothing did.
+        cut: the sweep's budget ran out during the trial; it is flown again as soon as there is a budget.
+        simulated: whether any language model was a simulated stand-in.
+        code: version of this package, and revision of its checkout where it runs from one.
+        record: path of its record, relative to the results directory; None where none was kept.
+    """
+
+    id: str
+    cell: str
+    axes: dict[str, str]
+    config: dict[str, Any]
+    summary: dict[str, Any] | None
+    rounds: dict[str, list[float | int | None]]
+    error: str | None
+    cut: bool
+    simulated: bool
+    code: str
+    record: str | None = None
+    earlier: tuple[Earlier, ...] = ()
+    format: int = FORMAT
+
+    @property
+    def formed(self) -> bool:
+        """Whether the formation was built; false for a trial that broke off."""
+        return self.error is None and self.summary is not None and bool(self.summary["formed"])
+
+    @property
+    def stopped(self) -> str:
+        """Why it ended, as in `Summary.stopped`."""
+        return "failed" if self.summary is None or self.error is not None else str(self.summary["stopped"])
+
+    @property
+    def spent(self) -> Spent:
+        """What this try used."""
+        found = self.summary or {}
+        return Spent(
+            calls=found.get("model_calls", 0), tokens=found.get("tokens", 0), cost_usd=found.get("cost_usd") or 0.0
+        )
+
+    @property
+    def tries(self) -> int:
+        """How often it was flown."""
+        return len(self.earlier) + 1
+
+    def as_earlier(self) -> tuple[Earlier, ...]:
+        """This try and those before it, for the one that replaces it."""
+        cost = 0.0 if self.summary is None else self.summary["cost_usd"]
+        spent = self.spent
+        mine = Earlier(stopped=self.stopped, model_calls=spent.calls, tokens=spent.tokens, cost_usd=cost)
+        return (*self.earlier, mine)
+
+
+@dataclass
+class _Metrics:
+    """Collects the figures of each round and of the whole trial from the entries of its record."""
+
+    rows: list[MetricsRow] = field(default_factory=list[MetricsRow])
+    result: Mapping[str, Any] | None = None
+
+    def write(self, entry: Entry) -> None:
+        """Keep the figures; the summary also comes where a run broke off."""
+        if isinstance(entry, MetricsRow):
+            self.rows.append(entry)
+        elif isinstance(entry, SummaryMessage):
+            self.result = entry.result
+
+
+async def fly(
+    spec: TrialSpec,
+    *,
+    lane: CallLane | None = None,
+    keep: KeepRecords = "none",
+    scratch: Path | None = None,
+    earlier: tuple[Earlier, ...] = (),
+    on_round: Callable[[TrialProgress], None] | None = None,
+) -> tuple[TrialResult, Path | None]:
+    """Fly one trial. The result reports any exception in it, but without a store an `InputError` is raised.
+
+    `scratch` is the folder for the record while it is written; anything in it is deleted first. None if nothing is
+    stored. `lane` gives access to what all trials share; `earlier` are the tries before this one.
+
+    Returns:
+        its result, and the path of its record in `scratch` if that is to be kept.
+
+    Raises:
+        InputError: a value is not allowed; only without `scratch`.
+        asyncio.CancelledError: the sweep is being stopped.
+    """
+    out = None
+    if scratch is not None:
+        shutil.rmtree(scratch, ignore_errors=True)
+        out = None if keep == "none" else str(scratch)
+    lane = lane or CallLane()
+    config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
+    metrics, error = _Metrics(), None
+    try:
+        await run_async(config=config, sink=metrics, lane=lane, on_round=on_round, progress=False, trace=False)
+    except (Exception, asyncio.CancelledError) as reason:  # it is stored, counted and shown
+        if (scratch is None and isinstance(reason, InputError)) or (
+            isinstance(reason, asyncio.CancelledError) and is_cancelled()
+        ):
+            raise
+        error = shown(reason)
+    summary = None if metrics.result is None else {**metrics.result, "record": None}
+    formed = summary is not None and summary["formed"] and error is None
+    record = None if out is None or (formed and keep == "failed") else Path(out) / RECORD_NAME
+    record = record if record is not None and record.exists() else None
+    result = TrialResult(
+        id=spec.id,
+        cell=spec.cell,
+        axes=dict(spec.axes),
+        config=spec.config.model_dump(mode="json"),
+        summary=summary,
+        rounds=_columns(metrics.rows),
+        error=error,
+        cut=error is None and lane.cut and summary is not None and summary["stopped"] == "budget",
+        simulated=any(parse_model(model).kind == "simulated" for model in spec.models)
+        or bool(summary and summary["simulated"]),
+        code="" if scratch is None else code_version(),
+        record=None if record is None else f"records/{spec.id}.mcap",
+        earlier=earlier,
+    )
+    return result, record
+
+
+def _columns(rows: list[MetricsRow]) -> dict[str, list[float | int | None]]:
+    """The columns of `tables.ROUNDS` but the first, in their order."""
+
+    def closest(row: MetricsRow) -> float | None:
+        return min((d for d in (row.min_separation, row.segment_separation) if d is not None), default=None)
+
+    return {
+        "round": [row.round for row in rows],
+        "error": [row.procrustes_mean for row in rows],
+        "error_squared": [row.procrustes_mean_squared for row in rows],
+        "min_separation": [closest(row) for row in rows],
+        "plans_in_use": [row.plans_in_use for row in rows],
+        "distinct_goals": [row.distinct_goals for row in rows],
+        "at_goal": [row.robots_at_goal for row in rows],
+        "calls": [row.model_calls for row in rows],
+        "tokens": [row.tokens for row in rows],
+        "cost_usd": [row.cost_usd for row in rows],
+    }
+
+
+@cache
+def code_version() -> str:
+    """Version of this package, and revision of its checkout where it runs from one; read once in each process."""
+    version, revision = runtime.versions()["llm-flock"], runtime.git_revision()
+    return version if revision is None else f"{version}+g{revision[:12]}{'.dirty' if '+' in revision else ''}"

@@ -1,0 +1,269 @@
+"""Writes the report: one HTML page that needs nothing else, the same in Markdown, and a folder of figures."""
+
+# Matplotlib's types leave **kwargs open.
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+import base64
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import jinja2
+from markupsafe import Markup, escape
+from matplotlib.figure import Figure
+
+from llm_flock.errors import InputError
+from llm_flock.printable import printable
+from llm_flock_lab._report import sheets
+from llm_flock_lab._report.drawings import Drawing, draw_all
+from llm_flock_lab._report.findings import cell_lines, pair_lines, usual_reference
+from llm_flock_lab._report.gallery import Failure, gallery
+from llm_flock_lab._report.results import OUTCOMES, Results
+from llm_flock_lab._report.sheets import Sheet
+from llm_flock_view._figures.figures import save
+from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
+
+FORMATS = ("svg", "pdf", "png")
+PICTURE_DPI = 130
+"""Resolution of the snapshots on the page; the files have more."""
+
+SECTIONS = {
+    "success": "Success",
+    "error": "Error over time",
+    "paired": "Protocols compared",
+    "axes": "Along the grid",
+    "rounds": "Rounds over the lower bound",
+    "separation": "Separation",
+    "spending": "Calls, tokens and money",
+    "failures": "Failures",
+    "data": "Data and code",
+}
+
+VARIABLES: dict[str, tuple[str, str]] = {
+    INK: ("ink", "#E6E6E6"),
+    PAPER: ("paper", "#17191C"),
+    GRID: ("grid", "#33373C"),
+    FAINT: ("faint", "#8A8F95"),
+    str(RC["axes.edgecolor"]): ("edge", "#6A7077"),
+    **{light: (f"series-{k}", dark) for k, (light, dark) in enumerate(zip(SERIES, SERIES_ON_DARK, strict=True))},
+}
+"""Colours of figures: for each, the page's CSS variable, and the variable's value on a dark page."""
+
+
+@dataclass(slots=True, kw_only=True)
+class PageSection:
+    """A section of the page; `name` is one of `SECTIONS`."""
+
+    name: str
+    title: str
+    drawings: list[Drawing] = field(default_factory=list[Drawing])
+    sheets: list[Sheet] = field(default_factory=list[Sheet])
+    failures: list[Failure] = field(default_factory=list[Failure])
+    lines: list[str] = field(default_factory=list[str])
+
+
+def write_report(
+    folder: Path,
+    out: Path,
+    *,
+    reference: str | None = None,
+    most: int = 6,
+    formats: Sequence[str] = FORMATS,
+    fly_again: bool = True,
+    on_step: Callable[[str], None] = lambda step: None,
+) -> list[Path]:
+    """Write the report of a directory of results; files of an older report in the same place are replaced.
+
+    `out` gets `report.html`, `report.md` and `figures/`, with a file of each figure for every ending in `formats`. The
+    reference is the baseline by default, where it was flown. The gallery of failures shows `most` trials; for it, those
+    of simulated models without a record can be flown again. `on_step` is called with the name of everything made.
+
+    Returns:
+        the page, the Markdown, and every figure.
+
+    Raises:
+        InputError: no results, or an option out of its range.
+        RecordError: a trial is damaged.
+    """
+    if not formats or any(ending not in FORMATS for ending in formats):
+        raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
+    results = Results.read(folder)
+    if reference is not None and reference not in results.protocols:
+        raise InputError("reference", reference, f"a protocol of these results: {', '.join(results.protocols)}")
+    written: list[Path] = []
+
+    def keep(figure: Figure, name: str) -> None:
+        for ending in formats:
+            save(figure, out / "figures" / f"{name}.{ending}")
+            written.append(out / "figures" / f"{name}.{ending}")
+        on_step(name)
+
+    sections = {name: PageSection(name=name, title=title) for name, title in SECTIONS.items()}
+    reference = reference or usual_reference(results)
+    for drawing in draw_all(results, reference):
+        sections[drawing.section].drawings.append(drawing)
+        keep(drawing.figure, drawing.name)
+    lines = cell_lines(results)
+    sections["success"].sheets.append(sheets.success_sheet(results, lines))
+    sections["rounds"].sheets.append(sheets.flight_sheet(results, lines))
+    sections["spending"].sheets.append(sheets.spending_sheet(results, lines))
+    if pairs := pair_lines(results, reference):
+        sections["paired"].sheets += sheets.pair_sheets(results, pairs, reference)
+    failures = sections["failures"].failures
+    for failure in gallery(results, most, fly_again=fly_again):
+        failures.append(failure)
+        if failure.figure is not None:
+            keep(failure.figure, failure.name)
+    sections["failures"].lines.append(_failure_words(results, len(failures)))
+    codes = ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials))
+    tables = "The two tables, trials.parquet and rounds.parquet, lie beside sweep.toml, which repeats the sweep."
+    sections["data"].lines += [f"Flown by: {codes}.", tables]
+    page = {
+        "title": results.name,
+        "about": results.about,
+        "subtitle": _subtitle(results),
+        "warnings": list(_warnings(results)),
+        "facts": sheets.facts(results, lines),
+        "sections": [s for s in sections.values() if s.drawings or s.sheets or s.failures or s.lines],
+        "footer": "Made by llm-flock report from trials.parquet and rounds.parquet.",
+        "light": {name: colour for colour, (name, _) in VARIABLES.items()},
+        "dark": dict(VARIABLES.values()),
+        "picture_format": "svg" if "svg" in formats else formats[0],
+    }
+    for name, template in (("report.html", "page.html.j2"), ("report.md", "page.md.j2")):
+        text = _environment().get_template(template).render(page)
+        try:
+            (out / name).write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise InputError("out", str(out / name), f"a place that can be written to ({error.strerror})") from None
+        written.insert(0, out / name)
+        on_step(name)
+    return written
+
+
+def inline_svg(figure: Figure, name: str, label: str) -> Markup:
+    """The figure as an element of an HTML page, the same whenever it is made.
+
+    `name` is the prefix of every id, so that no two figures of a page share one; `label` is for screen readers.
+    """
+    out = io.StringIO()
+    with house_style():
+        figure.savefig(out, format="svg", metadata={"Date": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    # Its style sheet would hold for the whole page.
+    text = re.sub(r"<style.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="([^"]+)"', rf'id="{name}-\1"', text)
+    text = re.sub(r"url\(#([^)]+)\)", rf"url(#{name}-\1)", text)
+    text = re.sub(r'\bhref="#([^"]+)"', rf'href="#{name}-\1"', text)
+    for colour, (variable, _) in VARIABLES.items():
+        text = re.sub(re.escape(colour), f"var(--{variable})", text, flags=re.IGNORECASE)
+    box = re.search(r'viewBox="([^"]+)"', text)
+    assert box is not None, "matplotlib writes a view box"
+    width = float(box[1].split()[2])
+    # On a phone, words keep the size of a figure on paper, and what is wider is scrolled.
+    size = f"max-width:{width * 1.25:.0f}px;min-width:{width:.0f}px"
+    head = (
+        f'<svg viewBox="{box[1]}" role="img" aria-label="{escape(label)}" style="{size}" '
+        'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
+    )
+    return Markup(head + text[text.index(">", text.index("<svg")) + 1 :].strip())
+
+
+def _svg(drawing: Drawing) -> Markup:
+    return inline_svg(drawing.figure, drawing.name, f"{drawing.title}. {drawing.caption}")
+
+
+def _data_address(figure: Figure) -> str:
+    """A figure as a PNG image in a data: URL."""
+    image = io.BytesIO()
+    with house_style():
+        figure.savefig(image, format="png", dpi=PICTURE_DPI)
+    return f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
+
+
+def _subtitle(results: Results) -> str:
+    parts = (
+        _counted(len(results.trials), "trial"),
+        ", ".join(f"{team.shape} {team.n_robots}" for team in results.teams),
+        ", ".join(results.protocols),
+        ", ".join(results.models),
+        _counted(len({trial.seed for trial in results.trials}), "seed"),
+    )
+    return " · ".join(part for part in parts if part)
+
+
+def _warnings(results: Results) -> Iterator[str]:
+    if results.simulated:
+        every = all(trial.figures["simulated"] for trial in results.trials)
+        yield (
+            f"{'Simulated language models' if every else 'Some of the language models are simulated'}: these figures "
+            "say something about the protocol, and nothing about language models."
+        )
+    bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
+    if bad:
+        words = "; ".join(f"{n} {name} ({OUTCOMES[name]})" for name, n in bad.items())
+        yield f"Trials that came to no proper end: {words}. They are counted as not formed."
+    missing = (results.planned or 0) - len(results.trials)
+    if missing > 0:
+        yield f"The sweep is not finished: {missing:,} of {results.planned:,} trials are still to be flown."
+    codes = {str(trial.figures["code"]) for trial in results.trials}
+    if len(codes) > 1:
+        yield f"The trials were flown by different versions of the code: {', '.join(sorted(codes))}."
+    cut = sum(bool(trial.figures.get("cut")) for trial in results.trials)
+    if cut:
+        yield f"The budget of the sweep ended {_counted(cut, 'trial')}: continue the sweep with a larger one."
+
+
+def _failure_words(results: Results, shown: int) -> str:
+    bad = sum(not trial.formed or trial.too_near for trial in results.trials)
+    if not bad:
+        return "Every trial formed, and no two robots came nearer than the safe distance."
+    return (
+        f"{bad:,} of {len(results.trials):,} trials did not form or had robots too near; shown are {shown} of them, "
+        "the worst of each protocol and each way to end."
+    )
+
+
+def _counted(count: int, name: str) -> str:
+    return f"{count:,} {name}{'' if count == 1 else 's'}"
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("llm_flock_lab._report"),
+        autoescape=lambda name: name is not None and name.endswith(".html.j2"),
+        undefined=jinja2.StrictUndefined,
+        finalize=_clean,
+    )
+    filters = cast("dict[str, Any]", environment.filters)
+    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced, "svg": _svg, "data": _data_address}
+    return environment
+
+
+def _clean(value: object) -> str:
+    """A value of a page, without characters that turn text around or that nobody sees."""
+    text = printable(str(value))
+    return Markup(text) if isinstance(value, Markup) else text
+
+
+def _breakable(text: str) -> Markup:
+    """Text that may be broken after its separators."""
+    return Markup(re.sub(r"(?<=[,:@/])", "<wbr>", str(escape(text))))
+
+
+def _markdown(text: str) -> str:
+    """Plain text for Markdown: on one line, with special characters escaped."""
+    return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(str(text).split()))
+
+
+def _fenced(text: str) -> str:
+    """Text as a fenced block; it may contain backticks."""
+    fence = "`" * max(3, 1 + max((len(run) for run in re.findall(r"`+", text)), default=0))
+    return f"{fence}text\n{text}\n{fence}"

@@ -1,0 +1,287 @@
+"""The results of a sweep, read from its two tables: cells, their trials, and each trial's error over time."""
+
+from __future__ import annotations
+
+import tomllib
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self, cast
+
+import msgspec
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from llm_flock.errors import InputError
+from llm_flock.protocol import PRESET_RULES
+from llm_flock.record import protocol_text
+from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.compare import TOLERANCE
+from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
+
+OUTCOMES: Mapping[str, str] = {
+    "formed": "the formation was built",
+    "not formed": "all rounds were flown",
+    "budget": "a budget was used up first",
+    "no plan": "no model proposed an acceptable plan, and none is asked any more",
+    "no answers": "no model answered any more",
+    "interrupted": "the run was stopped from outside",
+    "broke off": "an error ended the run",
+}
+"""Outcomes of trials; each trial has exactly one."""
+
+ENDINGS = {"budget": "budget", "no_plan": "no plan", "no_answers": "no answers", "interrupted": "interrupted"}
+"""Outcome of a trial that did not form, by why it stopped; otherwise it is `not formed`."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Team:
+    """A shape and a team size; each has its own panel in figures."""
+
+    n_robots: int
+    shape: str
+
+    def __str__(self) -> str:
+        return f"{self.shape} · {self.n_robots} robots" if self.n_robots != 1 else f"{self.shape} · 1 robot"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResultCell:
+    """A cell of the grid: its trials differ in their seed only.
+
+    Attributes:
+        protocol: preset of rules; with the rules themselves where one preset was flown with several.
+        model: language model, as configured.
+        condition: the value of every further axis of the grid, in words; empty without any.
+    """
+
+    team: Team
+    protocol: str
+    model: str
+    condition: str
+
+    def __str__(self) -> str:
+        return " · ".join(part for part in (str(self.team), self.protocol, self.model, self.condition) if part)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialRow:
+    """One trial; its outcome is one of `OUTCOMES`, and `figures` is its row in the table."""
+
+    id: str
+    cell: ResultCell
+    seed: int
+    outcome: str
+    figures: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def formed(self) -> bool:
+        """Whether the formation was built."""
+        return self.outcome == "formed"
+
+    @property
+    def too_near(self) -> bool:
+        """Whether any two robots came nearer than the safe distance."""
+        separation, safe = self.figures["min_separation"], self.figures["safe_distance"]
+        return separation is not None and safe is not None and separation < safe - TOLERANCE
+
+    @property
+    def ratio(self) -> float | None:
+        """Rounds to the formation over the fewest possible, of which 0 counts as 1; None where it did not form."""
+        rounds, bound = self.figures["rounds_to_formed"], self.figures["lower_bound_rounds"]
+        return rounds / max(1, bound) if self.formed and rounds is not None and bound is not None else None
+
+    @property
+    def error(self) -> float | None:
+        """Distance to the ideal shape at the end [units]."""
+        return self.figures["procrustes_mean"]
+
+    def per_robot(self, column: str) -> float | None:
+        """A figure of the whole team, shared out."""
+        value = self.figures[column]
+        return None if value is None else value / self.cell.team.n_robots
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything in a directory of results.
+
+    Attributes:
+        frame: a row for each trial.
+        rounds: a row for each round.
+        name: of the sweep, like its description `about`, which may be empty.
+        planned: trials of the whole sweep; None where that is not known.
+    """
+
+    folder: Path
+    frame: pl.DataFrame = field(repr=False)
+    rounds: pl.DataFrame = field(repr=False)
+    name: str = ""
+    about: str = ""
+    planned: int | None = None
+
+    @classmethod
+    def read(cls, folder: Path) -> Self:
+        """Read a directory of results; it may be one that is still being filled.
+
+        Raises:
+            InputError: there are no results.
+            RecordError: a trial is damaged.
+        """
+        frame, rounds = tables.read_tables(folder)
+        if frame.is_empty():
+            raise InputError("dir", str(folder), "a directory with at least one finished trial")
+        name, about = _title(folder)
+        planned = _planned(folder)
+        if planned is not None:
+            # The grid's own order: models and conditions are shown as the file of the sweep has them.
+            order = pl.DataFrame({"trial": planned, "place": range(len(planned))})
+            frame = frame.join(order, on="trial", how="left").sort("place", nulls_last=True, maintain_order=True)
+            frame = frame.drop("place")
+        count = None if planned is None else len(planned)
+        return cls(folder, frame, rounds, name, about, count)
+
+    @cached_property
+    def trials(self) -> tuple[TrialRow, ...]:
+        """Every trial, in the order of the table."""
+        rows = list(self.frame.iter_rows(named=True))
+        axes = [name for name in self.frame.columns if name.startswith(tables.AXIS)]
+        return tuple(
+            TrialRow(
+                id=row["trial"],
+                cell=ResultCell(
+                    team=Team(row["n_robots"], row["shape"]),
+                    protocol=protocol_text({"protocol": row}),
+                    model=row["model"] or "",
+                    condition=", ".join(
+                        f"{name.removeprefix(tables.AXIS)} {row[name]}" for name in axes if row[name] is not None
+                    ),
+                ),
+                seed=row["seed"],
+                outcome=_outcome(row),
+                figures=row,
+            )
+            for row in rows
+        )
+
+    @cached_property
+    def cells(self) -> dict[ResultCell, list[TrialRow]]:
+        """The trials of each cell: by team, condition, model and protocol."""
+        found: defaultdict[ResultCell, list[TrialRow]] = defaultdict(list)
+        for trial in self.trials:
+            found[trial.cell].append(trial)
+
+        def place(cell: ResultCell) -> tuple[Any, ...]:
+            order = (self.conditions, cell.condition), (self.models, cell.model), (self.protocols, cell.protocol)
+            return (cell.team, *(names.index(name) for names, name in order))
+
+        return {cell: found[cell] for cell in sorted(found, key=place)}
+
+    @cached_property
+    def teams(self) -> tuple[Team, ...]:
+        """Every team, the smallest first."""
+        return tuple(sorted({trial.cell.team for trial in self.trials}))
+
+    @cached_property
+    def protocols(self) -> tuple[str, ...]:
+        """Every protocol, presets in their own order."""
+        seen = dict.fromkeys(trial.cell.protocol for trial in self.trials)
+        known = {name: k for k, name in enumerate(PRESET_RULES)}
+        return tuple(sorted(seen, key=lambda name: known.get(name.split(" ")[0], len(known))))
+
+    @cached_property
+    def models(self) -> tuple[str, ...]:
+        """Every model, as configured, in the order of the table."""
+        return tuple(dict.fromkeys(trial.cell.model for trial in self.trials))
+
+    @cached_property
+    def conditions(self) -> tuple[str, ...]:
+        """The values of the further axes that occur together, in the order of the table; `("",)` without such axes."""
+        return tuple(dict.fromkeys(trial.cell.condition for trial in self.trials))
+
+    @cached_property
+    def axes(self) -> dict[str, tuple[str, ...]]:
+        """The further axes that have more than one value, and their values: numbers by size, words as they come."""
+        found: dict[str, tuple[str, ...]] = {}
+        for name in self.frame.columns:
+            values = [value for value in dict.fromkeys(self.frame[name].to_list()) if value is not None]
+            if name.startswith(tables.AXIS) and len(values) > 1:
+                numeric = all(as_number(value) is not None for value in values)
+                found[name.removeprefix(tables.AXIS)] = tuple(sorted(values, key=float) if numeric else values)
+        return found
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any language model was a simulated stand-in."""
+        return any(trial.figures["simulated"] for trial in self.trials)
+
+    def outcomes(self) -> dict[str, int]:
+        """Number of trials by outcome; every outcome is there, and they add up to all trials."""
+        counts = Counter(trial.outcome for trial in self.trials)
+        return {name: counts[name] for name in OUTCOMES}
+
+    @cached_property
+    def _errors(self) -> dict[str, NDArray[np.float64]]:
+        """The error after each round of every trial that has rounds [units]."""
+        ordered = self.rounds.sort("trial", "round", maintain_order=True)
+        grouped = ordered.group_by("trial", maintain_order=True).agg(pl.col("error").cast(pl.Float64))
+        return {
+            name: np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+            for name, values in zip(grouped["trial"].to_list(), grouped["error"].to_list(), strict=True)
+        }
+
+    def curves(self, trials: Sequence[TrialRow], length: int) -> NDArray[np.float64]:
+        """The error of each trial over the rounds [units], shape (trials with a known error, length).
+
+        A trial that ended early keeps its last known error; before that, NaN where it was not measured. Trials that
+        broke off before round 0 and shapes without an ideal have no row.
+        """
+        rows: list[NDArray[np.float64]] = []
+        for trial in trials:
+            curve = self._errors.get(trial.id)
+            if curve is None or np.isnan(curve).all():
+                continue
+            last = curve[~np.isnan(curve)][-1]
+            rows.append(np.concatenate([curve, np.full(max(0, length - len(curve)), last)])[:length])
+        return np.array(rows, dtype=np.float64).reshape(len(rows), length)
+
+    @property
+    def longest(self) -> int:
+        """Rounds of the longest trial, the start counted too; 0 without any."""
+        return max((len(self._errors.get(trial.id, ())) for trial in self.trials), default=0)
+
+
+def _outcome(row: Mapping[str, Any]) -> str:
+    if row["error"] is not None or row["stopped"] in (None, "failed"):
+        return "broke off"
+    if row["formed"]:
+        return "formed"
+    return ENDINGS.get(row["stopped"], "not formed")
+
+
+def as_number(text: str) -> float | None:
+    """A value of an axis as a number; None where it is words."""
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _title(folder: Path) -> tuple[str, str]:
+    """Name of the sweep, and what it is about, from its file; the folder's name where there is no such file."""
+    try:
+        found = cast("dict[str, Any]", tomllib.loads((folder / SWEEP_NAME).read_text(encoding="utf-8"))["sweep"])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        found = {}
+    return str(found.get("name") or folder.resolve().name), str(found.get("about") or "")
+
+
+def _planned(folder: Path) -> list[str] | None:
+    """Ids of all trials of the sweep, in the order of its grid; None where that is not known."""
+    try:
+        return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
+    except (OSError, msgspec.MsgspecError, RecursionError):
+        return None

@@ -1,0 +1,191 @@
+"""The tables of the report as text; the page and the Markdown show the same rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from llm_flock_lab._experiments.paired import PairedMeans, PairedShares
+from llm_flock_lab._experiments.statistics import Estimate, median
+from llm_flock_lab._report.findings import COMPARED, INTERVAL, CellLine, PairLine, known
+from llm_flock_lab._report.results import OUTCOMES, ResultCell, Results
+
+T = TypeVar("T")
+
+NOT_KNOWN = "-"
+MINUS = "\N{MINUS SIGN}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sheet:
+    """One table; its first `words` columns hold words, the others numbers, and `note` says how to read it."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int
+    note: str
+
+
+def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
+    """How the trials of every cell ended."""
+    ends = [name for name in OUTCOMES if name != "formed" and any(line.outcomes[name] for line in lines)]
+    columns: dict[str, Callable[[CellLine], str]] = {
+        "trials": lambda line: str(line.trials),
+        "formed % [95 %]": lambda line: interval(line.formed, 1, 100.0),
+        "by the models alone % [95 %]": lambda line: interval(line.by_models, 1, 100.0),
+        **{name: lambda line, end=name: str(line.outcomes[end]) for name in ends},
+        "too near": lambda line: str(line.too_near),
+        "smallest separation [units]": lambda line: number(line.min_separation, 3),
+    }
+    note = (
+        "Formed: share of all trials, with Wilson's interval; trials that broke off or ran out of their budget "
+        "are counted as not formed. By the models alone: geometry stood in for no plan, waypoint or answer. "
+        "Too near: trials in which two robots were nearer than the safe distance. "
+    ) + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends)
+    return _sheet(results, "How the trials ended", columns, {line.cell: line for line in lines}, note)
+
+
+def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
+    """How fast the trials formed, and their error."""
+    columns: dict[str, Callable[[CellLine], str]] = {
+        "formed": lambda line: str(line.outcomes["formed"]),
+        "rounds (median)": lambda line: number(line.rounds, 1),
+        "over the bound (median)": lambda line: number(line.ratio, 2),
+        "error [95 %]": lambda line: interval(line.error, 2),
+        "of": lambda line: str(line.errors_known),
+    }
+    note = (
+        "Rounds, and rounds over the lower bound, of the trials that formed: where few did, they are those of "
+        f"the easy starts. Error: mean distance to the ideal shape at the end [units], {INTERVAL}, over the "
+        "trials that have one, formed or not."
+    )
+    return _sheet(results, "Rounds and error", columns, {line.cell: line for line in lines}, note)
+
+
+def spending_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
+    """Calls, tokens and cost."""
+    columns: dict[str, Callable[[CellLine], str]] = {
+        "calls a robot": lambda line: interval(line.calls, 2),
+        "tokens a robot": lambda line: interval(line.tokens, 0),
+        "answers not used %": lambda line: number(None if line.rejected is None else 100 * line.rejected, 2),
+        "latency [s]": lambda line: interval(line.latency, 3),
+        "cost of a mission [US $]": lambda line: (
+            interval(line.cost, 4) if line.cost is None or line.cost.value else "0"
+        ),
+    }
+    note = f"Means over trials, {INTERVAL}. A cost is given where the price of every call is known" + (
+        "; simulated models cost nothing, and their tokens are estimates." if results.simulated else "."
+    )
+    return _sheet(results, "Calls, tokens and money", columns, {line.cell: line for line in lines}, note)
+
+
+def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str) -> list[Sheet]:
+    """Protocols against the reference on the same seeds: success, then every other figure that any pair has."""
+    success: dict[str, Callable[[PairedShares], str]] = {
+        "pairs": lambda shares: str(shares.pairs),
+        "difference in % points [95 %]": lambda shares: interval(shares.difference, 1, 100.0, signed=True),
+        "formed: only this": lambda shares: str(shares.only_first),
+        f"only {reference}": lambda shares: str(shares.only_second),
+    }
+    others: dict[str, Callable[[PairedMeans], str]] = {
+        "pairs": lambda means: str(means.pairs),
+        "mean difference [95 %]": lambda means: interval(means.difference, 2, signed=True),
+        "effect size g [95 %]": lambda means: interval(means.effect, 2, signed=True),
+    }
+    note = (
+        f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
+        f"which started from the same positions; differences are this minus {reference}. The interval is "
+        "Newcombe's for paired shares."
+    )
+    title = f"Success compared with {reference}, seed by seed"
+    found = [_sheet(results, title, success, {line.cell: line.formed for line in lines}, note)]
+    note = (
+        f"Pairs: seeds on which both have the figure. Mean difference: {INTERVAL}. g: the "
+        "mean difference in standard deviations of the differences, with Hedges' correction for few pairs."
+    )
+    for name in COMPARED:
+        if rows := {line.cell: mean for line in lines if (mean := line.means[name]) is not None}:
+            title = f"{name[0].upper()}{name[1:]}, compared with {reference}, seed by seed"
+            found.append(_sheet(results, title, others, rows, note))
+    return found
+
+
+def _sheet(
+    results: Results, title: str, columns: Mapping[str, Callable[[T], str]], rows: Mapping[ResultCell, T], note: str
+) -> Sheet:
+    """A table with a row for each cell: the words that tell it from others, then its figures.
+
+    A model or a protocol that flew everything tells nothing apart; it stands below the title of the report.
+    """
+    told: dict[str, Callable[[ResultCell], str]] = {
+        "shape": lambda cell: cell.team.shape,
+        "N": lambda cell: str(cell.team.n_robots),
+        **({"model": lambda cell: cell.model} if len(results.models) > 1 else {}),
+        **({"condition": lambda cell: cell.condition} if results.conditions != ("",) else {}),
+        **({"protocol": lambda cell: cell.protocol} if len(results.protocols) > 1 else {}),
+    }
+
+    def row(cell: ResultCell, found: T) -> tuple[str, ...]:
+        return (*(name(cell) for name in told.values()), *(text(found) for text in columns.values()))
+
+    texts = tuple(row(cell, found) for cell, found in rows.items())
+    return Sheet(title=title, header=(*told, *columns), rows=texts, words=len(told), note=note)
+
+
+def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
+    """The most important numbers, each with its name. No figure of success is pooled over protocols.
+
+    Simulated models cost nothing: where no other flew, there is no cost.
+    """
+    free = all(trial.figures["simulated"] for trial in results.trials)
+    costs = [trial.figures["cost_usd"] for trial in results.trials if trial.figures["model_calls"] is not None]
+    return [
+        (f"{len(results.trials):,}", "trials"),
+        *_success(results, lines),
+        (_compact(sum(known(trial.figures["model_calls"] for trial in results.trials))), "model calls"),
+        (_compact(sum(known(trial.figures["tokens"] for trial in results.trials))), "tokens"),
+        *(() if free else ((NOT_KNOWN if None in costs else f"{sum(known(costs)):,.2f} $", "cost"),)),
+    ]
+
+
+def _success(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
+    if len(results.protocols) > 1:
+        trials = {name: [t for t in results.trials if t.cell.protocol == name] for name in results.protocols}
+        formed = {name: sum(trial.outcome == "formed" for trial in flown) for name, flown in trials.items()}
+        return [(f"{formed[name]:,} of {len(trials[name]):,}", f"formed with {name}") for name in trials]
+    formed = results.outcomes()["formed"]
+    return [
+        (f"{formed:,}", f"formed ({100 * formed / len(results.trials):.1f} %)"),
+        (f"{sum(line.too_near for line in lines):,}", "with robots too near"),
+        (number(median(known(trial.ratio for trial in results.trials)), 2), "rounds over the bound (median)"),
+    ]
+
+
+def number(value: float | None, digits: int) -> str:
+    """A number with the given decimals; trailing zeros of whole numbers are left out."""
+    if value is None:
+        return NOT_KNOWN
+    return f"{value:,.0f}" if digits <= 1 and value == int(value) else f"{value:,.{digits}f}"
+
+
+def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, signed: bool = False) -> str:
+    """A value and its interval."""
+    if estimate is None:
+        return NOT_KNOWN
+    form = f"{'+' if signed else ''},.{digits}f"
+    # Rounding first and adding zero removes the minus sign of a zero.
+    value, *ends = (
+        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
+        for x in (estimate.value, estimate.low, estimate.high)
+    )
+    return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
+
+
+def _compact(value: float) -> str:
+    """A count in a few letters: 12,345, 1.23 M."""
+    for unit, size in (("G", 1e9), ("M", 1e6)):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value:,.0f}"

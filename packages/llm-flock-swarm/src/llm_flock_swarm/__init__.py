@@ -1,0 +1,5 @@
+"""A robot a process: network, keys, liars, and ROS 2."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,107 @@
+"""Flies a robot's body to waypoints by commands of one control period, each projected on what is safe."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Sequence
+
+from llm_flock.arrays import Point
+from llm_flock.protocol import Sighting, clip, project_async, static_half_spaces
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.wire import Body, Command
+
+STILL = 1e-6
+"""Shorter moves count as none [units]."""
+
+ANSWER_S = 0.25
+"""A command without an answer for this long was lost [s]."""
+
+
+class BodyControl:
+    """Steers one body. Call `fly_to` to set out, `update` on every reading of the sensors, `control` in every period.
+
+    With the shield on, every move is projected on what is safe.
+    """
+
+    def __init__(self, config: SwarmConfig) -> None:
+        self.waypoint: Point | None = None  # where to fly; None to stand still [units; world frame]
+        self.news = asyncio.Event()  # set with everything after which another command may be possible
+        self._mission = config.mission
+        self._speed, self._period_s, self._lag_s = config.speed, config.network.control_s, config.network.lag_s
+        self._shield_on = bool(config.protocol.shield)
+        self._body: Body | None = None
+        self._number = 0
+        self._given = -math.inf
+
+    @property
+    def end(self) -> Point | None:
+        """Where the body will stop [units; world frame]."""
+        return None if self._body is None else self._body.end
+
+    def fly_to(self, waypoint: Point) -> None:
+        """Set out for a place [units; world frame]."""
+        self.waypoint = waypoint
+        self.news.set()
+
+    def update(self, body: Body) -> None:
+        """Take the newest reading of the own body."""
+        self._body = body
+        self.news.set()
+        self._number = max(self._number, body.command)
+
+    @property
+    def arrived(self) -> bool:
+        """Whether the body stands at the waypoint."""
+        body, target = self._body, self.waypoint
+        return body is not None and target is not None and math.dist(body.position, target) <= STILL
+
+    def is_free(self, now: float) -> bool:
+        """Whether there is a waypoint to fly to, and no command under way to the body at this time [s]."""
+        body = self._body
+        if body is None or self.waypoint is None:
+            return False
+        return body.command >= self._number or now - self._given >= ANSWER_S
+
+    def control(self, now: float, sightings: Sequence[Sighting], unseen_s: float) -> Command | None:
+        """The next command; None with nothing to fly, no safe move, or a command under way.
+
+        `now` is by the wall clock [s]; bodies without a sighting were out of sight `unseen_s` ago.
+        """
+        body, waypoint = self._body, self.waypoint
+        if body is None or waypoint is None or not self.is_free(now):
+            return None
+        target = self._safe(body.end, waypoint, sightings, unseen_s)
+        if math.dist(target, body.end) <= STILL:
+            return None
+        self._number += 1
+        self._given = now
+        return Command(number=self._number, stamp=now, origin=body.end, target=target)
+
+    def _safe(self, here: Point, waypoint: Point, sightings: Sequence[Sighting], unseen_s: float) -> Point:
+        longest = self._speed * self._period_s
+        if not self._shield_on:
+            return _towards(here, waypoint, longest)
+        # The body may obey a little later than commanded; until then the others may fly on.
+        lasts_s = self._period_s + self._lag_s
+        # A robot out of sight was outside the sensing range at the last reading, and may have approached since.
+        room = self._mission.sensing - self._mission.safe_distance - self._speed * (unseen_s + lasts_s)
+        longest = min(longest, max(room, 0.0))
+        reach = min(1.0, longest / max(math.dist(here, waypoint), STILL))
+        wish = tuple(x + reach * (w - x) for x, w in zip(here, waypoint, strict=True))
+        target = project_async(
+            here,
+            wish,
+            sightings,
+            safe_distance=self._mission.safe_distance,
+            speed=self._speed,
+            period_s=lasts_s,
+            also=static_half_spaces(here, self._mission, max_step=self._speed * lasts_s),
+        )
+        # The cell is convex, and contains the robot or only lets it move away: a shorter move that way is safe too.
+        return _towards(here, target, longest)
+
+
+def _towards(here: Point, target: Point, longest: float) -> Point:
+    move = clip(tuple(t - x for t, x in zip(target, here, strict=True)), longest)
+    return tuple(x + u for x, u in zip(here, move, strict=True))

@@ -1,0 +1,373 @@
+"""Turns world states and robot reports into measurements, a record, and whether the team has formed.
+
+An observer only listens. A swarm flies the same with one, several, or none. It believes a robot about itself and
+nothing else: positions are the sensors', a mission needs the operator's signature where the team has keys, a plan's
+places are those that its digest names, and a place counts as blocked once one robot more than may lie says so.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from llm_flock import graph, metrics
+from llm_flock.arrays import Point, Points
+from llm_flock.errors import FlockError, MessageError
+from llm_flock.events import Origin
+from llm_flock.llm import parse_models
+from llm_flock.message import MissionStamp
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.record import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RecordSink, RoundEnd, State
+from llm_flock.runtime import TrialProgress, commonest, metrics_row, mission_info
+from llm_flock.validation import input_error
+from llm_flock_swarm._network.accusations import Judge
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.self_reports import SelfReports, rejected, sent
+from llm_flock_swarm._network.wire import RobotReport, WorldState
+
+SILENT_S = 1.0
+"""A robot that reports is there; it is gone once it has left the network and has been silent for this long [s]."""
+
+MOST_UNPROVEN = 8
+"""Accusations of one robot that prove nothing, after which no more of them are judged: each takes time."""
+
+
+class Observer:
+    """Follows one swarm. Give it what arrives, and call `check` again and again.
+
+    It writes the record to `sink`, and calls `on_row` with every row of it. `signed` tells whether the operator signed
+    a mission, and `judge` whether an accusation is proven; None in a team without keys, where every process is trusted
+    and nothing can be proven. `clock` is the wall clock [s].
+    """
+
+    def __init__(
+        self,
+        config: SwarmConfig,
+        sink: RecordSink,
+        on_row: Callable[[TrialProgress], None] | None = None,
+        *,
+        signed: Callable[[MissionStamp, bytes], bool] | None = None,
+        judge: Judge | None = None,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        self.min_separation = math.inf
+        self.late_commands = 0
+        self.began_s: float | None = None
+        self.in_order = False
+        self.alive: set[int] = set()
+        self.reports: dict[int, RobotReport] = {}
+        self.heard_s: dict[int, float] = {}
+        self.shown_to_lie: dict[int, str] = {}
+        self.on_world: Callable[[WorldState], None] | None = None
+        self._unproven = Counter[int]()
+        self.said = SelfReports(parse_models(config.model.model, config.mission.n_robots))
+        self._config = config
+        # Robots that have to say that a place is blocked; fewer only in a team that has fewer.
+        self._witnesses = config.network.liars + 1
+        self._sink = sink
+        self._on_row = on_row
+        self._signed, self._judge = signed, judge
+        self._clock = clock
+        self._left: set[int] = set()
+        self._world: WorldState | None = None
+        self._row = -1
+        self._row_due = 0.0
+        self._row_closest = math.inf
+        self._checks = 0
+        self._counter = 0
+        self._seen: set[int] = set()
+        self._missions = 0
+        self._set_mission(config.mission)
+
+    def _set_mission(self, mission: Mission) -> None:
+        self.mission = mission
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        self._restart()
+
+    def comes_or_goes(self, robot: int, alive: bool) -> None:
+        """Take note that a process came, or left the network: the team has to form again.
+
+        One that goes on to report has not left: a member can only speak for itself.
+        """
+        if not 0 <= robot < self.mission.n_robots:
+            return
+        if not alive:
+            self._left.add(robot)
+            return
+        self._left.discard(robot)
+        if robot not in self.alive:
+            self.alive.add(robot)
+            self._restart()
+
+    def _take_leave(self, now: float) -> None:
+        """Count robots as gone that have left and are silent."""
+        for robot in list(self._left):
+            if now - self.heard_s.get(robot, -math.inf) >= SILENT_S:
+                self._left.discard(robot)
+                self.alive.discard(robot)
+                self._restart()
+
+    def _restart(self) -> None:
+        self.formed_s: float | None = None
+        self._since_s: float | None = None
+        self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
+
+    def world(self, state: WorldState) -> None:
+        """Take the true positions of all bodies."""
+        if len(state.bodies) != self.mission.n_robots:
+            return
+        self._world = state
+        self.min_separation = min(self.min_separation, state.closest)
+        self.late_commands = state.late
+        self._row_closest = min(self._row_closest, state.closest)
+        if self.on_world is not None:
+            self.on_world(state)
+
+    def report(self, robot: int, report: RobotReport) -> None:
+        """Take a robot's report.
+
+        Raises:
+            MessageError: no honest robot of this team reports like this; nothing of it is taken.
+        """
+        if not 0 <= robot < self.mission.n_robots:
+            raise MessageError("unknown_id", f"a report of member {robot}")
+        now_s = self._clock()
+        if not self.said.has_room(robot, report, now_s):
+            raise MessageError("too_much", "more events and calls than records have room for")
+        events, calls = self._checked(robot, report)
+        self._take_mission(report)
+        self._take_places(robot, report)
+        self.reports[robot] = report
+        self.heard_s[robot] = now_s
+        if report.round and self.began_s is None:
+            self.began_s = now_s
+        now = max(self._row, 0)
+        self.said.take(robot, report, calls)
+        for entry in (*events, *calls):
+            self._sink.write(entry.model_copy(update={"round": now}))
+
+    def _checked(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
+        """The events and calls in a report as entries of round 0, once all of it is found to be possible."""
+        dim = self.mission.dim
+        for point in (report.waypoint, *(report.points or ())):
+            if point is not None and len(point) != dim:
+                raise MessageError("wrong_length", f"a position of {len(point)} coordinates, not {dim}")
+        places = len(report.points or ())
+        if places > max(self.mission.n_robots, self.mission.n_places):
+            raise MessageError("wrong_length", f"a plan of {places} places")
+        if report.points is not None and not (places and Plan(report.points).digest == report.plan_id):
+            raise MessageError("malformed", "places of another plan than the digest names")
+        try:
+            events = [
+                ProtocolEvent(round=0, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
+                for event in report.happened
+                if event.kind != "accused" or self._is_news(robot, event.detail)
+            ]
+            calls = [LlmEntry.model_validate({**call, "round": 0}) for call in report.calls]
+        except ValidationError as error:
+            raise MessageError("malformed", f"an event or a call: {error.errors()[0]['msg']}") from None
+        if any(call.robot != robot for call in calls):
+            raise MessageError("impostor", f"robot {robot} reports a call of another robot's model")
+        return events, calls
+
+    def _is_news(self, accuser: int, accusation: Mapping[str, Any]) -> bool:
+        """Whether a robot is shown to lie for the first time; accusations that prove nothing are dropped."""
+        if self._judge is None or self._unproven[accuser] >= MOST_UNPROVEN:
+            return False
+        if accusation.get("robot") in range(self.mission.n_robots) and accusation["robot"] in self.shown_to_lie:
+            return False
+        found = self._judge.confirms(accusation, [self.mission])
+        if found is None or not 0 <= found[0] < self.mission.n_robots:
+            self._unproven[accuser] += 1
+            return False
+        self.shown_to_lie[found[0]] = found[1]
+        return True
+
+    def _take_places(self, robot: int, report: RobotReport) -> None:
+        """Keep the places of a plan, and record it, when they are told for the first time."""
+        plan_id, points = report.plan_id, report.points
+        if plan_id is None or points is None or not self.said.take_places(robot, plan_id, points):
+            return
+        places, proposer = [list(point) for point in points], report.proposer or 0
+        self._sink.write(PlanInfo(round=max(self._row, 0), plan_id=plan_id, proposer=proposer, points=places))
+
+    def _take_mission(self, report: RobotReport) -> None:
+        """Follow the team to another mission.
+
+        Raises:
+            MessageError: it cannot be one of this team, or the operator has not signed it.
+        """
+        counter, digest = report.mission
+        if report.shape is None or counter <= self._counter:
+            return
+        # Before anything is read that takes time.
+        if self._signed is not None and not self._signed(MissionStamp(counter, digest), report.order):
+            raise MessageError("no_order", f"the operator has not signed mission {counter}")
+        try:
+            mission = Mission.model_validate(report.shape)
+        except ValidationError as error:
+            raise MessageError("malformed", f"a mission: {input_error(error, Mission)}") from None
+        except FlockError as error:
+            raise MessageError("malformed", f"a mission: {error}") from None
+        if (mission.digest, mission.n_robots, mission.dim) != (digest, self.mission.n_robots, self.mission.dim):
+            raise MessageError("malformed", "a mission of another team, or another one than its digest names")
+        self._counter = counter
+        self._set_mission(mission)
+        self._record_mission(max(self._row, 0) + 1)
+
+    def _record_mission(self, first: int) -> None:
+        self._sink.write(mission_info(self.mission, self._missions, first))
+        self._missions += 1
+
+    @property
+    def ordered_at(self) -> int:
+        """Time of the order for the present mission; 0 for the first one."""
+        return self._counter
+
+    def state(self) -> State | None:
+        """Every robot as it is now, with the number of the last row; None before the first world state."""
+        if self._world is None:
+            return None
+        return self._state(np.array([body.position for body in self._world.bodies]))
+
+    def _state(self, positions: Points) -> State:
+        """Every robot, for bodies at positions of shape (n, d) [units]; one that was never seen sleeps."""
+        row, living, robots = max(self._row, 0), self.robots, range(len(positions))
+        reports = [self.reports[robot] if robot in living else None for robot in robots]
+        goals = [None if report is None else self.goal_of(report) for report in reports]
+        start = Origin.START.value if row == 0 else Origin.HOLD.value
+        gone = [DEAD if robot in self._seen else ASLEEP for robot in robots]
+        return State(
+            round=row,
+            positions=positions.tolist(),
+            goals=[None if goal is None else list(goal) for goal in goals],
+            slots=[None if r is None else r.slot for r in reports],
+            plan_ids=[None if r is None else r.plan_id for r in reports],
+            influence=[0.0 if r is None else r.neighbors / len(positions) for r in reports],
+            waypoints=[None if r is None or r.waypoint is None else list(r.waypoint) for r in reports],
+            origins=[start if r is None else r.origin for r in reports],
+            open_breakers=[[] if r is None else list(r.breakers) for r in reports],
+            phases=[none if r is None else r.phase for r, none in zip(reports, gone, strict=True)],
+        )
+
+    @property
+    def robots(self) -> list[int]:
+        """Robots that are alive and have reported, by id."""
+        return sorted(self.alive & self.reports.keys())
+
+    @property
+    def supplier(self) -> tuple[int, str | None] | None:
+        """Proposer of the plan that most living robots follow, and who made it; None without such a plan."""
+        plans = Counter((self.reports[robot].plan_id, self.reports[robot].proposer) for robot in self.robots)
+        (plan_id, proposer), count = plans.most_common(1)[0] if plans else ((None, None), 0)
+        if plan_id is None or proposer is None or 2 * count <= len(self.robots):
+            return None
+        return proposer, self.said.supplier(plan_id, proposer)
+
+    @property
+    def hopeless(self) -> str | None:
+        """Why no robot has a plan, in words, if the model of none is asked for one any more; else None."""
+        reasons = [self.reports[robot].hopeless for robot in self.robots]
+        found = [reason for reason in reasons if reason is not None]
+        if not found or len(found) < len(self.alive):
+            return None
+        count, reason = commonest(found)
+        return f"{count} of {len(found)} robots: {reason}"
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Messages that the robots refused so far, by reason."""
+        return rejected(self.reports.values())
+
+    @property
+    def mission_s(self) -> float | None:
+        """Time from the first robot's first round until the team formed [s]; None if it has not."""
+        return None if self.formed_s is None or self.began_s is None else self.formed_s - self.began_s
+
+    def check(self, now: float) -> None:
+        """Check whether the team is in order; once per step time, write a row of the record."""
+        if self._world is None:
+            return
+        self._take_leave(now)
+        robots = self.robots
+        positions = np.array([body.position for body in self._world.bodies])
+        goals = {robot: self.goal_of(self.reports[robot]) for robot in robots}
+        distances = [
+            math.inf if goal is None else float(np.linalg.norm(positions[robot] - goal))
+            for robot, goal in goals.items()
+        ]
+        complete = self._target is not None and len(robots) == self.mission.n_places
+        error = self._target.error(positions[robots].tolist()).mean if complete and self._target else None
+        self._update_formed(now, robots, distances, error)
+        if now >= self._row_due:
+            self._row_due = max(self._row_due + self._config.network.step_s, now)
+            self._write(positions, robots, distances, error)
+
+    def goal_of(self, report: RobotReport) -> Point | None:
+        """A robot's place, by the plan and the slot that it names; None without one."""
+        places = self.said.places.get(report.plan_id or "", ())
+        return None if report.slot is None or report.slot >= len(places) else places[report.slot]
+
+    def _update_formed(self, now: float, robots: list[int], distances: list[float], error: float | None) -> None:
+        if not robots:
+            self.in_order, self._since_s = False, None
+            return
+        reports = [self.reports[robot] for robot in robots]
+        places = self.said.places.get(reports[0].plan_id or "", ())
+        witnesses = Counter(slot for report in reports for slot in set(report.blocked))
+        blocked = [slot for slot, count in witnesses.items() if count >= min(self._witnesses, len(reports))]
+        stamp = (self._counter, self.mission.digest)
+        self._checks += 1
+        self._tracker.update(
+            self._checks,
+            plan_ids=[report.plan_id if tuple(report.mission) == stamp else None for report in reports],
+            slots=[report.slot for report in reports],
+            goal_distances=distances,
+            residual=error,
+            usable=len(places) - len(blocked),
+        )
+        self.in_order = self._tracker.in_order
+        if not self.in_order:
+            self._since_s = None
+            return
+        self._since_s = now if self._since_s is None else self._since_s
+        held_s = metrics.HELD_ROUNDS * self._config.network.step_s
+        if self.formed_s is None and now - self._since_s >= held_s:
+            self.formed_s = self._since_s
+
+    def _write(self, positions: Points, robots: list[int], distances: list[float], error: float | None) -> None:
+        if self._row < 0:
+            self._record_mission(0)
+        self._row += 1
+        self._seen |= set(robots)
+        self._sink.write(self._state(positions))
+        near = graph.distances(positions) <= self.mission.comm_range
+        messages, volume = sent(self.reports.values())
+        row = metrics_row(
+            self._row,
+            plan_ids=[self.reports[robot].plan_id for robot in robots],
+            slots=[self.reports[robot].slot for robot in robots],
+            at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+            error=None if error is None else (error, None),
+            separation=metrics.min_separation(positions),
+            on_segment=self._row_closest,
+            connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
+            model_calls=self.said.calls,
+            tokens=self.said.tokens,
+            cost_usd=None,
+            messages_sent=messages,
+            bytes_sent=volume,
+            messages_rejected=self.rejected,
+        )
+        self._sink.write(row)
+        self._row_closest = math.inf
+        self._sink.write(RoundEnd(round=self._row))
+        if self._on_row is not None:
+            self._on_row(TrialProgress.of(row, rounds=0, n_robots=len(robots)))

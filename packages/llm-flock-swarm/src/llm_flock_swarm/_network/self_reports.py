@@ -1,0 +1,102 @@
+"""What observers keep of robots' reports: one robot may say anything, and sums and memory stay within bounds."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from collections.abc import Iterable, Sequence
+from itertools import chain
+
+import msgspec
+
+from llm_flock.arrays import Point
+from llm_flock.record import LARGEST_WHOLE, LlmEntry
+from llm_flock_swarm._network.wire import RobotReport
+from llm_flock_swarm._zenoh import Allowance
+
+MOST_PLANS = 256
+"""Most plans of which one robot tells the places, or the supplier: far more than an honest one knows."""
+
+LONGEST_ID = 64
+"""Longest name of a plan."""
+
+RECORDED = 512 * 1024
+"""Events and calls of each robot that are taken [bytes/s], and those of two seconds at once: records fit on disks."""
+
+MOST_LATENCIES = 16_384
+"""Latest latencies of each robot that are kept."""
+
+
+def bounded(count: int) -> int:
+    """A sum as far as records hold it."""
+    return min(count, LARGEST_WHOLE)
+
+
+class SelfReports:
+    """Sums over all reports of a swarm, and the plans in them.
+
+    `models` names the model of each robot. `breakers_opened` are the robots whose model was not asked for a while,
+    `places` those of every plan that a robot has named, by its digest [units].
+    """
+
+    def __init__(self, models: Sequence[str]) -> None:
+        self.calls = self.calls_failed = self.tokens = 0
+        self.breakers_opened: set[int] = set()
+        self.places: dict[str, tuple[Point, ...]] = {}
+        self._models = models
+        self._latencies_s: dict[int, deque[float]] = {}
+        self._suppliers: dict[int, dict[str, str]] = {}
+        self._told = Counter[int]()
+        self._allowances: dict[int, Allowance] = {}
+
+    def has_room(self, robot: int, report: RobotReport, now: float) -> bool:
+        """Whether what a report adds to the record is within the robot's share at this time [s]; if so, it counts."""
+        if not report.happened and not report.calls:
+            return True
+        size = len(msgspec.msgpack.encode((report.happened, report.calls)))
+        return self._allowances.setdefault(robot, Allowance(RECORDED)).spend(now, size)
+
+    def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
+        """Add a robot's report, whose calls have been checked."""
+        if report.breakers:
+            self.breakers_opened.add(robot)
+        supplied = self._suppliers.setdefault(robot, {})
+        for event in report.happened:
+            plan_id = event.detail.get("plan")
+            if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > LONGEST_ID:
+                continue
+            if len(supplied) < MOST_PLANS:
+                supplied[plan_id] = self._models[robot] if event.detail.get("by") == "model" else "geometry"
+        for call in calls:
+            self.calls += 1
+            self.calls_failed += call.error is not None
+            self.tokens = bounded(self.tokens + call.usage.input + call.usage.output)
+        self._latencies_s.setdefault(robot, deque(maxlen=MOST_LATENCIES)).extend(report.latencies_s)
+
+    def take_places(self, robot: int, plan_id: str, places: tuple[Point, ...]) -> bool:
+        """Keep the places of a plan, whose digest has been checked; whether they are news."""
+        if plan_id in self.places or self._told[robot] >= MOST_PLANS:
+            return False
+        self._told[robot] += 1
+        self.places[plan_id] = places
+        return True
+
+    @property
+    def latencies_s(self) -> list[float]:
+        """Latest one-way latencies of beacons, of all robots [s]."""
+        return [*chain.from_iterable(self._latencies_s.values())]
+
+    def supplier(self, plan_id: str, proposer: int) -> str | None:
+        """The model that made a robot's plan, or geometry; None if the robot has not said so."""
+        return self._suppliers.get(proposer, {}).get(plan_id)
+
+
+def sent(reports: Iterable[RobotReport]) -> tuple[int, int]:
+    """Messages and bytes that robots have broadcast so far."""
+    told = list(reports)
+    return bounded(sum(report.sent for report in told)), bounded(sum(report.bytes for report in told))
+
+
+def rejected(reports: Iterable[RobotReport]) -> dict[str, int]:
+    """Messages that robots have refused so far, by reason."""
+    counts = sum((Counter(report.rejected) for report in reports), Counter[str]())
+    return {reason: bounded(count) for reason, count in counts.items()}

@@ -1,0 +1,146 @@
+"""Watches a running swarm from outside, records it, and gives it missions: the network side of an observer."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, closing, contextmanager, nullcontext
+from pathlib import Path
+
+from llm_flock.members import OPERATOR, WATCHER, WORLD
+from llm_flock.message import MissionStamp, OperatorClock
+from llm_flock.record import NullWriter, RecordSink, RecordWriter, SummaryMessage, Tee
+from llm_flock.runtime import TrialProgress, finite, run_info
+from llm_flock_swarm._network.accusations import Judge
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.connection import load_keys, mission_order, open_link, receive, signed_by_operator
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
+
+CHECK_S = 0.1
+"""Time between two checks whether the team has formed [s]."""
+
+MEET_S = 5.0
+"""Longest search of an operator for a robot that takes a mission [s]."""
+
+HEAR_S = 0.5
+"""Time for which an operator listens to the robots' reports before it gives an order [s]: a few of each."""
+
+SEND_S = 0.3
+"""Time for a message to leave before its session is closed [s]."""
+
+
+FREE_PORT = "tcp/127.0.0.1:0"
+"""Where processes listen that are no part of the swarm."""
+
+
+def observer_of(
+    config: SwarmConfig, member: int, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+) -> Observer:
+    """An observer that checks signatures with the keys of this member, if the swarm uses any."""
+    keys = load_keys(config, member)
+    judge = None if keys is None else Judge(keys, config)
+    return Observer(config, sink, on_row, signed=signed_by_operator(config, member), judge=judge)
+
+
+@contextmanager
+def recording(config: SwarmConfig, record: Path | None, sink: RecordSink | None = None) -> Generator[RecordSink]:
+    """What writes the record of a swarm there, and to a sink, from its first entry on.
+
+    Raises:
+        InputError: the record exists already.
+    """
+    with nullcontext(NullWriter()) if record is None else RecordWriter(record) as file:
+        writer = file if sink is None else Tee(file, sink)
+        writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
+        yield writer
+
+
+@contextmanager
+def observing(
+    config: SwarmConfig, sink: RecordSink, on_row: Callable[[TrialProgress], None] | None = None
+) -> Generator[Observer]:
+    """An observer that is connected to a swarm; call in a running event loop."""
+    observer = observer_of(config, WATCHER, sink, on_row)
+    with closing(open_link(config, WATCHER, FREE_PORT)) as link:
+        receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
+        receive(link, "report", RobotReport, observer.report)
+        link.watch_alive(observer.comes_or_goes)
+        yield observer
+
+
+async def look(observer: Observer) -> None:
+    """Let an observer check the team again and again, until cancelled."""
+    while True:
+        observer.check(time.time())
+        await asyncio.sleep(CHECK_S)
+
+
+async def run_watch(
+    config: SwarmConfig,
+    record: Path | None,
+    on_row: Callable[[TrialProgress], None] | None = None,
+    sink: RecordSink | None = None,
+    show: Callable[[SwarmConfig, Observer], None] | None = None,
+) -> None:
+    """Watch, and with a path write a record, until the process is stopped.
+
+    A sink takes every entry too, and `show` is called with the observer first.
+
+    Raises:
+        InputError: the record exists already.
+    """
+    with ExitStack() as stack:
+        writer = stack.enter_context(recording(config, record, sink))
+        observer = stack.enter_context(observing(config, writer, on_row))
+        if show is not None:
+            show(config, observer)
+        await until_stopped(look(observer))
+        result = {
+            "formed": observer.formed_s is not None,
+            "mission_s": observer.mission_s,
+            "min_separation": finite(observer.min_separation),
+            "model_calls": observer.said.calls,
+            "tokens": observer.said.tokens,
+        }
+        writer.write(SummaryMessage(result=result))
+
+
+async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:
+    """Give another mission to one robot, which passes it on; returns the robots it went to, none if nobody answers.
+
+    Where none is named, and the team has keys, one robot more than may lie is given it: a liar might keep it. The
+    order is later than those that robots report within `HEAR_S`, whatever the clock of this machine says.
+    """
+    clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
+    mission_order(config, dict(fields), clock.next())  # refuses what is not allowed before anybody is looked for
+    found: list[int] = []
+    answered = asyncio.Event()
+    most = 1 if robot is not None or config.network.keys is None else config.network.liars + 1
+
+    def on_alive(number: int, alive: bool) -> None:
+        if alive and number >= 0 and robot in (None, number) and number not in found:
+            found.append(number)
+            answered.set()
+
+    with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
+        link.watch_alive(on_alive)
+        signed = signed_by_operator(config, OPERATOR)
+
+        def witness(_robot: int, report: RobotReport) -> None:
+            if signed is None or signed(MissionStamp(*report.mission), report.order):
+                clock.witness(report.mission[0])
+
+        receive(link, "report", RobotReport, witness)
+        try:
+            await asyncio.wait_for(answered.wait(), MEET_S)
+        except TimeoutError:
+            return []
+        await asyncio.sleep(HEAR_S)
+        takers, order = found[:most], pack(mission_order(config, dict(fields), clock.next()))
+        for taker in takers:
+            link.publish("mission", taker, order)
+        await asyncio.sleep(SEND_S)
+        return takers

@@ -1,0 +1,152 @@
+"""Messages between the processes of a swarm other than those of the protocol, as MessagePack.
+
+docs/reference/wire.md has a table of their topics.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, TypeAlias, TypeVar
+
+import msgspec
+
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.errors import MessageError
+from llm_flock.message import LATEST, Coordinate
+from llm_flock_swarm._signed.certificates import Signature
+
+WIRE_VERSION = 3
+
+MOST_EVENTS = 4096
+"""Most events or calls in one report."""
+
+MOST_WORDS = 64
+"""Most entries of a dictionary by origin or by reason."""
+
+Place: TypeAlias = tuple[Coordinate, ...]
+"""One position as plain numbers; its receiver checks the length [units; world frame]."""
+
+Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]
+"""A moment by the wall clock [s]."""
+
+Amount = Annotated[float, msgspec.Meta(ge=0.0, le=1e12)]
+Count = Annotated[int, msgspec.Meta(ge=0, lt=2**53)]
+Word = Annotated[str, msgspec.Meta(max_length=64)]
+Slot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+
+Slots = Annotated[tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MOST_WORDS)]
+Amounts = Annotated[tuple[Amount, ...], msgspec.Meta(max_length=MOST_EVENTS)]
+Calls = Annotated[tuple[dict[str, Any], ...], msgspec.Meta(max_length=MOST_EVENTS)]
+Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MOST_WORDS)]
+
+
+class Beacon(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+    """Where a robot is; `stamp` by the wall clock [s]."""
+
+    stamp: Stamp
+    position: Place
+
+
+class BeaconedMessage(msgspec.Struct, array_like=True, frozen=True):
+    """A protocol message and its sender's position in one packet: packets cost more than bytes."""
+
+    beacon: Beacon
+    message: bytes
+
+
+class Body(msgspec.Struct, array_like=True, frozen=True):
+    """One body: where it is, where it will stop, and the last command that it answered, obeyed or not."""
+
+    position: Place
+    end: Place
+    command: Count
+
+
+class WorldState(msgspec.Struct, array_like=True, frozen=True):
+    """All bodies, by id, at one moment by the wall clock [s]."""
+
+    stamp: Stamp
+    closest: float  # smallest distance of two bodies since the last state, also along their segments [units]
+    bodies: tuple[Body, ...]
+    late: Count  # commands refused so far because they came too late
+
+
+class Command(msgspec.Struct, array_like=True, frozen=True):
+    """Fly from where the body will stop straight on to `target`, up to the deadline."""
+
+    number: Count  # counts the robot's commands
+    stamp: Stamp  # when it was given, by the wall clock [s]
+    origin: Place  # where the robot believes that its body will stop; the body refuses another origin [units]
+    target: Place  # where to stop then [units; world frame]
+
+
+class MissionOrder(msgspec.Struct, frozen=True):
+    """Fields of the mission to change, by name, and the operator's time of the order; with keys, signed by it."""
+
+    fields: dict[str, Any]
+    counter: Annotated[int, msgspec.Meta(gt=0, lt=LATEST)]
+    signature: Signature = b""
+
+
+class ReportedEvent(msgspec.Struct, frozen=True):
+    """An event of one robot, as in the record."""
+
+    kind: Word
+    detail: dict[str, Any]
+    comm_round: Count | None = None
+
+
+Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MOST_EVENTS)]
+
+
+class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
+    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame].
+
+    Observers believe a robot about itself and nothing else: a mission needs the operator's signature where the team has
+    keys, and a plan's places have to be those that its digest names.
+    """
+
+    round: Count  # own count of motion rounds
+    period: Count  # own count of heartbeat periods
+    phase: Word  # of its state machine
+    mission: tuple[Annotated[int, msgspec.Meta(ge=0, lt=LATEST)], Word]  # time of the order, digest of the mission
+    order: Signature  # of the operator, on that time and digest; empty for the first mission, and without keys
+    plan_id: Word | None  # digest of the plan it follows
+    points: Places | None  # that plan's places, in the first report that names it
+    proposer: Slot | None  # robot that proposed it
+    slot: Slot | None  # index of its place in the plan
+    blocked: Slots  # slots that it knows to be out of every robot's reach
+    waypoint: Place | None  # where it is flying to
+    origin: Word  # what chose that waypoint
+    neighbors: Count  # |N_i|
+    happened: Events  # since the last report
+    calls: Calls  # likewise, as in the record
+    waypoints: Counts  # flown so far, by origin
+    sent: Count  # protocol messages broadcast so far
+    bytes: Count  # broadcast so far, beacons included
+    rejected: Counts  # messages refused so far, by reason
+    breakers: Words  # kinds of questions that its model is not asked
+    hopeless: str | None  # why its model's last plan was refused, while it has none and its model is not asked
+    latencies_s: Amounts  # one-way, of beacons heard since the last report
+    shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
+
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+_ENCODER = msgspec.msgpack.Encoder()
+
+
+def pack(message: msgspec.Struct) -> bytes:
+    """The wire version, then MessagePack."""
+    return bytes([WIRE_VERSION]) + _ENCODER.encode(message)
+
+
+def unpack(kind: type[T], payload: bytes) -> T:
+    """The message that `pack` encoded; `MessageError` if it is not of this kind or version."""
+    if payload[:1] != bytes([WIRE_VERSION]):
+        raise MessageError("version", f"this program speaks version {WIRE_VERSION}")
+    try:
+        return msgspec.msgpack.decode(memoryview(payload)[1:], type=kind)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MessageError("malformed", str(error)) from None

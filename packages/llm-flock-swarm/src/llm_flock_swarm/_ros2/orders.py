@@ -1,0 +1,140 @@
+"""Missions from ROS: read, checked, and given to the swarm as its operator gives them.
+
+With keys, the operator's key signs them, so it must be on this machine. Whoever may publish on the topics then speaks
+for the operator.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+import tomllib
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+from llm_flock.arrays import MAX_COORDINATE
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.errors import InputError, MessageError
+from llm_flock.members import OPERATOR
+from llm_flock.message import MISSION_FIELDS, MissionStamp, OperatorClock
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.connection import mission_order, open_link, signed_by_operator
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.watch import FREE_PORT
+from llm_flock_swarm._network.wire import pack
+from llm_flock_swarm._ros2.drawing import Position
+
+ORDERED = MISSION_FIELDS - {"velocity", "since"}
+"""Fields that an order may change. Formations of a swarm of processes stand still."""
+
+MOST_TEXT = 1 << 16
+"""Longest text of a mission [characters]."""
+
+TAKERS = 3
+"""Robots that are given an order: one is enough, if it lives."""
+
+RATE, POSE_RATE = 1.0, 500.0
+"""Orders a second, in the long run, on each topic; and poses of one robot."""
+
+
+def mission_fields(text: str) -> dict[str, Any]:
+    """The fields of a mission in JSON or TOML, in a table `mission` or without; lengths are in mission units.
+
+    Raises:
+        MessageError: `bad_mission`: it is neither, or has other fields.
+    """
+    if len(text) > MOST_TEXT:
+        raise MessageError("bad_mission", f"{len(text)} characters, more than {MOST_TEXT}")
+    try:
+        found: object = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise MessageError("bad_mission", f"neither a JSON object nor TOML: {error}") from None
+    whole = cast("dict[str, Any]", found)
+    inner: object = whole["mission"] if whole.keys() == {"mission"} else whole
+    fields = cast("dict[str, Any]", inner) if isinstance(inner, dict) else {}
+    if not fields:
+        raise MessageError("bad_mission", "no field of a mission")
+    if not fields.keys() <= ORDERED:
+        strange = next(name for name in fields if name not in ORDERED)
+        raise MessageError("bad_mission", f"{strange!a} is none of {', '.join(sorted(ORDERED))}")
+    return fields
+
+
+def checked_position(point: Any) -> Position:
+    """The coordinates of a geometry_msgs/Point [m].
+
+    Raises:
+        MessageError: `not_finite` or `out_of_range`.
+    """
+    found = float(point.x), float(point.y), float(point.z)
+    if not all(map(math.isfinite, found)):
+        raise MessageError("not_finite", f"position {found}")
+    if max(map(abs, found)) > MAX_COORDINATE:
+        raise MessageError("out_of_range", f"position {found}")
+    return found
+
+
+def check_frame(message: Any, frame: str) -> None:
+    """Check that a message's header names this frame, or none.
+
+    Raises:
+        MessageError: `wrong_frame`.
+    """
+    if message.header.frame_id.lstrip("/") not in ("", frame):
+        raise MessageError("wrong_frame", f"{message.header.frame_id!a} instead of {frame!a}")
+
+
+def places_fields(message: Any, frame: str, unit_m: float, dim: int) -> dict[str, Any]:
+    """The fields of a mission whose places are the poses of a PoseArray [m]; their mean is its centre.
+
+    Raises:
+        MessageError: the array cannot be used.
+    """
+    check_frame(message, frame)
+    if not 1 <= len(message.poses) <= MAX_ROBOTS:
+        raise MessageError("bad_mission", f"{len(message.poses)} points, not 1 to {MAX_ROBOTS}")
+    rows = [checked_position(pose.position) for pose in message.poses]
+    points = [[x / unit_m for x in row[:dim]] for row in rows]
+    return {"points": points, "center": [math.fsum(column) / len(points) for column in zip(*points, strict=True)]}
+
+
+class MissionGiver:
+    """Gives missions to a running swarm. Call in a running event loop; `close` leaves the network.
+
+    Raises:
+        InputError: the swarm has keys, and the operator's are not here.
+    """
+
+    def __init__(self, config: SwarmConfig, observer: Observer) -> None:
+        self._signed = signed_by_operator(config, OPERATOR)
+        self._config, self._observer = config, observer
+        self._clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
+        self._link = open_link(config, OPERATOR, FREE_PORT)
+
+    def give(self, fields: Mapping[str, Any]) -> Sequence[int]:
+        """Change these fields of the team's present mission. Returns the robots that were given the order.
+
+        Raises:
+            MessageError: `bad_mission`: it is not allowed; `nobody`: no robot is there.
+        """
+        observer = self._observer
+        try:
+            observer.mission.change(**fields)
+            takers = sorted(observer.robots, key=lambda robot: -observer.heard_s[robot])[:TAKERS]
+            if not takers:
+                raise MessageError("nobody", "no robot of the swarm is there")
+            for report in observer.reports.values():
+                if self._signed is None or self._signed(MissionStamp(*report.mission), report.order):
+                    self._clock.witness(report.mission[0])
+            now = self._config.model_copy(update={"mission": observer.mission})
+            order = pack(mission_order(now, dict(fields), self._clock.next()))
+        except (InputError, TypeError, ValueError, RecursionError) as error:
+            raise MessageError("bad_mission", str(error)) from None
+        for robot in takers:
+            self._link.publish("mission", robot, order)
+        return takers
+
+    def close(self) -> None:
+        """Leave the network."""
+        self._link.close()

@@ -1,0 +1,128 @@
+"""Runs a bridge as a process: beside a swarm that is there, or as the sensors of one whose bodies ROS knows."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from pathlib import Path
+
+from llm_flock.members import WORLD
+from llm_flock.record import RecordSink, SummaryMessage
+from llm_flock.runtime import TrialProgress, finite
+from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.connection import open_link, receive
+from llm_flock_swarm._network.observer import Observer
+from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult, run_swarm, world_config
+from llm_flock_swarm._network.watch import look, observer_of, recording, run_watch
+from llm_flock_swarm._network.wire import Command, RobotReport, pack
+from llm_flock_swarm._ros2 import drawing
+from llm_flock_swarm._ros2.bridge import Bridge, check_router, showing
+from llm_flock_swarm._ros2.graph import Graph
+from llm_flock_swarm._ros2.nodes import TEAM_NODE
+from llm_flock_swarm._ros2.sensors import SensedBodies
+from llm_flock_swarm._ros2.types import POSE
+from llm_flock_swarm._zenoh import ZenohLink
+
+
+async def swarm_shown(
+    config: SwarmConfig,
+    on_row: Callable[[TrialProgress], None] | None = None,
+    sink: RecordSink | None = None,
+    on_launch: Callable[[], object] = lambda: None,
+) -> SwarmResult:
+    """As `llm_flock_swarm._network.swarm.run_swarm`, shown in ROS 2 where a router is configured.
+
+    Raises:
+        InputError: the router does not answer.
+    """
+    async with showing(config) as show:
+
+        def begin(swarm: Swarm) -> None:
+            if show is not None:
+                show(swarm.config, swarm.observer)
+
+        return await run_swarm(config, on_row, sink, begin, on_launch)
+
+
+async def run_bridge(
+    config: SwarmConfig,
+    record: Path | None,
+    on_row: Callable[[TrialProgress], None] | None = None,
+    sink: RecordSink | None = None,
+) -> None:
+    """Show a swarm in ROS 2 until the process is stopped; with a path write a record. A sink takes every entry too.
+
+    Raises:
+        InputError: the router does not answer, a key is missing, or the record exists already.
+    """
+    if config.ros2.ros_poses:
+        await _run_sensors(config, record, on_row)
+        return
+    async with showing(config) as show:
+        await run_watch(config, record, on_row, sink, show)
+
+
+async def _run_sensors(
+    config: SwarmConfig, record: Path | None, on_row: Callable[[TrialProgress], None] | None
+) -> None:
+    """In place of the world: the swarm's sensors and bodies are in ROS."""
+    network = config.network
+    with ExitStack() as stack:
+        graph = stack.enter_context(closing(Graph(check_router(config), config.ros2.ros_domain)))
+        graph.check_free(config.ros2.namespace(config.network.swarm), TEAM_NODE)
+        writer = stack.enter_context(recording(config, record))
+        link = stack.enter_context(closing(open_link(world_config(config), WORLD)))
+        observer = observer_of(config, WORLD, writer, on_row)
+        reach = config.speed * (network.control_s + network.lag_s)
+        n_robots = config.mission.n_robots
+        bodies = SensedBodies(n_robots, speed=config.speed, reach=reach, lag_s=network.lag_s, clock=time.time)
+        bridge = stack.enter_context(closing(Bridge(graph, config, observer)))
+        bridge.take_poses(bodies)
+        if config.ros2.ros_missions:
+            bridge.take_missions()
+        observer.on_world = bridge.frame
+        spaces = [f"{bridge.nodes.namespace}/robot_{robot}/set_point" for robot in range(n_robots)]
+        publishers = [node.publisher(name, POSE) for node, name in zip(bridge.nodes.robots, spaces, strict=True)]
+
+        def show_set_point(robot: int) -> None:
+            if (point := bodies.set_point(robot)) is not None:
+                stamp_ns = bridge.stamps.of(time.time())
+                publishers[robot].publish(drawing.pose(bridge.to_world(point), stamp_ns, bridge.nodes.frame))
+
+        def obey(sender: int, order: Command) -> None:
+            if 0 <= sender < n_robots and bodies.command(sender, order):
+                show_set_point(sender)
+
+        async def repeat() -> None:
+            """Set-points that nobody heard, or only those who came later did not."""
+            while True:
+                await asyncio.sleep(1.0 / config.ros2.ros_rate_hz)
+                for robot in range(n_robots):
+                    show_set_point(robot)
+
+        receive(link, "command", Command, obey)
+        receive(link, "report", RobotReport, observer.report)
+        link.watch_alive(observer.comes_or_goes)
+        link.declare_alive(WORLD)
+
+        async def live() -> None:
+            async with asyncio.TaskGroup() as group:
+                for work in (_sense(link, bodies, observer, network.frame_s), repeat(), bridge.live(), look(observer)):
+                    group.create_task(work)
+
+        await until_stopped(live())
+        result = {"formed": observer.formed_s is not None, "min_separation": finite(observer.min_separation)}
+        writer.write(SummaryMessage(result=result))
+
+
+async def _sense(link: ZenohLink, bodies: SensedBodies, observer: Observer, frame_s: float) -> None:
+    """Tell the swarm what the sensors see, as long as they see everybody."""
+    while True:
+        reading = bodies.reading()
+        if reading is not None:
+            link.publish("frame", WORLD, pack(reading))
+            observer.world(reading)
+        await asyncio.sleep(frame_s)

@@ -1,0 +1,146 @@
+"""Poses from ROS as the sensors of a swarm: the world process of bodies that something else moves.
+
+A motion capture or a simulator publishes where each robot is; the robots get their commands answered, and where a body
+is to fly goes to ROS as a set-point. A body that lags behind its set-point gets no further one, and one that does not
+follow at all is taken to stay where it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from llm_flock import metrics
+from llm_flock.arrays import Point
+from llm_flock.errors import MessageError
+from llm_flock_swarm._network.wire import Body, Command, WorldState
+from llm_flock_swarm._network.world import SAME_POSITION
+from llm_flock_swarm._ros2.wire import Attachment
+
+FRESH_S = 0.25
+"""Oldest pose that goes into a reading of the sensors [s]; without a younger one of every robot there is no reading."""
+
+LATE_S = 1.0
+"""Poses that were sent longer ago, by both machines' clocks, are refused [s]."""
+
+LOST_S = 1.0
+"""A source that is silent for this long may be followed by another one; a body that lags for this long stays [s]."""
+
+MOST_FAST = 2.0
+"""Poses that are farther apart than a body flies at this many times its largest speed are no poses of one body."""
+
+MOST_BEHIND = 1.0
+"""A body may be this many control periods of flight away from where it is to stop, and still gets a command."""
+
+
+@dataclass(slots=True)
+class _Track:
+    """One body as its source tells it."""
+
+    gid: bytes
+    sequence: int
+    heard_s: float  # when the last pose came
+    stamp_s: float  # when it was sent
+    position: Point
+    end: Point
+    followed_s: float  # when it was last where it was to be
+
+
+class SensedBodies:
+    """Where all bodies are, by their sources, and where each is to stop.
+
+    Args:
+        n_robots: of the team.
+        speed: the largest of a body [units/s].
+        reach: what a body can fly in a control period and the longest delay of a command [units].
+        lag_s: commands that are older are refused [s].
+        clock: the wall clock [s].
+    """
+
+    def __init__(self, n_robots: int, *, speed: float, reach: float, lag_s: float, clock: Callable[[], float]) -> None:
+        self.late = 0
+        self._speed = speed
+        self._n, self._reach, self._lag_s, self._clock = n_robots, reach, lag_s, clock
+        self._tracks: dict[int, _Track] = {}
+        self._answered = [0] * n_robots
+
+    @property
+    def missing(self) -> list[int]:
+        """Robots without a fresh pose."""
+        now = self._clock()
+        tracks = self._tracks
+        return [j for j in range(self._n) if j not in tracks or now - tracks[j].stamp_s > FRESH_S]
+
+    def sense(self, robot: int, position: Point, attached: Attachment) -> None:
+        """Take a pose [units].
+
+        Raises:
+            MessageError: `unknown_robot`, `late`, `out_of_order`, `second_source` (another publisher is heard too), or
+                `jump`: farther than a body flies. Where a body has been put elsewhere, it counts after `LOST_S`.
+        """
+        if not 0 <= robot < self._n:
+            raise MessageError("unknown_robot", f"robot {robot}, not 0 to {self._n - 1}")
+        now = self._clock()
+        stamp_s = min(now, attached.stamp_ns / 1e9)
+        if now - stamp_s > LATE_S:
+            raise MessageError("late", f"robot {robot}: sent {now - stamp_s:.1f} s ago, if the clocks agree")
+        track = self._tracks.get(robot)
+        if track is None:
+            self._tracks[robot] = _Track(attached.gid, attached.sequence, now, stamp_s, position, position, now)
+            return
+        lost = now - track.heard_s >= LOST_S
+        if attached.gid != track.gid and not lost:
+            raise MessageError("second_source", f"robot {robot}: two publishers tell where it is")
+        if attached.gid == track.gid and attached.sequence <= track.sequence:
+            raise MessageError("out_of_order", f"robot {robot}: number {attached.sequence} after {track.sequence}")
+        moved = math.dist(position, track.position)
+        if moved > self._reach + MOST_FAST * self._speed * max(0.0, stamp_s - track.stamp_s) and not lost:
+            raise MessageError("jump", f"robot {robot}: {moved:.3g} units at once")
+        track.gid, track.sequence, track.heard_s = attached.gid, attached.sequence, now
+        track.stamp_s, track.position = stamp_s, position
+        if math.dist(position, track.end) <= MOST_BEHIND * self._reach:
+            track.followed_s = now
+        elif now - track.followed_s > LOST_S:
+            track.end, track.followed_s = position, now
+
+    def command(self, robot: int, order: Command) -> bool:
+        """Take a command; returns whether it is obeyed, so that its target is the set-point."""
+        track = self._tracks.get(robot)
+        if track is None or order.number <= self._answered[robot]:
+            return False
+        self._answered[robot] = order.number
+        usable = len(order.target) == len(track.end) and all(map(math.isfinite, order.target))
+        if not usable or abs(self._clock() - order.stamp) > self._lag_s:
+            self.late += 1
+            return False
+        if len(order.origin) != len(track.end) or math.dist(order.origin, track.end) > SAME_POSITION:
+            return False
+        if math.dist(track.position, track.end) > MOST_BEHIND * self._reach:
+            return False
+        if math.dist(order.target, track.end) > self._reach * (1 + SAME_POSITION):
+            return False
+        track.end = order.target
+        return True
+
+    def set_point(self, robot: int) -> Point | None:
+        """Where a body is to be [units]; None before its first pose."""
+        track = self._tracks.get(robot)
+        return None if track is None else track.end
+
+    def reading(self) -> WorldState | None:
+        """What the sensors see, as old as its oldest pose; None while a robot's pose is missing."""
+        if self.missing:
+            return None
+        tracks = [self._tracks[robot] for robot in range(self._n)]
+        return WorldState(
+            stamp=min(track.stamp_s for track in tracks),
+            closest=metrics.min_separation(np.array([track.position for track in tracks])),
+            bodies=tuple(
+                Body(track.position, track.end, answered)
+                for track, answered in zip(tracks, self._answered, strict=True)
+            ),
+            late=self.late,
+        )

@@ -1,0 +1,108 @@
+"""What a message proves about its sender, to anybody who has the public keys of the team.
+
+What an honest robot sends has passed its own checks, and carries every signature that they need. So a message that
+these checks refuse, whatever else the receiver knows, was not sent by an honest robot. Which checks those are is stated
+here; a sender that only changes its mind, or is wrong about what it sees, passes them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from llm_flock.errors import MessageError
+from llm_flock.message import UNSAID, Message
+from llm_flock.mission import Mission
+from llm_flock.protocol import Checker, Inbound, TeamMembership
+from llm_flock_swarm._signed.certificates import (
+    LIARS,
+    Context,
+    Proofs,
+    Verifier,
+    beat_statement,
+    restless_statement,
+    word_statement,
+)
+from llm_flock_swarm._signed.channel import SignedChannel
+from llm_flock_swarm._signed.evidence import Evidence
+
+OUTSIDER = -1
+"""Id of somebody who judges and is no robot."""
+
+
+@dataclass(frozen=True)
+class _Outsider:
+    """Somebody without keys of its own."""
+
+    verifier: Verifier
+
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
+        """Whether a member signed this statement."""
+        return self.verifier.check(member, statement, signature)
+
+    def sign(self, statement: bytes) -> bytes:
+        """Nothing is ever signed by who only judges."""
+        raise AssertionError(statement)
+
+
+def guilt(
+    payload: bytes,
+    sender: int,
+    missions: Sequence[Mission],
+    validator: Checker,
+    verifier: Verifier,
+    liars: int = LIARS,
+) -> str | None:
+    """Why no honest robot sends this message, as a reason for refusals (docs/reference/wire.md); None if one could.
+
+    Call with a payload that `sender` has signed as a whole, and with one or more missions of the team: plans for
+    another mission are not checked. A message of another version proves nothing, and neither do more claims than
+    count, as liars can drive an honest robot from place to place.
+    """
+    mission, authenticator = missions[0], _Outsider(verifier)
+    evidence = Evidence(OUTSIDER, authenticator, liars)
+    membership = TeamMembership(0, mission)
+    channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, membership, replans=validator.any_size)
+    try:
+        inbound = channel.open(payload, sender)
+        _check_order(channel, inbound)
+    except MessageError as error:
+        return None if error.reason == "version" else error.reason
+    channel.hold([inbound.message])
+    if evidence.refused:
+        return next(iter(evidence.refused))
+    message, proofs = inbound.message, inbound.message.proofs
+    assert isinstance(proofs, Proofs), "a signed channel leaves them there"
+    asked = next((m for m in missions if m.digest == message.mission.digest), None)
+    if asked is not None and validator.objection(asked, message.plan) is not None:
+        return "unverified_plan"
+    return _forged(message, proofs, evidence)
+
+
+def _check_order(channel: SignedChannel, inbound: Inbound) -> None:
+    """Check that the operator gave a mission that is spelled out; the first one has no order."""
+    if inbound.message.mission_text is not None and inbound.message.mission.counter > 0:
+        channel.check_mission(inbound.message.mission, inbound.authorization)
+
+
+def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
+    """Whether the message states something in the name of a robot that has not signed it."""
+    for robot, (count, signature) in enumerate(zip(message.beats or (), proofs.beats or (), strict=False)):
+        if signature and not evidence.signed_by(robot, beat_statement(robot, count), signature):
+            return "uncertified"
+    if message.plan_digest is None:
+        return None
+    about = Context(message.mission, message.plan_digest, message.provenance)
+    evidence.turn_to(about)
+    evidence.admit(message, msgspec.structs.replace(proofs, words=(), restless=()), (UNSAID,) * message.places)
+    words = all(
+        evidence.signed_by(word.witness, word_statement(about, word.slot, word.version, word.owner), word.signature)
+        for word in proofs.words
+    )
+    words = words and all(
+        evidence.signed_by(word.witness, restless_statement(about, word.robot), word.signature)
+        for word in proofs.restless
+    )
+    return None if words and not evidence.refused["uncertified"] else "uncertified"

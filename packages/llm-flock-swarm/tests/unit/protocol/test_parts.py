@@ -1,0 +1,140 @@
+"""Null parts: an agent of them is the paper's robot, which hears its neighbours and flies every answer as it is."""
+
+from __future__ import annotations
+
+import pytest
+from driven_agent import LINE, PLAN, DrivenAgent, says
+from toy_keys import ToyKeys
+
+from llm_flock.agent import Agent
+from llm_flock.events import CommRoundBegan, MoveTo, Note, Origin
+from llm_flock.message import decode
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.assignment import Claim, IndexAssignment, NearestAssignment
+from llm_flock.protocol._agreement.consensus import InfluenceConsensus, NoConsensus
+from llm_flock.protocol._membership.team import TeamMembership
+from llm_flock.protocol._parts import Checker, Membership, Observation, Parts, Safety
+from llm_flock.protocol._planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol._verification.steps import Verdict
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._roster import parts_of
+from llm_flock_swarm._signed.certificates import Proofs
+from llm_flock_swarm._signed.channel import SignedChannel
+from llm_flock_swarm._signed.parts import signed_parts
+
+HERE, BESIDE = (40.0, 50.0), (41.0, 50.0)
+ELSEWHERE = Plan.of([(x, y + 5.0) for x, y in PLAN.points])
+
+
+def papers() -> Agent:
+    return Agent(0, LINE, parts=Parts(consensus=InfluenceConsensus(), assignment=NearestAssignment()))
+
+
+def test_an_agent_of_null_parts_keeps_its_plan_and_place() -> None:
+    driven = DrivenAgent(Agent(0, LINE, parts=Parts()))
+    driven.round(says(1, plan=ELSEWHERE, slot=0))
+    assert driven.agent.plan == PLAN and driven.agent.claim.slot == 0
+
+
+def test_the_papers_robot_flies_what_it_is_told_beside_another() -> None:
+    driven = DrivenAgent(papers(), here=HERE)
+    driven.begin({1: BESIDE})
+    driven.comm_round()
+    assert driven.end(StepAnswer(waypoint=BESIDE))[-1] == MoveTo(waypoint=BESIDE, proposed=BESIDE, origin=Origin.MODEL)
+
+
+def test_the_papers_robot_holds_without_an_answer() -> None:
+    driven = DrivenAgent(papers(), here=HERE)
+    held, flown = driven.round()[-2:]
+    assert isinstance(held, Note) and held.kind == "held"
+    assert flown == MoveTo(waypoint=HERE, proposed=None, origin=Origin.HOLD)
+
+
+def test_the_papers_messages_tell_no_heartbeats_and_no_positions() -> None:
+    driven = DrivenAgent(papers())
+    driven.begin({})
+    (said,) = driven.agent.handle(CommRoundBegan())
+    message = decode(said.payload, 3, 2)  # type: ignore[union-attr]
+    assert message.plan == PLAN and message.beats is None and message.positions is None
+
+
+def test_heartbeats_and_positions_of_others_change_nothing_in_the_papers_robot() -> None:
+    driven = DrivenAgent(papers())
+    driven.begin({})
+    driven.comm_round(says(1, (0, 9, 9), plan=PLAN, slot=1, positions={1: (1, HERE, ())}))
+    assert driven.agent.claim.slot == 0 and not driven.agent.rejected
+
+
+def test_a_robot_that_knows_no_team_proposes_once_and_neither_seeks_nor_waits_elsewhere() -> None:
+    nobody, claim = Membership(), Claim(slot=None)
+    assert nobody.places(LINE, None, sees_bodies=True) == 3 and nobody.places(LINE, PLAN, sees_bodies=True) is None
+    assert nobody.seek(LINE, HERE) is None and nobody.wait(LINE, PLAN, claim, HERE, [BESIDE]) == HERE
+    assert nobody.still(LINE, {1: BESIDE}) == () and nobody.positions(LINE, PLAN, claim) is None
+    assert not nobody.beats and not nobody.lost
+
+
+def test_a_far_place_is_approached_along_the_formation() -> None:
+    line = Mission(shape="line", n_robots=9)
+    plan = Plan.of(line.ideal or ())
+    before = Claim(slot=8)
+    target, claim, notes = Membership().route(line, plan, before, plan.points[0], [])
+    assert target is not None and target not in plan.points and claim is before and not notes
+    moving = line.change(velocity=(1.0, 0.0))
+    assert Membership().route(moving, plan, before, plan.points[0], [])[0] == target
+    assert Membership().route(line, plan, Claim(slot=0), plan.points[0], [])[0] is None
+
+
+def test_an_unverified_answer_is_used_as_it_is() -> None:
+    checker, far = Checker(), StepAnswer(waypoint=(1e3, 1e3))
+    asked = PlanQuestion(mission=LINE, robot=0, round=1, position=HERE, neighbors=())
+    step = StepQuestion(mission=LINE, robot=0, round=1, position=HERE, neighbors=(), plan=PLAN, slot=0)
+    answer = PlanAnswer(plan=ELSEWHERE, slot=0)
+    assert checker.plan(asked, answer) is answer and checker.with_room(asked, answer) is answer
+    assert checker.objection(LINE, ELSEWHERE) is None and checker.plan_class(LINE, ELSEWHERE) == 0
+    assert checker.judge(step, far) == Verdict(reason=None, fit=far)
+
+
+def test_null_safety_asks_nobody_to_make_way() -> None:
+    safety = Safety()
+    safety.begin_mission()
+    assert safety.course is None and safety.stay(Observation(position=HERE, sensed={1: BESIDE})).waypoint == HERE
+
+
+@pytest.mark.parametrize("protocol", ["paper", "baseline"])
+def test_the_papers_presets_have_null_parts(protocol: str) -> None:
+    config = RunConfig.build(n_robots=3, shape="line", protocol=protocol)
+    parts = parts_of(config, config.protocol.rules(), 0)
+    assert [type(parts.membership), type(parts.safety), type(parts.verifier)] == [Membership, Safety, Checker]
+
+
+@pytest.mark.parametrize(
+    "other", [{}, {"protocol": "paper", "assignment": "auction"}, {"protocol": "paper", "gaps": "replan"}]
+)
+def test_other_rules_and_replanning_need_to_know_the_team(other: dict[str, str]) -> None:
+    config = RunConfig.build(n_robots=3, shape="line", **other)
+    assert isinstance(parts_of(config, config.protocol.rules(), 0).membership, TeamMembership)
+
+
+def test_signatures_are_parts_and_keep_the_rules() -> None:
+    plain = Parts(consensus=NoConsensus(), assignment=IndexAssignment())
+    signed = signed_parts(plain, 0, LINE, ToyKeys(0))
+    assert isinstance(signed.channel, SignedChannel) and signed.assignment.name == "index"
+    assert type(signed.membership) is Membership and signed.consensus == plain.consensus
+
+
+def test_a_team_with_keys_reports_no_positions() -> None:
+    plain = Parts(membership=TeamMembership(0, LINE, gaps="replan"))
+    signed = signed_parts(plain, 0, LINE, ToyKeys(0)).membership
+    claim = Claim(slot=None)
+    assert plain.membership.report(LINE, None, claim, HERE, greeting=True) == {0: (1, HERE, ())}
+    assert signed.report(LINE, None, claim, HERE, greeting=True) is None
+    assert isinstance(signed, TeamMembership) and signed.gaps == "replan"
+
+
+def test_heartbeats_are_passed_over_where_none_are_counted() -> None:
+    driven = DrivenAgent(Agent(0, LINE, parts=signed_parts(Parts(), 0, LINE, ToyKeys(0))))
+    channel = driven.agent._messaging._channel
+    assert isinstance(channel, SignedChannel)
+    message = decode(says(1, (0, 9, 9)), 3, 2)
+    assert channel._verified_beats(message, Proofs()) is None

@@ -1,0 +1,5 @@
+"""Records on the screen: browser, figures, animations, notebooks, and exports."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,10 @@
+from ._figures.animation import animate as animate
+from ._figures.figures import comparison as comparison
+from ._figures.figures import error_over_time as error_over_time
+from ._figures.figures import save as save
+from ._figures.figures import snapshots as snapshots
+from ._figures.inline import animation as animation
+from ._figures.inline import record_html as record_html
+from ._figures.rerun_file import write_rerun as write_rerun
+from ._foxglove.file import write_file as write_file
+from ._viewer.app import run_viewer as run_viewer

@@ -1,0 +1,45 @@
+"""Deletes the record of a run from the disk, by order of a page."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+
+from llm_flock.errors import FieldError
+from llm_flock.file_lock import lock_file
+from llm_flock_view._viewer.paths import RECORD_NAME
+from llm_flock_view._viewer.recording import Recording, version_of
+
+
+def delete_record(run: Recording) -> None:
+    """Delete the file that a run was read from, and its folder if it was made for the record and holds nothing else.
+
+    A record that is gone already is no error. Nothing is deleted that is written still, or that is another file by now.
+
+    Raises:
+        InputError: for field `run`: the record may not or cannot be deleted; it is as it was.
+    """
+    if run.path is None:
+        raise _refused("there is no such record")
+    if run.open:
+        raise _refused("the run is not over: end it first")
+    if run.path.is_symlink():
+        raise _refused("the record is a symbolic link: delete the file that it points to by hand")
+    try:
+        with run.path.open("rb") as file:
+            if not lock_file(file.fileno()):
+                raise _refused("another program still writes this record: end that run first")
+            if run.version not in (None, version_of(os.fstat(file.fileno()))):
+                raise _refused("the file has changed since it was read: start the viewer again to see what it holds")
+        run.path.unlink()
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise _refused(f"the record cannot be deleted: {error.strerror}") from None
+    if run.path.name == RECORD_NAME:
+        with suppress(OSError):  # it holds other files, is a link, or is where the viewer was started
+            run.path.parent.rmdir()
+
+
+def _refused(says: str) -> FieldError:
+    return FieldError("run", None, says=says)

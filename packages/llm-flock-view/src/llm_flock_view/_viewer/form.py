@@ -1,0 +1,75 @@
+"""What the form that starts runs offers: shapes with their pictures, protocols, and models."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+from llm_flock_view._viewer.launcher import NEEDS_A_MODEL
+
+if TYPE_CHECKING:
+    from llm_flock_view._viewer.launcher import Launcher
+
+PROTOCOLS = {
+    "flock": "this project's: agrees on one plan, auctions its places, keeps robots apart",
+    "paper": "the paper's, to the letter: the most influential robot's plan, the nearest place",
+    "baseline": "the paper's baseline: every robot follows its own plan",
+}
+STARTS = ("separated", "uniform", "connected")
+MODELS = {
+    "simulated:ideal": "always right",
+    "simulated:distorted@0.3,overshoot@0.3": "plans off the shape, steps too long",
+    "simulated:malformed@0.3,flaky@0.1": "answers that cannot be read, failed calls",
+    "simulated:collapse@0.3": "plans that stack robots",
+    "local:smollm2": "a small real model, on this machine",
+    "geometry": "no model at all",
+}
+
+
+def options(launcher: Launcher) -> dict[str, Any]:
+    """Options of the page with the form."""
+    allowed = [[name, "allowed by --model"] for name in launcher.models]
+    return {
+        "shapes": shape_pictures(),
+        "reads": launcher.reader is not None,
+        "needs": NEEDS_A_MODEL,
+        "protocols": [[name, about] for name, about in PROTOCOLS.items()],
+        "models": [*allowed, *([name, about] for name, about in MODELS.items() if name not in launcher.models)],
+        "starts": STARTS,
+    }
+
+
+EXAMPLES = {"polygon:K": "polygon:5", "text:DESCRIPTION": "text:a smiling face"}
+"""Shapes that need an argument are offered with one."""
+
+
+@cache
+def shape_pictures() -> list[dict[str, Any]]:
+    """Every shape by name, with its places between 0 and 1; none for a shape in words, whose places a model finds."""
+    from llm_flock import shapes as formations
+
+    found: list[dict[str, Any]] = []
+    for shape in formations.shapes():
+        if shape.name == "points":
+            continue
+        name = EXAMPLES.get(shape.name, shape.name)
+        n = max(shape.examples)
+        about = {"name": name, "takes": shape.legal, "about": shape.description}
+        found.append({**about, "robots": n, "places": _places(name, n)})
+    return found
+
+
+def _places(name: str, n: int) -> list[list[float]]:
+    from llm_flock import shapes as formations
+
+    points = formations.ideal_points(name, n, (0.0, 0.0), 10.0)
+    if points is None:
+        return []
+    rows = [[float(row[0]), float(row[1])] for row in points]
+    left, bottom = (min(row[axis] for row in rows) for axis in (0, 1))
+    right, top = (max(row[axis] for row in rows) for axis in (0, 1))
+    size = max(right - left, top - bottom, 1e-9)
+    return [
+        [round((x - (left + right) / 2) / size + 0.5, 3), round(0.5 - (y - (bottom + top) / 2) / size, 3)]
+        for x, y in rows
+    ]

@@ -1,0 +1,108 @@
+"""Starts runs from the page. The simulation is loaded once its form is open: pages that only show runs do not wait."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from llm_flock.errors import InputError
+from llm_flock_view._viewer.library import Library
+from llm_flock_view._viewer.paths import RECORD_NAME
+
+if TYPE_CHECKING:
+    from llm_flock.llm import MissionReader
+    from llm_flock.runtime import RunConfig
+    from llm_flock_view._viewer.steered_run import SteeredRun
+
+NEEDS_A_MODEL = (
+    "This needs a language model: start the viewer with --model PROVIDER:MODEL. The form above works without."
+)
+MOST_RUNS = 4
+"""Runs that fly at the same time: they share the processor with the pages."""
+
+
+WARM_AFTER_S = 0.3
+"""The form is shown first [s]."""
+
+
+def fly_nothing() -> None:
+    """Fly two robots for a round, in memory: that loads all that a run needs."""
+    import asyncio
+
+    from llm_flock.runtime import run_async
+    from llm_flock_view._viewer.steered_run import config_of
+
+    config = config_of({"n_robots": 2, "shape": "line", "rounds": 1})
+    asyncio.run(run_async(config=config, progress=False, trace=False))
+
+
+@dataclass(slots=True)
+class Launcher:
+    """Starts runs, and knows those that it started, by key.
+
+    Attributes:
+        folder: folder for their records.
+        models: models that cost money or reach out, and that the operator allowed.
+        base_url: address that replaces the provider's own.
+        reader: reads missions in plain words, None without a model.
+    """
+
+    library: Library
+    folder: Path
+    models: Sequence[str] = ()
+    base_url: str | None = None
+    reader: MissionReader | None = None
+    runs: dict[str, SteeredRun] = field(default_factory=lambda: dict[str, "SteeredRun"]())
+    _warmed: bool = False
+
+    def warm(self) -> None:
+        """Load what a run needs beside the page, once: else the first run shows nothing for seconds."""
+        if self._warmed:
+            return
+        self._warmed = True
+        # No daemon: one that is loading a library while the interpreter ends takes the process down.
+        threading.Timer(WARM_AFTER_S, fly_nothing).start()
+
+    def start(self, fields: dict[str, Any], *, pace: float, protocols: Sequence[str] | None = None) -> list[SteeredRun]:
+        """Start a run, or the same run with each of several protocols; nothing starts unless all of them can.
+
+        The fields are the form's, by name; the pace is in rounds a second.
+
+        Raises:
+            InputError: a value is not allowed, or too many runs fly already.
+        """
+        from llm_flock_view._viewer.steered_run import config_of
+
+        chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
+        configs = [config_of(each, self.models) for each in chosen]
+        flying = sum(not run.over for run in self.runs.values())
+        if flying + len(configs) > MOST_RUNS:
+            asked = f"{len(configs)} more than {flying}"
+            raise InputError("run", asked, f"at most {MOST_RUNS} at once: end some of them first")
+        return [self._launch(config, pace) for config in configs]
+
+    def _launch(self, config: RunConfig, pace: float) -> SteeredRun:
+        from llm_flock_view._viewer.orders import steer_state
+        from llm_flock_view._viewer.steered_run import SteeredRun
+
+        mission, protocol = config.mission, config.protocol.protocol
+        stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+        shape = re.sub(r"[^A-Za-z0-9]", "", mission.shape.split(":")[0])
+        out = self.folder / f"{stamp}-{shape}-{mission.n_robots}-{protocol}"
+        model = config.model
+        if model.model in self.models:
+            model = model.model_copy(update={"base_url": self.base_url})
+        trial = config.trial.model_copy(update={"out": str(out)})
+        config = config.model_copy(update={"model": model, "trial": trial})
+        title = f"{mission.shape} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
+        recording = self.library.add(title, out / RECORD_NAME)
+        run = self.runs[recording.key] = SteeredRun(config, recording, pace)
+        recording.steer = partial(steer_state, run)
+        run.start()
+        return run

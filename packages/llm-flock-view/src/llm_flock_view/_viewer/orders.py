@@ -1,0 +1,227 @@
+"""What pages may order, as one JSON object each: start and steer runs, read a mission in words, delete a record."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import threading
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+from llm_flock.arrays import MAX_COORDINATE
+from llm_flock.errors import FieldError, FlockError, InputError
+from llm_flock.printable import printable
+from llm_flock_view._viewer.deletion import delete_record
+from llm_flock_view._viewer.library import Library
+
+if TYPE_CHECKING:
+    from llm_flock_view._viewer.launcher import Launcher
+    from llm_flock_view._viewer.steered_run import SteeredRun
+    from llm_flock_view._viewer.swarm import SwarmSource
+
+LABELS: Mapping[str, str] = {
+    "shape": "Shape",
+    "n_robots": "Robots",
+    "center": "Centre",
+    "spacing": "Spacing",
+    "protocol": "Protocol",
+    "model": "Model",
+    "seed": "Seed",
+    "rounds": "Rounds at most",
+    "loss": "Messages lost",
+    "start": "Starts",
+    "pace": "Rounds a second",
+    "words": "Mission in words",
+}
+"""Fields of the pages' forms by their names in the configuration."""
+
+GIVEN = "Robot {} has the mission; the others hear of it from there."
+
+_NAME = re.compile(rf"\b({'|'.join(LABELS)})\b(?= =|:)")
+
+
+class PageOrders:
+    """Carries out what pages order; `swarm` is the one that is watched, None without one."""
+
+    def __init__(self, library: Library, launcher: Launcher, swarm: SwarmSource | None = None) -> None:
+        self.library = library
+        self.launcher = launcher
+        self.swarm = swarm
+        self._deleting = threading.Lock()
+
+    async def carry_out(self, asked: object) -> dict[str, Any]:
+        """Carry out one order, and return what a page shows: `done` in words, or `error` and the `field` it is about.
+
+        Orders come from the pages, but a page is code in a browser: every value is checked here.
+        """
+        order = cast("dict[str, Any]", asked if isinstance(asked, dict) else {})
+        try:
+            return await self._order(order)
+        except FlockError as error:
+            # A form shows what is wrong at the field; what a model made of plain words has none.
+            field = error.field if isinstance(error, InputError) and order.get("order") != "read" else None
+            # Neither form has a field for the arena: the centre is what moves a formation away from its walls.
+            field = "center" if field == "arena" else field
+            return {"error": printable(_in_form_words(error, at_field=field is not None)), "field": field}
+
+    async def _order(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        order = asked.get("order")
+        if order == "start":
+            return await asyncio.to_thread(self._start, asked)
+        if order == "read":
+            return await self._read(str(asked.get("words") or ""))
+        if order == "delete":
+            return await asyncio.to_thread(self._delete, str(asked.get("run")))
+        keys = _keys(asked.get("runs"))
+        if order == "change" and self.swarm is not None and keys == [self.swarm.recording.key]:
+            taker = await self.swarm.change(_mission_fields(asked.get("fields"), spacing=False))
+            return {"done": GIVEN.format(taker)}
+        return await asyncio.to_thread(self._steer, str(order), keys, asked)
+
+    def _start(self, asked: Mapping[str, Any]) -> dict[str, Any]:
+        fields, protocols = asked.get("fields"), asked.get("protocols")
+        if not isinstance(fields, dict):
+            raise FieldError("fields", None, says="a start needs the fields of its run")
+        pace = _number("pace", asked.get("pace"))
+        from llm_flock_view._viewer.steered_run import check_pace
+
+        check_pace(pace)
+        _check_center(cast("dict[str, Any]", fields).get("center"), space=False)
+        names = None if protocols is None else [str(name) for name in _list(protocols)]
+        if names is not None and not 1 <= len(names) <= 2:
+            raise FieldError("protocols", None, says="a start needs one protocol or two")
+        started = self.launcher.start(cast("dict[str, Any]", fields), pace=pace, protocols=names)
+        where = "run" if len(started) == 1 else "pair"
+        return {"address": "/".join(["", where, *(one.recording.key for one in started)])}
+
+    async def _read(self, words: str) -> dict[str, Any]:
+        reader = self.launcher.reader
+        if reader is None:
+            raise FieldError("words", None, says="no model reads missions: start the viewer with --model")
+        draft = await reader.read(words)
+        return {"fields": dict(draft.fields), "in_words": printable(draft.in_words)}
+
+    def _delete(self, key: str) -> dict[str, Any]:
+        with self._deleting:
+            run = self.library.runs.get(key)
+            if run is None:
+                raise FieldError("run", None, says="there is no such record")
+            delete_record(run)
+            self.library.remove(key)
+        return {"done": f"{printable(run.title)} is deleted."}
+
+    def _steer(self, order: str, keys: Sequence[str], asked: Mapping[str, Any]) -> dict[str, Any]:
+        """Give an order to every run that is not over; nothing is done where none takes it."""
+        runs = [self.launcher.runs[key] for key in keys if key in self.launcher.runs]
+        if not runs:
+            raise FieldError("run", None, says="this run takes no orders: it was not started from the page")
+        flying = [run for run in runs if run.refusal("end") is None] or runs
+        said = [_give(run, order, asked) for run in flying]
+        return {"done": f"{said[0]} (round {flying[0].round + 1})"}
+
+
+def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:
+    """Give one order to one run, and say in words what comes of it."""
+    match order:
+        case "kill":
+            run.kill(robot := _whole("robot", asked.get("robot")))
+            return f"Robot {robot} dies."
+        case "hallucinate":
+            run.hallucinate(robot := _whole("robot", asked.get("robot")))
+            return f"The model of robot {robot} answers nonsense from now on."
+        case "lose":
+            run.lose(share := _number("loss", asked.get("loss")))
+            return f"{share:.0%} of the messages are lost."
+        case "pace":
+            run.set_pace(pace := _number("pace", asked.get("pace")))
+            return f"The run flies {pace:g} rounds a second."
+        case "hold":
+            run.hold(paused := _true_or_false("paused", asked.get("paused")))
+            return "The run is held before its next round." if paused else "The run flies on."
+        case "end":
+            run.end()
+            return "The run ends."
+        case "change":
+            return GIVEN.format(run.change(_mission_fields(asked.get("fields"), spacing=True)))
+        case _:
+            raise FieldError("order", None, says="unknown order")
+
+
+def steer_state(run: SteeredRun) -> dict[str, Any]:
+    """What can be ordered of a run now: why not, for the run and for each robot; and what was ordered so far."""
+    robots = range(run.config.mission.n_robots)
+    return {
+        "kind": "run",
+        "run": run.refusal("end"),
+        "kill": [run.refusal("kill", robot) for robot in robots],
+        "hallucinate": [run.refusal("hallucinate", robot) for robot in robots],
+        "paused": run.paused,
+        "pace": run.pace,
+        "loss": run.loss,
+    }
+
+
+def _mission_fields(given: object, *, spacing: bool) -> dict[str, Any]:
+    allowed = ("shape", "center", "spacing") if spacing else ("shape", "center")
+    fields = cast("dict[str, Any]", given) if isinstance(given, dict) else {}
+    from llm_flock.runtime import check_shape
+
+    check_shape(fields.get("shape"))
+    found = {name: fields[name] for name in allowed if fields.get(name) not in (None, "")}
+    _check_center(found.get("center"), space=True)
+    if not found:
+        raise FieldError("fields", None, says=f"another mission needs at least one of {', '.join(allowed)}")
+    return found
+
+
+def _check_center(given: object, *, space: bool) -> None:
+    """Refuse a centre that is not written as the form shows it; in `space` it may have three coordinates."""
+    if given in (None, ""):
+        return
+    numbers = _list(given)
+    good = all(
+        isinstance(one, int | float) and not isinstance(one, bool) and abs(one) <= MAX_COORDINATE for one in numbers
+    )
+    if not good or len(numbers) not in ((2, 3) if space else (2,)):
+        more = ", or three in space" if space else ""
+        raise FieldError("center", None, says=f"two numbers, such as 50, 50{more}")
+
+
+def _in_form_words(error: FlockError, *, at_field: bool) -> str:
+    """An error's sentence with the form's labels for the configuration's names, without the one of its own field."""
+    text = str(error)
+    if at_field and isinstance(error, InputError) and error.field in LABELS:
+        text = error.says
+    if isinstance(error, InputError) and error.field == "arena":
+        text = f"the formation reaches beyond the walls of the arena: {error.says}"
+    text = _NAME.sub(lambda found: LABELS[found[1]], text).replace("safe_distance = ", "the safe distance, ")
+    return text[:1].upper() + text[1:]
+
+
+def _keys(given: object) -> list[str]:
+    return [str(key) for key in _list(given)][:2]
+
+
+def _list(given: object) -> list[object]:
+    return cast("list[object]", given) if isinstance(given, list) else []
+
+
+def _number(name: str, given: object) -> float:
+    if isinstance(given, bool) or not isinstance(given, int | float):
+        raise InputError(name, given, "a number")
+    try:
+        return float(given)
+    except OverflowError:
+        raise InputError(name, given, "a number below 10^308") from None
+
+
+def _true_or_false(name: str, given: object) -> bool:
+    if not isinstance(given, bool):
+        raise InputError(name, given, "true or false")
+    return given
+
+
+def _whole(name: str, given: object) -> int:
+    if isinstance(given, bool) or not isinstance(given, int):
+        raise InputError(name, given, "a whole number")
+    return given

@@ -1,0 +1,179 @@
+"""What came of a run: which missions were formed and when, and who kept the team from the others.
+
+The first screen answers these three questions with it, before anybody has clicked on anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
+
+from llm_flock.record import (
+    IN_SHAPE,
+    SILENT,
+    Diagnosis,
+    RunHistory,
+    begun,
+    counted,
+    deaths_text,
+    diagnose,
+    protocol_text,
+    work_text,
+)
+
+HELD_ROUNDS = 3
+
+_STOPPED = {
+    "rounds": "the rounds were used up",
+    "budget": "the budget was used up",
+    "no_plan": "no model proposed an acceptable plan",
+    "no_answers": "no model answered",
+    "interrupted": "the run was ended early",
+    "failed": "the run failed",
+}
+
+
+class MissionPart(NamedTuple):
+    """One mission of a run: its first round, its last one (None while it is in force), and when it was formed."""
+
+    first: int
+    last: int | None
+    text: str
+    formed: int | None
+
+
+def mission_parts(run: RunHistory) -> list[MissionPart]:
+    """The missions in their order; `formed` is a round of the run, as its result says, or while it flies, its rows."""
+    given = list(run.missions)
+    said = (run.result or {}).get("missions")
+    told = cast(
+        "Sequence[object]", said if isinstance(said, list) and len(cast("list[object]", said)) == len(given) else ()
+    )
+    parts: list[MissionPart] = []
+    for k, info in enumerate(given):
+        last = given[k + 1].round - 1 if k + 1 < len(given) else None
+        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formed(run, k, told, last)))
+    return parts
+
+
+def shape_text(mission: Mapping[str, Any]) -> str:
+    """The shape and its number of places, and the number of robots where it is another one."""
+    n, places = mission["n_robots"], mission.get("places")
+    return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
+
+
+def _formed(run: RunHistory, k: int, told: Sequence[object], last: int | None) -> int | None:
+    if told and isinstance(told[k], dict):
+        formed = cast("dict[str, Any]", told[k]).get("formed")
+        return formed if isinstance(formed, int) else None
+    since = max(0, run.missions[k].round - 1)
+    if run.result is not None and last is None:
+        # An older record: the result is about the last mission only, and counts from when it was given.
+        took = run.result.get("rounds_to_formed")
+        return since + took if run.result.get("formed") and isinstance(took, int) else None
+    return _formed_by_rows(run, run.missions[k].round, run.rounds if last is None else min(last, run.rounds))
+
+
+def _formed_by_rows(run: RunHistory, first: int, last: int) -> int | None:
+    """The first of three rounds in order after the team last changed, as measured: for a run that still flies."""
+    held = 0
+    since = run.disturbed if run.disturbed <= last else 0
+    for number in range(max(1, first, since), last + 1):
+        row, info = run.rows[number], run.mission_at(number)
+        awake = sum(phase not in SILENT for phase in run.states[number].phases)
+        close = row.procrustes_mean is None or row.procrustes_mean <= IN_SHAPE * float(info.mission["spacing"])
+        order = row.plans_in_use == 1 and row.robots_at_goal >= awake == row.distinct_goals and close
+        held = held + 1 if order else 0
+        if held == HELD_ROUNDS:
+            return number - HELD_ROUNDS + 1
+    return None
+
+
+def outcome(run: RunHistory, *, over: bool) -> dict[str, Any]:
+    """What the banner of a page says: see `mission_parts` and `diagnose`; `tone` is good, bad or open."""
+    parts = mission_parts(run)
+    last = parts[-1]
+    found = diagnose(run) if over and last.formed is None else Diagnosis()
+    tone = "good" if last.formed is not None else "bad" if over else "open"
+    return {
+        "tone": tone,
+        "headline": _headline(run, parts, over=over),
+        "protocol": protocol_name(run),
+        "why": found.why,
+        "by": begun(_work(run)) if last.formed is not None else "",
+        "robots": list(found.robots),
+        "interesting": interesting(run, found),
+        "missions": [
+            {"first": part.first, "last": part.last, "text": part.text, "formed": part.formed} for part in parts
+        ],
+    }
+
+
+def _headline(run: RunHistory, parts: Sequence[MissionPart], *, over: bool) -> str:
+    last = parts[-1]
+    name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
+    if last.formed is not None:
+        given = f" (given in round {last.first})" if len(parts) > 1 else ""
+        return begun(f"{name}formed in round {last.formed}{given}{_helped(run)}{_gaps(run)}")
+    if not over:
+        return begun(f"{name}not formed yet")
+    return begun(f"{name}not formed: {stop_text(run)}")
+
+
+def _helped(run: RunHistory) -> str:
+    """Whether the models did it alone; older records do not say."""
+    if (run.result or {}).get("formed_by_models", True):
+        return ""
+    return ", by geometry without models" if run.without_models else ", with help for the models"
+
+
+def _gaps(run: RunHistory) -> str:
+    gaps = (run.result or {}).get("gaps")
+    return f", with {counted(gaps, 'place')} empty" if isinstance(gaps, int) and gaps > 0 else ""
+
+
+def _work(run: RunHistory) -> str:
+    """Who died, and who did the work."""
+    work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
+    return " · ".join(part for part in (deaths_text(run), work) if part)
+
+
+def stop_text(run: RunHistory) -> str:
+    """Why the run ended, in words."""
+    if run.result is None:
+        return "the record ends early"
+    stopped = str(run.result.get("stopped", "ended"))
+    if stopped == "rounds" and run.rounds < 2:
+        return "the only round was used up" if run.rounds else "no round was flown"
+    if stopped == "rounds":
+        return f"all {run.rounds} rounds were used up"
+    return _STOPPED.get(stopped, stopped)
+
+
+def protocol_name(run: RunHistory) -> str:
+    """The name of the protocol, as everywhere; see `protocol_text`."""
+    return "" if run.info is None else protocol_text(run.info.config)
+
+
+def interesting(run: RunHistory, found: Diagnosis) -> dict[str, Any]:
+    """The robot that the mind panel opens with, and why: the first that is to blame for a run that did not form.
+
+    Without one, the robot with the most refused and failed calls, help by geometry and open circuit breakers; without
+    such trouble, one for which something was wrong in the end; else the one that proposed the plan in force, or
+    robot 0.
+    """
+    if found.robots:
+        return {"robot": found.robots[0], "why": "it kept the team from forming"}
+    worst = max(run.tallies, key=lambda robot: (run.tallies[robot].trouble, -robot), default=None)
+    if worst is not None and run.tallies[worst].trouble:
+        return {"robot": worst, "why": run.tallies[worst].words}
+    if found.look is not None:
+        return {"robot": found.look[0], "why": found.look[1]}
+    proposer = (run.result or {}).get("plan_robot")
+    plans = {plan for plan in run.states[run.rounds].plan_ids if plan is not None}
+    if not isinstance(proposer, int) and len(plans) == 1:
+        steps = run.provenance(0, run.rounds)
+        proposer = steps[0].robot if steps else None
+    if isinstance(proposer, int) and 0 <= proposer < run.n_robots:
+        return {"robot": proposer, "why": "it proposed the plan in force"}
+    return {"robot": 0, "why": "nothing stands out"}

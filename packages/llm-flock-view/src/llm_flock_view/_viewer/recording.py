@@ -1,0 +1,137 @@
+"""A run as pages show it. A finished record, a growing one and a live swarm look the same."""
+
+from __future__ import annotations
+
+import logging
+import math
+import os
+from collections import Counter, defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from llm_flock.printable import printable
+from llm_flock.record import Entry, FlightEvent, LlmEntry, ProtocolEvent, RoundEnd, RunHistory, protocol_text
+from llm_flock_view._viewer.canvases import TOO_CLOSE
+from llm_flock_view._viewer.events import track_of_event
+
+logger = logging.getLogger(__name__)
+
+ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "landed"})
+"""Flight events that belong to every flight."""
+
+
+def close_pairs(positions: Sequence[Sequence[float]], safe: float) -> int:
+    """Number of pairs nearer than the safe distance [units]; boxes of that width make a thousand robots quick."""
+    rounding = 1e-6
+    boxes: defaultdict[tuple[int, int], list[Sequence[float]]] = defaultdict(list)
+    found = 0
+    for row in positions:
+        column, line = math.floor(row[0] / safe), math.floor(row[1] / safe)
+        for i in (column - 1, column, column + 1):
+            for j in (line - 1, line, line + 1):
+                found += sum(math.dist(row, other) < safe - rounding for other in boxes.get((i, j), ()))
+        boxes[column, line].append(row)
+    return found
+
+
+def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
+    """Lower left and upper right of some points, seen from above [units]; None stands for no point."""
+    seen = [row for row in rows if row is not None]
+    columns, lines = [row[0] for row in seen], [row[1] for row in seen]
+    return [min(columns), min(lines), max(columns), max(lines)]
+
+
+def version_of(found: os.stat_result) -> tuple[int, ...]:
+    """Numbers that differ between two files, and between a file and what it is after it was written to."""
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+
+
+def _track_of_call(entry: LlmEntry) -> str | None:
+    if entry.error is not None:
+        return "faults"
+    return None if entry.rejected is None else "retries"
+
+
+class Recording:
+    """A run with what pages need beside its history. A sink for record entries; another thread may write.
+
+    Attributes:
+        key: names the run in addresses of pages.
+        path: its record, None without one.
+        live: whether the run goes on while it is watched.
+        history: its rounds.
+        open: whether more may come.
+        failure: why there is nothing (more) to show.
+        version: of the file as it was read; see `version_of`.
+        marks: number of marks on each timeline track, by round.
+        steer: what can be ordered of it now, for runs that take orders.
+        extent: lower left and upper right of where robots and goals have been, seen from above [units].
+    """
+
+    def __init__(self, key: str, title: str, path: Path | None, *, live: bool) -> None:
+        self.key = key
+        self.title = title
+        self.path = path
+        self.live = live
+        self.history = RunHistory()
+        self.open = True
+        self.failure: str | None = None
+        self.version: tuple[int, ...] | None = None
+        self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
+        self.extent: list[float] = []
+        self.steer: Callable[[], dict[str, Any]] | None = None
+
+    def write(self, entry: Entry) -> None:
+        """Take an entry of a record; `RoundEnd` makes its round visible."""
+        match entry:
+            case ProtocolEvent():
+                self._mark(entry.round, track_of_event(entry))
+            case FlightEvent() if entry.kind not in ROUTINE:
+                self._mark(entry.round, "faults")
+            case LlmEntry():
+                self._mark(entry.round, _track_of_call(entry))
+            case RoundEnd():
+                self._measure(entry.round)
+            case _:
+                pass
+        self.history.write(entry)
+
+    def _mark(self, number: int, track: str | None) -> None:
+        if track is not None:
+            self.marks[number][track] += 1
+
+    def _measure(self, number: int) -> None:
+        """Count the pairs that are too close, and widen the extent."""
+        run = self.history
+        if not run.missions or number >= len(run.states):
+            return
+        state, safe = run.states[number], float(run.mission_at(number).mission["safe_distance"])
+        near = run.rows[number].min_separation if number < len(run.rows) else None
+        if near is not None and near < safe:
+            pairs = close_pairs(state.positions, safe)
+            if pairs:
+                self.marks[number][TOO_CLOSE] = pairs
+        known = [self.extent[:2], self.extent[2:]] if self.extent else []
+        self.extent = box([*known, *state.positions, *state.goals])
+
+    def fail(self, error: Exception) -> None:
+        """Show why no more comes, and log it."""
+        self.failure = printable(str(error))
+        logger.warning("%s", error)
+
+    @property
+    def ready(self) -> bool:
+        """Whether there is anything to show."""
+        return self.history.rounds >= 0 and bool(self.history.missions)
+
+    @property
+    def description(self) -> str:
+        """Shape, N, protocol, model and seed; empty while they are not known."""
+        run = self.history
+        if run.info is None or not run.missions:
+            return ""
+        config, shape = run.info.config, run.missions[0].mission["shape"]
+        model = config.get("model", {}).get("model", "")
+        parts = (f"{shape} of {run.n_robots}", protocol_text(config), model, f"seed {run.info.seed}")
+        return printable(" · ".join(str(part) for part in parts if part))

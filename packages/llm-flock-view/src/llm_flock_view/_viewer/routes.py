@@ -1,0 +1,150 @@
+"""The viewer's addresses: pages, data, orders and exports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from pydantic_core import to_json
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from llm_flock.errors import FlockError
+from llm_flock.printable import printable
+from llm_flock_view._viewer import form
+from llm_flock_view._viewer.canvases import player_options
+from llm_flock_view._viewer.data import answer
+from llm_flock_view._viewer.export import exported
+from llm_flock_view._viewer.library import Library
+from llm_flock_view._viewer.page import html
+from llm_flock_view._viewer.run_rows import FIGURES
+from llm_flock_view._viewer.startup import OPEN
+
+if TYPE_CHECKING:
+    from llm_flock_view._viewer.launcher import Launcher
+    from llm_flock_view._viewer.orders import PageOrders
+    from llm_flock_view._viewer.recording import Recording
+
+UNCACHED = {"cache-control": "no-store"}
+LONGEST = 100_000
+"""Most bytes of an order."""
+
+
+class Routes:
+    """Answers what pages ask for. Pages name runs by keys, never by files."""
+
+    def __init__(self, library: Library, launcher: Launcher, orders: PageOrders) -> None:
+        self.library = library
+        self.launcher = launcher
+        self.orders = orders
+
+    def routes(self) -> Sequence[BaseRoute]:
+        """Every address."""
+        return [
+            Route("/", self.home),
+            Route("/runs", self.runs),
+            Route("/run/{key}", self.run),
+            Route("/pair/{first}/{second}", self.pair),
+            Route("/cockpit", self.cockpit),
+            Route("/export/{key}/{name}", self.export),
+            Route("/data/shapes", self.shapes),
+            Route(OPEN, self.is_open),
+            Route("/data/runs", self.data),
+            Route("/data/{key}/{what}", self.data),
+            Route("/order", self.order, methods=["POST"]),
+        ]
+
+    # Functions that are no coroutines run in threads: a thousand robots take a while, and other pages go on meanwhile.
+    def home(self, request: Request) -> Response:
+        """The only run of the command line, the list of runs, or the cockpit."""
+        runs = list(self.library.runs.values())
+        if not runs:
+            return self.cockpit(request)
+        if len(runs) == 1 and runs[0].key not in self.launcher.runs:
+            return _player(runs)
+        return self.runs(request)
+
+    def runs(self, request: Request) -> Response:
+        """The table of all runs."""
+        return HTMLResponse(html("Runs", {"page": "runs", "figures": [label for _, label in FIGURES]}))
+
+    def run(self, request: Request) -> Response:
+        """One run."""
+        return self._play(request.path_params["key"])
+
+    def pair(self, request: Request) -> Response:
+        """Two runs side by side, with one clock."""
+        return self._play(request.path_params["first"], request.path_params["second"])
+
+    def cockpit(self, request: Request) -> Response:
+        """The form that starts runs."""
+        self.launcher.warm()
+        return HTMLResponse(html("Cockpit", {"page": "cockpit", **form.options(self.launcher)}))
+
+    def shapes(self, request: Request) -> Response:
+        """Pictures of the shapes."""
+        return Response(to_json(form.shape_pictures()), media_type="application/json", headers=UNCACHED)
+
+    def data(self, request: Request) -> Response:
+        """What the canvases of a page show."""
+        text = answer(self.library, request.url.path, request.query_params)
+        if text is None:
+            return Response("no such run", status_code=404)
+        return Response(text, media_type="application/json", headers=UNCACHED)
+
+    async def is_open(self, request: Request) -> Response:
+        """A page from before the viewer was there may reload now."""
+        return Response(status_code=204, headers=UNCACHED)
+
+    def export(self, request: Request) -> Response:
+        """A file that is made of a record."""
+        run = self.library.runs.get(request.path_params["key"])
+        if run is None or run.path is None:
+            return Response("no such record", status_code=404)
+        name = request.path_params["name"]
+        try:
+            content = exported(run.path, name)
+        except (FlockError, OSError) as error:
+            return Response(printable(str(error)), status_code=400, media_type="text/plain")
+        heads = {**UNCACHED, "content-disposition": f'attachment; filename="{name}"'}
+        return Response(content, media_type="application/octet-stream", headers=heads)
+
+    async def order(self, request: Request) -> Response:
+        """Carry out an order."""
+        if request.headers.get("content-type", "").split(";")[0] != "application/json":
+            return Response("an order is JSON", status_code=415)
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) > LONGEST:
+                return Response("too long", status_code=413)
+        try:
+            asked: Any = json.loads(body)
+        except (ValueError, RecursionError):
+            return Response("an order is JSON", status_code=400)
+        said = await self.orders.carry_out(asked)
+        content = await run_in_threadpool(partial(to_json, said))
+        return Response(content, headers=UNCACHED, media_type="application/json")
+
+    def _play(self, *keys: str) -> Response:
+        runs = [self.library.runs.get(key) for key in keys]
+        if None in runs:
+            return HTMLResponse(LOST, status_code=404)
+        return _player([run for run in runs if run is not None])
+
+
+LOST = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<meta name="color-scheme" content="light dark"><title>No such run</title><link rel="icon" href="data:,"></head>
+<body><main><h1>No such run</h1>
+<p>It was deleted, or it was shown by an earlier viewer. <a href="/runs">All runs</a></p></main></body></html>
+"""
+
+
+def _player(runs: Sequence[Recording]) -> Response:
+    title = " and ".join(run.title for run in runs)
+    return HTMLResponse(html(title, player_options([(run.key, run.title) for run in runs])))

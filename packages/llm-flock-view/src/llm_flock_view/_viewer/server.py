@@ -1,0 +1,102 @@
+"""The address at which a viewer listens: one port, by default for this machine only, else with a token."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import os
+import secrets
+import socket
+from collections.abc import Sequence
+from dataclasses import dataclass
+from urllib.parse import quote
+
+from llm_flock.errors import FieldError, InputError
+from llm_flock.printable import hidden
+from llm_flock_view._viewer.startup import StartupServer
+
+SHORTEST_TOKEN = 16
+"""Fewest characters of a token."""
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host is a loopback address."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Address:
+    """The address at which a viewer listens; `startup` answers there until the viewer does.
+
+    Attributes:
+        sock: the socket.
+        host: as it was given.
+        token: what a browser must show; None for none.
+        startup: the server until the viewer's own is loaded.
+    """
+
+    sock: socket.socket
+    host: str
+    token: str | None
+    startup: StartupServer
+
+    @property
+    def port(self) -> int:
+        """The port."""
+        return self.sock.getsockname()[1]
+
+    @property
+    def shown_host(self) -> str:
+        """A host that a browser can be pointed to."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
+        return f"[{host}]" if ":" in host else host
+
+    @property
+    def url(self) -> str:
+        """The address to open, with the token."""
+        query = "" if self.token is None else f"?token={quote(self.token, safe='')}"
+        return f"http://{self.shown_host}:{self.port}/{query}"
+
+    @property
+    def hosts(self) -> Sequence[str]:
+        """Values of the Host header that are accepted; none (any) where the machine's names are not known here."""
+        if self.host in ("0.0.0.0", "::"):
+            return ()
+        names = {self.shown_host} | ({"127.0.0.1", "localhost", "[::1]"} if is_loopback(self.host) else set[str]())
+        return [f"{name}:{self.port}" for name in sorted(names)]
+
+
+def listen(host: str, port: int, token: str | None) -> Address:
+    """Open the port. Call it before anything heavy is loaded: a browser that comes early waits instead of failing.
+
+    An address other than a loopback address gets a token, a random one where none is given.
+
+    Raises:
+        InputError: the address cannot be listened at, or the token is too short; no error shows a token.
+    """
+    if token is not None and (len(token) < SHORTEST_TOKEN or hidden(token) is not None):
+        raise InputError("token", None, f"{SHORTEST_TOKEN} characters or more, all of them visible")
+    if token is None and not is_loopback(host):
+        token = secrets.token_urlsafe(24)
+    sock = None
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        sock = socket.socket(family, socket.SOCK_STREAM)
+        if os.name == "posix":  # on Windows, it would share a port that is in use
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        sock.bind((host, port))
+        sock.listen(64)
+    except (OSError, OverflowError, UnicodeError) as error:
+        if sock is not None:
+            sock.close()
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            says = f"port {port} is taken; try --port 0, which takes a free one"
+            raise FieldError("port", port, says=says) from None
+        says = f"this machine cannot listen there: {getattr(error, 'strerror', None) or error}"
+        raise InputError("host", host, says=says) from None
+    return Address(sock=sock, host=host, token=token, startup=StartupServer(sock))

@@ -1,0 +1,273 @@
+"""Figures: what they show, in numbers; and that a user's own settings stay as they were."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from sample_records import FakeRun, make_record
+from scipy import stats
+
+from llm_flock.errors import InputError
+from llm_flock.record._reader import RunRecord, read_record
+from llm_flock.record._scene import PALETTE
+from llm_flock_view._figures import figures
+from llm_flock_view._figures.animation import frames
+from llm_flock_view._figures.panel import Panel, short
+from llm_flock_view._figures.style import heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
+    return read_record(make_record(tmp_path_factory.mktemp("record") / "run.mcap", n=5, rounds=10))
+
+
+def words(figure: Figure) -> str:
+    return "\n".join(text.get_text() for text in figure.findobj(mpl.text.Text))  # pyright: ignore
+
+
+def test_snapshots_at_chosen_rounds_show_paths_plans_influence_and_links(record: RunRecord) -> None:
+    figure = figures.snapshots(record, [0, 2, 10])
+    assert [axes.get_title().split(" · ")[0] for axes in figure.axes] == ["start", "round 2", "round 10"]
+    start, second, last = figure.axes
+    assert all(axes.get_aspect() == 1.0 for axes in figure.axes)
+    names = [[t.get_text() for t in axes.texts] for axes in figure.axes]
+    # Numbers, then plan and influence of each; nobody has a plan at the start, and no number stands alone there, and
+    # all have the first at the end.
+    assert all(shown[:5] == ["0", "1", "2", "3", "4"] for shown in names)
+    shares = [[short(share) for share in record.states[k].influence] for k in (0, 2, 10)]
+    assert names[0][5:] == []
+    assert names[1][5:] == [text for pair in zip("AACDA", shares[1], strict=True) for text in pair]
+    assert names[2][5:] == [text for share in shares[2] for text in ("A", share)]
+    links, paths = (c for c in last.collections if isinstance(c, LineCollection))
+    assert links.get_zorder() > paths.get_zorder()
+    ends = {tuple(np.round(p, 6)) for p in record.positions[10]}
+    assert len(links.get_segments()) > 0
+    assert {tuple(np.round(p, 6)) for segment in links.get_segments() for p in segment} <= ends
+    assert len(paths.get_segments()) == 5 * 10
+    drawn = {tuple(np.round(np.asarray(c.get_offsets())[0], 6)) for c in last.collections[3:]}
+    assert ends <= drawn
+    assert start.get_xlim() == second.get_xlim() == (-8.0, 108.0)
+    assert last.get_xlim()[1] - last.get_xlim()[0] < 0.7 * 116.0, "a formation fills its panel"
+
+
+def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record: RunRecord) -> None:
+    said = words(figures.snapshots(record))
+    assert "circle · 5 robots" in said and "simulated:ideal" in said and "simulated language models" in said
+    real = replace(record, run=record.run.model_copy(update={"simulated": False}))
+    assert "simulated language models" not in words(figures.snapshots(real))
+    assert "simulated language models" in model_names([real, record])
+    rules = {"protocol": {"protocol": "paper", "consensus": "influence", "assignment": "nearest", "shield": False}}
+    ruled = replace(record, run=record.run.model_copy(update={"config": rules}))
+    assert heading(ruled, 10).startswith("circle · 5 robots · protocol: paper · simulated:ideal")
+    assert max(len(line) for line in heading(ruled, 3).splitlines()) <= 45
+
+
+def test_without_calls_the_configured_model_is_named(record: RunRecord) -> None:
+    assert model_names([replace(record, llm=())]) == "simulated:ideal · simulated language models"
+    run = record.run.model_copy(update={"config": {}, "simulated": False})
+    assert model_names([replace(record, llm=(), run=run)]) == ""
+
+
+@pytest.mark.parametrize("rounds", [[], [-1], [0, 11]])
+def test_rounds_that_the_record_lacks_are_refused(record: RunRecord, rounds: list[int]) -> None:
+    with pytest.raises(InputError, match="0 to 10"):
+        figures.snapshots(record, rounds)
+
+
+def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -> None:
+    curves = [np.array([4.0, 2.0, 1.0]), np.array([6.0, 4.0]), np.array([5.0, 6.0, 3.0])]
+    mean, lows, highs = figures.mean_and_interval(curves)
+    assert mean == pytest.approx([5.0, 4.0, 8.0 / 3.0])
+    for k, sample in enumerate([[4, 6, 5], [2, 4, 6], [1, 4, 3]]):
+        low, high = stats.t.interval(0.95, 2, loc=np.mean(sample), scale=stats.sem(sample))
+        assert (lows[k], highs[k]) == pytest.approx((max(0.0, low), high))
+    alone, *none = figures.mean_and_interval(curves[:1])
+    assert alone.tolist() == [4.0, 2.0, 1.0] and np.isnan(none).all()
+
+
+def test_error_over_time_draws_one_line_a_label_with_a_band_for_many_runs(tmp_path: Path) -> None:
+    runs = [read_record(make_record(tmp_path / f"{i}.mcap", n=3, rounds=5 + i, seed=i)) for i in range(3)]
+    figure = figures.error_over_time(runs, ["ours", "ours", "theirs"])
+    (axes,) = figure.axes
+    assert [line.get_label() for line in axes.lines] == ["ours (mean of 2 runs, 95% interval)", "theirs"]
+    assert len(axes.collections) == 1
+    assert np.asarray(axes.lines[1].get_ydata()).tolist() == runs[2].errors.tolist()
+    assert "simulated language models" in words(figure)
+    one, two = axes.lines
+    assert one.get_linestyle() != two.get_linestyle() and one.get_marker() != two.get_marker()
+
+
+def test_comparison_shows_the_end_of_every_run_and_all_errors(tmp_path: Path) -> None:
+    good = read_record(make_record(tmp_path / "a.mcap", n=4, rounds=6))
+    bad = read_record(make_record(tmp_path / "b.mcap", n=4, rounds=8, agree=False))
+    figure = figures.comparison([good, bad], ["ours", "theirs"])
+    assert [axes.get_title() for axes in figure.axes] == [
+        "ours\nformed in round 6",
+        "theirs\nnot formed: 4 plans, 4 goals",
+        "",
+    ]
+    assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
+    assert len(figure.axes[2].lines) == 2
+    assert figures.outcome(replace(good, result=None)) == "not formed: 1 plan, 4 goals"
+
+
+def test_records_and_labels_must_fit(record: RunRecord) -> None:
+    with pytest.raises(InputError, match="at least one record"):
+        figures.error_over_time([], [])
+    with pytest.raises(InputError, match="one label for each of the 2 records"):
+        figures.comparison([record, record], ["only one"])
+    rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
+    with pytest.raises(InputError, match="known after every round"):
+        figures.error_over_time([replace(record, metrics=rows)], ["free text"])
+    assert "error" not in words(figures.snapshots(replace(record, metrics=rows)))
+
+
+def test_save_writes_by_ending_and_names_what_it_cannot(record: RunRecord, tmp_path: Path) -> None:
+    figure = figures.snapshots(record, [10])
+    for name, magic in (("a/b.png", b"\x89PNG"), ("c.pdf", b"%PDF"), ("d.svg", b"<?xml")):
+        figures.save(figure, tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(magic)
+    with pytest.raises(InputError, match=r"out = .*figure\.doc.* png"):
+        figures.save(figure, tmp_path / "figure.doc")
+    with pytest.raises(InputError, match="can be written to"):
+        figures.save(figure, tmp_path / "c.pdf" / "x.png")
+
+
+def test_a_users_settings_are_neither_used_nor_changed(record: RunRecord) -> None:
+    with mpl.rc_context({"font.size": 30.0, "axes.facecolor": "red"}):
+        figure = figures.snapshots(record, [0])
+        assert mpl.rcParams["font.size"] == 30.0
+    assert figure.axes[0].get_facecolor() == (1.0, 1.0, 1.0, 1.0)
+
+
+def test_a_large_team_is_drawn_without_letters(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=40, rounds=2, llm=False))
+    (axes,) = figures.snapshots(record, [2]).axes
+    assert not axes.texts
+    robots = np.asarray(axes.collections[-1].get_offsets())
+    np.testing.assert_allclose(robots, record.positions[2])
+
+
+def drawn_on(axes: Axes, record: RunRecord, round_number: int, part: float) -> None:
+    panel = Panel(record)
+    panel.frame(axes)
+    panel.draw_team(axes, round_number, part)
+
+
+def test_the_dead_keep_their_numbers(record: RunRecord) -> None:
+    states = tuple(state.model_copy(update={"phases": ["idle", "dead", *["idle"] * 3]}) for state in record.states)
+    (axes,) = figures.snapshots(replace(record, states=states), [10]).axes
+    assert [text.get_text() for text in axes.texts].count("1") == 1
+    assert "dead (\u00d7), with its number" in words(axes.figure)  # type: ignore[arg-type]
+
+
+def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> None:
+    axes = Figure().add_subplot()
+    drawn_on(axes, record, 3, 0.25)
+    middle = 0.75 * record.positions[2] + 0.25 * record.positions[3]
+    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-5:]])
+    np.testing.assert_allclose(drawn, middle)
+
+
+def test_three_dimensions_are_seen_from_above(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=4, rounds=2, dim=3))
+    (axes,) = figures.snapshots(record, [2]).axes
+    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-4:]])
+    np.testing.assert_allclose(drawn, record.positions[2, :, :2])
+
+
+def test_radio_links_are_of_the_whole_space_also_when_seen_from_above(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=1, dim=3))
+    # Over one another, but only the lower two within the range of 15.
+    positions = np.array([[[50.0, 50.0, z], [51.0, 50.0, z + 10.0], [52.0, 50.0, 80.0]] for z in (5.0, 6.0)])
+    axes = Figure().add_subplot()
+    drawn_on(axes, replace(record, positions=positions), 1, 0.5)
+    links = next(c for c in axes.collections if isinstance(c, LineCollection))
+    assert [np.asarray(s).tolist() for s in links.get_segments()] == [[[50.0, 50.0], [51.0, 50.0]]]
+
+
+def with_shape(record: RunRecord, shape: str) -> RunRecord:
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": shape}})
+    return replace(record, missions=(mission,))
+
+
+def test_words_of_the_operator_begin_no_formula(record: RunRecord, tmp_path: Path) -> None:
+    words_given = r"cost $\foo{$ and"
+    shown = with_shape(record, "text:" + words_given)
+    for number, figure in enumerate(
+        [
+            figures.snapshots(shown, [1]),
+            figures.error_over_time([shown], [words_given]),
+            figures.comparison([shown], [words_given]),
+        ]
+    ):
+        figures.save(figure, tmp_path / f"{number}.png")
+    assert next(frames(shown)).size == next(frames(record)).size
+
+
+def test_runs_without_a_known_ideal_are_compared_without_errors(record: RunRecord, tmp_path: Path) -> None:
+    rows = tuple(row.model_copy(update={"procrustes_mean": None}) for row in record.metrics)
+    free = replace(with_shape(record, "text:a cloud"), metrics=rows)
+    figure = figures.comparison([free, record], ["one", "two"])
+    assert [axes.get_title() for axes in figure.axes] == ["one\nformed in round 10", "two\nformed in round 10"]
+    figures.save(figure, tmp_path / "compared.png")
+    with pytest.raises(InputError, match="known after every round"):
+        figures.error_over_time([free], ["one"])
+
+
+def test_plans_look_different_even_without_colour(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=20, rounds=1, llm=False))
+    looks = plan_looks(record)
+    assert list(looks)[1:] == [plan.plan_id for plan in record.plans]
+    assert len({look.name for look in looks.values()}) == 21
+    assert len({(look.fill, look.rim) for look in looks.values()}) == 21
+    assert looks[None].name == ""
+
+
+def test_a_plan_that_was_not_announced_still_has_a_look(record: RunRecord) -> None:
+    assert set(plan_looks(replace(record, plans=()))) - {None} <= {plan.plan_id for plan in record.plans}
+    assert len(plan_looks(replace(record, plans=()))) > 1
+
+
+def test_letters_count_on() -> None:
+    assert [letters(k) for k in (0, 25, 26, 27, 51, 52, 701, 702)] == ["A", "Z", "AA", "AB", "AZ", "BA", "ZZ", "AAA"]
+
+
+def test_letters_and_lines_can_be_read() -> None:
+    for fill in PALETTE:
+        light, letter = luminance(fill), luminance(ink_on(fill))
+        contrast = (max(light, letter) + 0.05) / (min(light, letter) + 0.05)
+        assert contrast >= 3.9, fill
+        assert luminance(line_colour(fill)) <= 0.6, fill
+    assert line_colour(PALETTE[0]) == PALETTE[0]
+
+
+def test_influence_in_few_signs() -> None:
+    assert [short(x) for x in (0.0, 0.1, 0.25, 1.0)] == ["0", ".10", ".25", "1"]
+
+
+def test_one_robot_can_be_drawn(tmp_path: Path) -> None:
+    record = read_record(make_record(tmp_path / "run.mcap", n=1, rounds=1))
+    assert "1 robot ·" in words(figures.snapshots(record))
+    assert FakeRun(n=1).mission.n_robots == 1
+
+
+def test_walls_and_obstacles_are_drawn(record: RunRecord) -> None:
+    disc = {"center": [20.0, 30.0], "radius": 4.0, "polygon": None}
+    corners = {"center": None, "radius": None, "polygon": [[1.0, 1.0], [9.0, 1.0], [5.0, 7.0]]}
+    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "obstacles": [disc, corners]}})
+    patches = figures.snapshots(replace(record, missions=(mission,)), [0]).axes[0].patches
+    (left, bottom), (right, top) = mission.mission["arena"]
+    boxes = [patch.get_path().get_extents(patch.get_patch_transform()).bounds for patch in patches]
+    expected = [(left, bottom, right - left, top - bottom), (16.0, 26.0, 8.0, 8.0), (1.0, 1.0, 8.0, 6.0)]
+    assert np.allclose(boxes, expected)
+    without = {key: value for key, value in mission.mission.items() if key != "obstacles"}
+    older = record.mission.model_copy(update={"mission": without})
+    assert len(figures.snapshots(replace(record, missions=(older,)), [0]).axes[0].patches) == 1

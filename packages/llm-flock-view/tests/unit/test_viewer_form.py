@@ -1,0 +1,131 @@
+"""What a page may ask for, and what a model's reading of plain words is checked for."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from llm_flock.errors import AnswerError, InputError
+from llm_flock.llm._mission_words import MissionReader, draft_of
+from llm_flock.runtime._config import RunConfig
+from llm_flock_view._viewer import launcher
+from llm_flock_view._viewer.launcher import Launcher
+from llm_flock_view._viewer.library import Library
+from llm_flock_view._viewer.orders import PageOrders
+from llm_flock_view._viewer.steered_run import FIELDS, config_of
+
+
+def test_a_form_is_checked_as_the_command_line_checks_it() -> None:
+    config = config_of({"shape": "cross", "n_robots": 5, "protocol": "paper", "model": "simulated:ideal", "seed": None})
+    assert (config.mission.shape, config.protocol.consensus) == ("cross", "influence")
+    with pytest.raises(InputError, match="n_robots = 0: expected at least 1"):
+        config_of({"n_robots": 0})
+    with pytest.raises(InputError, match="expected one of ideal"):
+        config_of({"model": "simulated:nonsense"})
+    with pytest.raises(InputError, match="n_robots"):
+        config_of({"n_robots": 2000, "start": "separated"})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("out", "/tmp/elsewhere"),
+        ("prompts", "/etc"),
+        ("record_llm", "/tmp/x"),
+        ("base_url", "http://elsewhere.invalid"),
+        ("consensus", "os:system"),
+        ("shape", "points:/etc/passwd"),
+        ("shape", "  points:/etc/passwd"),
+        ("model", "replay:/etc/passwd"),
+        ("model", "openai:gpt-5"),
+        ("model", "local:/etc/passwd"),
+        ("model", "local:smollm2+/etc/passwd.gguf"),
+        ("model", "0=simulated:ideal,1=openai:gpt-5"),
+        ("start_positions", [[0, 0]]),
+    ],
+)
+def test_a_page_reaches_no_file_no_module_and_no_other_address(field: str, value: object) -> None:
+    with pytest.raises(InputError, match=field):
+        config_of({field: value})
+
+
+def asked(tmp_path: Path, **fields: object) -> dict[str, Any]:
+    library = Library()
+    orders = PageOrders(library, Launcher(library, tmp_path))
+    given = {"shape": "circle", "n_robots": 10, "center": [50, 50], "model": "simulated:ideal", "rounds": 1}
+    return asyncio.run(orders.carry_out({"order": "start", "pace": 100, "fields": {**given, **fields}}))
+
+
+@pytest.mark.parametrize(
+    "center", ["abc", "50 50", [50], [50, 50, 50], [50, "x"], [True, 1], [float("nan"), 1], [10**400, 1], {"x": 1}]
+)
+def test_a_centre_is_asked_for_in_the_words_of_the_form(tmp_path: Path, center: object) -> None:
+    assert asked(tmp_path, center=center) == {"error": "Two numbers, such as 50, 50", "field": "center"}
+
+
+def test_errors_name_what_the_form_has(tmp_path: Path) -> None:
+    found = asked(tmp_path, center=[5, 5])
+    assert found["field"] == "center"
+    assert found["error"].startswith(
+        "The formation reaches beyond the walls of the arena: expected at least 16.18 units"
+    )
+    assert asked(tmp_path, spacing=1) == {"error": "Expected at least the safe distance, 3", "field": "spacing"}
+
+
+def test_models_that_the_operator_named_may_be_asked() -> None:
+    assert config_of({"model": "openai:gpt-5"}, ["openai:gpt-5"]).model.model == "openai:gpt-5"
+
+
+def test_the_packaged_model_on_board_may_be_asked() -> None:
+    pytest.importorskip("xllamacpp")
+    assert config_of({"model": "local:smollm2+none"}).model.model == "local:smollm2+none"
+
+
+def test_fields_of_the_page_are_fields_of_the_configuration() -> None:
+    known = {name for section in RunConfig.model_fields.values() for name in section.annotation.model_fields}  # pyright: ignore[reportOptionalMemberAccess, reportAttributeAccessIssue]
+    assert set(FIELDS) <= known
+
+
+def test_an_answer_becomes_a_mission_to_confirm() -> None:
+    draft = draft_of('Sure: {"shape": "square", "n_robots": 8, "center": [40, 60], "spacing": 8}')
+    assert draft.in_words == "8 robots · square · centre 40, 60 · 8 units apart"
+    assert draft.fields == {"shape": "square", "n_robots": 8, "center": (40.0, 60.0), "spacing": 8.0}
+
+
+@pytest.mark.parametrize("answer", ["", "no", "{", "}{", '{"shape": 3}', '{"shape":"circle","n_robots":4,"out":"/x"}'])
+def test_an_answer_of_another_form_is_refused(answer: str) -> None:
+    with pytest.raises(AnswerError, match="not of the form"):
+        draft_of(answer)
+
+
+@pytest.mark.parametrize("answer", ['{"shape":"circle","n_robots":0}', '{"shape":"points:/etc/passwd","n_robots":4}'])
+def test_an_answer_that_cannot_be_flown_is_refused(answer: str) -> None:
+    with pytest.raises(InputError):
+        draft_of(answer)
+
+
+def test_a_stand_in_cannot_read() -> None:
+    with pytest.raises(InputError, match="cannot read"):
+        MissionReader("simulated:ideal")
+
+
+def test_the_first_run_finds_the_simulation_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    began: list[tuple[float, object]] = []
+
+    class Timer:
+        def __init__(self, after: float, act: object) -> None:
+            began.append((after, act))
+
+        def start(self) -> None:
+            pass
+
+    monkeypatch.setattr(launcher.threading, "Timer", Timer)
+    one = Launcher(Library(), tmp_path)
+    one.warm()
+    one.warm()
+    assert began == [(launcher.WARM_AFTER_S, launcher.fly_nothing)], "once"
+    launcher.fly_nothing()
+    assert not list(tmp_path.iterdir()), "nothing is recorded"

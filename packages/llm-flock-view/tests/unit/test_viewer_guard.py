@@ -1,0 +1,132 @@
+"""Who may ask a viewer, and what its pages may load."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+from urllib.parse import quote
+
+import pytest
+
+from llm_flock.errors import InputError
+
+pytest.importorskip("starlette")
+
+from llm_flock_view._viewer.guard import RequestGuard
+from llm_flock_view._viewer.server import is_loopback
+
+HOST = "127.0.0.1:8765"
+TOKEN = "correct horse battery"
+
+
+async def _inner(scope: Any, receive: Any, send: Any) -> None:
+    if scope["type"] == "websocket":
+        await send({"type": "websocket.accept"})
+        return
+    await send({"type": "http.response.start", "status": 200, "headers": []})
+    await send({"type": "http.response.body", "body": b"inside"})
+
+
+def ask(
+    guard: RequestGuard,
+    headers: dict[str, str],
+    *,
+    kind: str = "http",
+    path: str = "/",
+    query: str = "",
+    method: str = "GET",
+) -> list[dict[str, Any]]:
+    sent: list[dict[str, Any]] = []
+
+    async def receive() -> dict[str, Any]:
+        return {"type": "websocket.connect" if kind == "websocket" else "http.request"}
+
+    async def send(message: Any) -> None:
+        sent.append(message)
+
+    scope = {
+        "type": kind,
+        "method": method,
+        "path": path,
+        "query_string": query.encode(),
+        "headers": [(name.encode(), value.encode()) for name, value in headers.items()],
+    }
+    asyncio.run(guard(scope, receive, send))
+    return sent
+
+
+def status(sent: list[dict[str, Any]]) -> int:
+    return sent[0]["status"]
+
+
+def header(sent: list[dict[str, Any]], name: str) -> str | None:
+    return next((value.decode() for key, value in sent[0]["headers"] if key.decode() == name), None)
+
+
+def test_its_own_pages_may_ask_and_may_load_nothing_else() -> None:
+    sent = ask(RequestGuard(_inner, hosts=[HOST]), {"host": HOST, "origin": f"http://{HOST}"})
+    assert status(sent) == 200
+    policy = header(sent, "content-security-policy") or ""
+    assert "default-src 'self'" in policy and "http:" not in policy and "*" not in policy
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:9", "null", f"http://{HOST}.evil.example"])
+def test_pages_of_others_may_not_ask(origin: str) -> None:
+    guard = RequestGuard(_inner, hosts=[HOST])
+    assert status(ask(guard, {"host": HOST, "origin": origin})) == 403
+    (closed,) = ask(guard, {"host": HOST, "origin": origin}, kind="websocket")
+    assert closed["type"] == "websocket.close"
+
+
+def test_orders_come_from_its_own_pages_only() -> None:
+    guard = RequestGuard(_inner, hosts=[HOST])
+    assert status(ask(guard, {"host": HOST, "origin": f"http://{HOST}"}, method="POST")) == 200
+    assert status(ask(guard, {"host": HOST}, method="POST")) == 403
+    assert status(ask(guard, {"host": HOST, "origin": "http://evil.example"}, method="POST")) == 403
+
+
+def test_a_name_that_was_bent_to_this_machine_is_refused() -> None:
+    guard = RequestGuard(_inner, hosts=[HOST])
+    assert status(ask(guard, {"host": "evil.example:8765", "origin": "http://evil.example:8765"})) == 421
+
+
+def test_a_websocket_needs_an_origin() -> None:
+    guard = RequestGuard(_inner, hosts=[HOST])
+    assert ask(guard, {"host": HOST}, kind="websocket")[0]["type"] == "websocket.close"
+    assert ask(guard, {"host": HOST, "origin": f"http://{HOST}"}, kind="websocket")[0]["type"] == "websocket.accept"
+
+
+def test_a_token_is_shown_once_and_then_kept_in_a_cookie() -> None:
+    guard = RequestGuard(_inner, hosts=[HOST], token=TOKEN)
+    assert status(ask(guard, {"host": HOST})) == 401
+    assert status(ask(guard, {"host": HOST}, query="token=wrong")) == 401
+    sent = ask(guard, {"host": HOST}, path="//evil.example/x", query="token=correct%20horse%20battery&round=3")
+    assert status(sent) == 303
+    assert header(sent, "location") == "/evil.example/x?round=3"
+    cookie = header(sent, "set-cookie") or ""
+    assert "HttpOnly" in cookie and "samesite=strict" in cookie.lower()
+    kept = cookie.split(";")[0]
+    assert status(ask(guard, {"host": HOST, "cookie": kept})) == 200
+    assert status(ask(guard, {"host": HOST, "cookie": "flock_token=other"})) == 401
+    assert status(ask(guard, {"host": HOST, "cookie": "a\x01=;;"})) == 401
+    assert status(ask(guard, {"host": HOST}, query="token=correct%20horse%20battery", method="POST")) == 401
+    closed = ask(guard, {"host": HOST, "origin": f"http://{HOST}"}, kind="websocket", query="token=" + TOKEN)
+    assert closed[0]["type"] == "websocket.close"
+
+
+def test_other_addresses_need_a_token() -> None:
+    from llm_flock_view._viewer import server
+
+    assert is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("localhost")
+    assert not is_loopback("0.0.0.0") and not is_loopback("192.168.1.2") and not is_loopback("robot.local")
+    with pytest.raises(InputError, match="16 characters"):
+        server.listen("127.0.0.1", 0, "short")
+
+
+def test_any_token_is_kept_in_a_cookie() -> None:
+    token = 'a b;c="ü€"&%20+,d'
+    guard = RequestGuard(_inner, hosts=(HOST,), token=token)
+    sent = ask(guard, {"host": HOST}, query=f"token={quote(token, safe='')}")
+    assert status(sent) == 303
+    kept = (header(sent, "set-cookie") or "").split(";")[0]
+    assert status(ask(guard, {"host": HOST, "cookie": kept})) == 200

@@ -1,0 +1,337 @@
+"""One robot's decision process: a state machine that takes events and returns effects.
+
+It knows only itself and what events report; there is no clock, network or model in it. Every runtime drives this same
+machine, whether it runs all robots in one process or one robot per process. `llm_flock.events` has the table
+of legal events.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import assert_never
+
+from llm_flock.arrays import Point, moved
+from llm_flock.events import (
+    TRANSITIONS,
+    AgreementEnded,
+    Arrived,
+    AskPlan,
+    AskStep,
+    Broadcast,
+    CommRoundBegan,
+    CommRoundEnded,
+    Decided,
+    Effect,
+    Event,
+    HeartbeatDue,
+    MissionGiven,
+    Note,
+    Phase,
+    Planned,
+    Received,
+    RoundBegan,
+    Sensed,
+    Stopped,
+)
+from llm_flock.message import MissionStamp, Provenance
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.agreement import Agreement
+from llm_flock.protocol._agreement.assignment import Claim
+from llm_flock.protocol._agreement.messaging import Messaging
+from llm_flock.protocol._breaker import CircuitBreaker, Fallback, QuestionKind
+from llm_flock.protocol._motion.pilot import Observation, Pilot
+from llm_flock.protocol._parts import Parts
+from llm_flock.protocol._planning import NoAnswer, StepAnswer
+from llm_flock.protocol._proposals import Proposals
+
+
+class IllegalEvent(AssertionError):
+    """The runtime sent an event that is not legal in the present phase."""
+
+
+class Agent:
+    """One robot's state machine. Create one per robot, then call `handle` with each event.
+
+    Args:
+        robot: own id, 0 .. N-1.
+        mission: the first mission; no message changes its limits.
+        parts: rules, channel, membership, safety and verifier; null parts where they are left out.
+        noise_bound: largest error of a believed position [units].
+        on_event: let the planner answer with a path, and ask again only after an unforeseen event.
+        fallback: what to do without a usable answer; see `llm_flock.protocol._breaker`.
+        own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
+    """
+
+    def __init__(
+        self,
+        robot: int,
+        mission: Mission,
+        *,
+        parts: Parts,
+        noise_bound: float = 0.0,
+        on_event: bool = False,
+        fallback: Fallback = "hold",
+        own_clock: bool = False,
+    ) -> None:
+        self.robot = robot
+        self.phase = Phase.IDLE
+        self._own_clock, self._period = own_clock, 0
+        self._membership = parts.membership
+        self._agreement = Agreement(robot, mission, parts)
+        self._messaging = Messaging(robot, self._agreement, parts)
+        self._pilot = Pilot(robot, mission, parts, noise_bound=noise_bound, on_event=on_event, fallback=fallback)
+        self._proposals = Proposals(robot, self._agreement, parts, fallback)
+        self._breakers: dict[QuestionKind, CircuitBreaker] = {
+            "plan": self._proposals.breaker,
+            "step": self._pilot.breaker,
+        }
+        self._fallback: Fallback = fallback
+        self._scene: Observation | None = None
+        self._seen: tuple[int, RoundBegan | Sensed] | None = None
+        self._asked_about: object = None
+
+    @property
+    def position(self) -> Point:
+        """Own believed position [units; world frame]; empty before the first round."""
+        return () if self._scene is None else self._scene.position
+
+    @property
+    def on_path(self) -> bool:
+        """Whether this round's step follows the committed path, so the planner was not asked."""
+        return self._pilot.on_path
+
+    @property
+    def mission(self) -> Mission:
+        """The mission in force, as far as this robot knows."""
+        return self._agreement.mission
+
+    @property
+    def ordered_at(self) -> int:
+        """Operator's time of the order for the mission in force, 0 for the first, as far as this robot knows."""
+        return self._agreement.stamp.counter
+
+    @property
+    def authorization(self) -> bytes:
+        """The operator's signature on that order; empty for the first mission, and in teams without keys."""
+        return self._messaging.order
+
+    @property
+    def open_breakers(self) -> tuple[QuestionKind, ...]:
+        """Kinds of questions that its model is not asked, because it gave no usable answers."""
+        return tuple(kind for kind, breaker in self._breakers.items() if breaker.is_open)
+
+    @property
+    def hopeless(self) -> NoAnswer | None:
+        """Why its model's last plan was refused, for a robot without a plan whose model is not asked for one."""
+        return self._proposals.hopeless
+
+    @property
+    def plan(self) -> Plan | None:
+        """The plan it follows [units; frame of the mission, whose centre is at `center`]."""
+        return self._agreement.plan
+
+    @property
+    def provenance(self) -> Provenance | None:
+        """Origin of that plan."""
+        return self._agreement.provenance
+
+    @property
+    def claim(self) -> Claim:
+        """The slot it claims in the plan, with bids and offer."""
+        return self._agreement.claim
+
+    @property
+    def degree(self) -> int:
+        """Number of robots within its radio range, |N_i|."""
+        return self._agreement.degree
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Messages and claims refused on receipt, by reason."""
+        return self._messaging.rejected
+
+    @property
+    def influence(self) -> float:
+        """I_i = |N_i| / N (paper, eq. 1)."""
+        return self.degree / self.mission.n_robots
+
+    @property
+    def goal(self) -> Point | None:
+        """Position of the claimed slot at the end of this round [units; world frame]."""
+        if self.plan is None or self.claim.slot is None:
+            return None
+        ahead = () if self._scene is None else self._scene.ahead
+        return moved(self.plan.points[self.claim.slot], ahead)
+
+    def handle(self, event: Event) -> list[Effect]:
+        """Take one event; returns the effects to carry out, in order.
+
+        Raises:
+            IllegalEvent: the event is not in TRANSITIONS for the present phase.
+        """
+        allowed = TRANSITIONS.get((self.phase, type(event)))
+        if allowed is None:
+            raise IllegalEvent(f"{type(event).__name__} in phase {self.phase}")
+        phase = self.phase
+        effects: list[Effect] = []
+        match event:
+            case Received():
+                effects = self._receive(event)
+            case CommRoundBegan():
+                effects = [Broadcast(self._messaging.broadcast(self._pilot.course))]
+            case CommRoundEnded():
+                phase, effects = self._settle()
+            case Sensed():
+                self._look_about(event)
+            case HeartbeatDue():
+                self._begin_period(event.period)
+            case MissionGiven():
+                effects = self._give_mission(event)
+            case RoundBegan():
+                phase, effects = self._begin(event)
+            case Planned():
+                phase, effects = Phase.AGREEING, list[Effect](self._proposals.take(event.answer))
+            case AgreementEnded():
+                phase, effects = self._decide()
+            case Decided():
+                phase, effects = self._take_step(event.answer)
+            case Arrived():
+                phase = Phase.IDLE
+            case Stopped():
+                phase = Phase.STOPPED
+            case _:
+                assert_never(event)
+        assert phase in allowed, f"{type(event).__name__} led from {self.phase} to {phase}"
+        self.phase = phase
+        return effects
+
+    def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
+        listening = event.degree > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
+        self._look(event.round, event)
+        if not self._own_clock:
+            self._begin_period(event.round)
+        # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
+        effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
+        return (Phase.PLANNING if effects and isinstance(effects[-1], AskPlan) else Phase.AGREEING), effects
+
+    @property
+    def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
+        """What a question is about: its answer is useful as long as this stays the same."""
+        return self._agreement.stamp, self.plan, self.claim.slot
+
+    def _begin_period(self, number: int) -> None:
+        """Count a heartbeat, find silent robots, and greet neighbours."""
+        assert self._seen is not None, "a robot looks before it greets"
+        self._period = number
+        agreement, event = self._agreement, self._seen[1]
+        reach = self.mission.comm_range
+        near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
+        agreement.begin_round(event.degree)
+        self._membership.begin_round(
+            number,
+            near,
+            mission=agreement.mission,
+            plan=agreement.plan,
+            claim=agreement.claim,
+            cannot_fly=self._pilot.breaker.is_open,
+        )
+        self._messaging.begin_round()
+
+    def _look_about(self, event: Sensed) -> None:
+        """Take sensor values between rounds; a pending step will be flown from these."""
+        self._look(1 if self._scene is None else self._scene.round, event)
+        if self.phase is Phase.DECIDING and self._scene is not None:
+            self._pilot.look(self._scene)
+
+    def _settle(self) -> tuple[Phase, list[Effect]]:
+        """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
+        heard = self._messaging.drain()
+        notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.void)]
+        if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
+            return self.phase, notes
+        phase, effects = self._decide()
+        return phase, [*notes, Note("stale_question", {"about": "step"}), *effects]
+
+    def _take_step(self, answer: StepAnswer | NoAnswer) -> tuple[Phase, list[Effect]]:
+        """Fly the answer, unless mission, plan or slot have changed since the question."""
+        if self._topic == self._asked_about:
+            return Phase.MOVING, self._pilot.take(answer)
+        phase, effects = self._decide()
+        return phase, [Note("stale_answer", {"about": "step"}), *effects]
+
+    def _look(self, number: int, event: RoundBegan | Sensed) -> None:
+        """Take sensor values, in the frame of the mission in force."""
+        mission = self.mission
+        moving = mission.velocity is not None
+        self._scene = scene = Observation(
+            round=number,
+            position=event.position,
+            sensed=event.sensed,
+            observed=event.observed,
+            drift=mission.drift(number - 1) if moving else (),
+            ahead=mission.drift(number) if moving else (),
+            courses=self._messaging.courses,
+            still=self._agreement.bodies,
+            period=self._period if self._own_clock else None,
+        )
+        self._seen = number, event
+        sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
+        self._agreement.sense(scene.here, sensed)
+
+    def _give_mission(self, event: MissionGiven) -> list[Effect]:
+        before = self.mission
+        note = self._messaging.give_mission(event)
+        if self.mission is not before:
+            self._begin_mission()
+        return [note]
+
+    def _receive(self, event: Received) -> list[Effect]:
+        before = self.mission
+        notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
+        if self.mission is not before:
+            self._begin_mission()
+        if self.mission is not before and self._seen is not None:
+            self._look(*self._seen)
+        return notes
+
+    def _begin_mission(self) -> None:
+        self._pilot.begin_mission()
+        for breaker in self._breakers.values():
+            breaker.begin_mission()
+
+    def _decide(self) -> tuple[Phase, list[Effect]]:
+        scene, plan, slot = self._scene, self.plan, self.claim.slot
+        assert scene is not None, "a round has begun"
+        effects, target, idle = list[Effect](), None, None
+        if plan is None and self._fallback != "hold" and self._proposals.breaker.refusals:
+            # It goes where others will look for it, and takes the first acceptable plan that it hears.
+            target = self._membership.seek(self.mission, scene.here)
+            if target is not None:
+                return Phase.MOVING, self._pilot.seek(scene, self.mission, target)
+            idle = "no plan yet: waiting to be found"
+        elif plan is None:
+            idle = "no plan yet"
+        elif slot is None and self._membership.lost and (away := self._membership.seek(self.mission, scene.here)):
+            # What it knows of the places is old: it goes where the others will be.
+            return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
+        elif slot is None:
+            # A spare robot waits near the formation, and travels along with it.
+            others = [scene.seen(x) for x in scene.sensed.values()]
+            target = self._membership.wait(self.mission, plan, self.claim, scene.here, others)
+            idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
+        else:
+            bodies = [scene.seen(x) for x in scene.sensed.values()]
+            agreement = self._agreement
+            target, agreement.claim, notes = self._membership.route(
+                self.mission, plan, agreement.claim, scene.here, bodies
+            )
+            effects.extend(notes)
+        if plan is None or idle is not None:
+            self._pilot.forget()
+            return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
+        told = self.mission.at(scene.round).resized(len(plan))
+        self._asked_about = self._topic
+        effects.extend(self._pilot.decide(scene, told, plan, slot, target))
+        return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects

@@ -1,0 +1,89 @@
+"""The commands by name. Each is built when it is called: its flags may come from classes that take long to import."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+from llm_flock import plugins
+from llm_flock.cli._extensions import with_extensions
+from llm_flock.cli._options import add_config_flags
+from llm_flock.errors import FieldError
+from llm_flock.extras import EXTRAS
+from llm_flock.flags import PlainHelp
+
+_CORE = {
+    "run": "llm_flock.cli._run",
+    "inspect": "llm_flock.cli._inspect",
+    "export": "llm_flock.cli._export",
+    "doctor": "llm_flock.cli._doctor",
+    "shapes": "llm_flock.cli._lists",
+    "models": "llm_flock.cli._lists",
+}
+"""Commands of the core by name, each with the module of its function; plug-ins add theirs."""
+
+
+def _names() -> list[str]:
+    """All commands, in the order of the help."""
+    return [*_CORE, *(name for name in plugins.entries("commands") if name not in _CORE)]
+
+
+def _find(name: str) -> Callable[..., None] | typer.Typer:
+    return getattr(import_module(_CORE[name]), name) if name in _CORE else plugins.load("commands", name)
+
+
+class _Built(Mapping[str, Any]):
+    """The commands with all their flags, each built when it is looked up."""
+
+    def __getitem__(self, name: str) -> Any:
+        found = _find(name)
+        if isinstance(found, typer.Typer):
+            group = found
+        else:
+            group = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+            group.command(name, cls=PlainHelp)(add_config_flags(with_extensions(found)))
+        built = typer.main.get_command(group)
+        built.name = name
+        return built
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_names())
+
+    def __len__(self) -> int:
+        return len(_names())
+
+
+class Commands(TyperGroup):
+    """Lists commands by their first line of help alone, and builds the one that is called."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands: Any = _Built()
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names, in the order of the help."""
+        return _names()
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """What a list of commands shows of one; None if there is none of this name."""
+        if cmd_name not in _names():
+            return None
+        found = _find(cmd_name)
+        text = str(found.info.help) if isinstance(found, typer.Typer) else found.__doc__
+        return TyperCommand(cmd_name, help=text)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command that is called, with all its flags, and the arguments that are left for it.
+
+        Raises:
+            FieldError: the command belongs to an extra that is not installed.
+        """
+        absent = next((extra for extra in EXTRAS.values() if args[0] in extra.commands), None)
+        if absent is not None and args[0] not in _names():
+            raise FieldError("extra", absent.name, says=f"{args[0]} needs the extra {absent.name}: {absent.install}")
+        name, listed, rest = super().resolve_command(ctx, args)
+        return name, self.commands[name] if listed is not None and name is not None else None, rest

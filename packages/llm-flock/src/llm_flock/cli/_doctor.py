@@ -1,0 +1,81 @@
+"""`llm-flock doctor`: what is installed and which keys are set; plug-ins say what can be reached from here."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict
+from importlib import metadata
+from itertools import groupby
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from llm_flock.cli._extensions import Extension, Finding, extended
+from llm_flock.cli._terminal import Screen, say
+from llm_flock.extras import EXTRAS
+
+
+@extended("doctor")
+def doctor(
+    json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table")] = False,
+    *,
+    extensions: list[Extension],
+) -> None:
+    """Show what is installed, which extras and keys are there, and whether drones, a router and a browser are in reach.
+
+    No language model is asked, and no key is shown. What is missing is no error: a simulated run needs none of it.
+    """
+    found = [*base(), *extras(), *provider_keys()]
+    for extension in extensions:
+        found += extension()
+    if json_output:
+        say(json.dumps([asdict(finding) for finding in found]))
+        return
+    for part, rows in groupby(found, key=lambda finding: finding.part):
+        table = Table("name", "there", "what", title=part, title_justify="left")
+        for row in rows:
+            table.add_row(escape(row.name), "[green]yes[/]" if row.ok else "[dim]no[/]", escape(row.detail))
+        Screen().show(table, copied=("name",))
+    if any(extra.missing for extra in EXTRAS.values()):
+        say("to add extras: pip install 'llm-flock[NAME,...]'")
+
+
+def version() -> str:
+    """This package's version; `not installed` where it runs from its sources alone."""
+    try:
+        return metadata.version("llm-flock")
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def base() -> list[Finding]:
+    """This package, the interpreter and the system."""
+    return [
+        Finding("base", "llm-flock", True, version()),
+        Finding("base", "Python", sys.version_info >= (3, 11), f"{platform.python_version()}, {sys.prefix}"),
+        Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
+    ]
+
+
+def extras() -> list[Finding]:
+    """Each extra: whether its libraries are installed, and what needs them. Imports none of them."""
+    return [Finding("extra", extra.name, not extra.missing, extra.purpose) for extra in EXTRAS.values()]
+
+
+def provider_keys() -> list[Finding]:
+    """Each environment variable that may hold a provider's key, and whether it does; never its value."""
+    from llm_flock.llm._providers import PROVIDERS
+
+    names = dict.fromkeys(info.key_env for info in PROVIDERS.values())
+    users = {name: [info.name for info in PROVIDERS.values() if info.key_env == name] for name in names}
+    return [Finding("key", name, is_set(name), ", ".join(users[name])) for name in names]
+
+
+def is_set(variable: str) -> bool:
+    """Whether an environment variable holds more than spaces."""
+    return bool(os.environ.get(variable, "").strip())

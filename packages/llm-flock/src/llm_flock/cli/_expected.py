@@ -1,0 +1,65 @@
+"""Shows what a run will probably use, before anything is asked of a model."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from rich.markup import escape
+from rich.table import Table
+
+from llm_flock.cli._display import live_line
+from llm_flock.cli._terminal import Screen, say
+from llm_flock.llm._models import parse_models
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._forecast import OUTPUT_TOKENS, PROFILE, expect_run, stand_in
+
+
+def show_expected_run(config: RunConfig, *, as_json: bool, quiet: bool) -> None:
+    """Rehearse a run with stand-ins, and print the calls, tokens and money to expect. Nothing is written.
+
+    Raises:
+        InputError: a model cannot work, as far as that is known without a key.
+    """
+    bar, on_round = live_line("rehearsal", enabled=not quiet and not as_json)
+    with bar:
+        found = expect_run(config, on_round)
+    rehearsed = stand_in(config).model.model != config.model.model
+    models = list(dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)))
+    if as_json:
+        say(json.dumps({"models": models, "expected": asdict(found), "rehearsed": rehearsed}, allow_nan=False))
+        return
+    table = Table(title=escape(", ".join(models)), title_justify="left", show_header=False)
+    for name, value in (
+        ("calls", f"{short(found.calls)} (at most {short(found.at_most)})"),
+        ("tokens", f"{short(found.tokens_input)} in, {short(found.tokens_output)} out"),
+        ("cost", cost_text(found.cost_usd, " USD")),
+    ):
+        table.add_row(name, value)
+    console = Screen()
+    console.show(table)
+    if rehearsed:
+        console.print(
+            f"Assumed: {OUTPUT_TOKENS} tokens an answer, thoughts included, and answers as useful as those of "
+            f"simulated:{PROFILE}, which flew this run as a rehearsal. Prices are list prices. Nothing was asked of "
+            "any model.",
+            highlight=False,
+        )
+    limits = config.limits
+    console.print(budget_text(limits.max_calls, limits.max_tokens, limits.max_cost), highlight=False)
+
+
+def cost_text(cost_usd: float | None, unit: str = "") -> str:
+    """A cost to expect, or that it is not known."""
+    return "not known" if cost_usd is None else f"{cost_usd:,.2f}{unit}"
+
+
+def budget_text(calls: int | None, tokens: int | None, cost_usd: float | None) -> str:
+    """The limits that are set, in a sentence."""
+    limits = {"calls": calls, "tokens": tokens, "US dollars": cost_usd}
+    return f"Budget: {', '.join(f'{value:,} {unit}' for unit, value in limits.items() if value is not None) or 'none'}."
+
+
+def short(number: float) -> str:
+    """A count that fits into a column: 12,345 or 1.23 M."""
+    return f"{round(number):,}" if number < 1e6 else f"{number / 1e6:,.2f} M"

@@ -1,0 +1,90 @@
+"""`llm-flock run`: flies one mission in this process."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any
+
+import typer
+
+from llm_flock.cli._display import live_line, no_success, summary_table
+from llm_flock.cli._extensions import Extension, extended
+from llm_flock.cli._options import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    ConfigPath,
+    JsonOutput,
+    Quiet,
+    Record,
+    with_config_flags,
+    with_output_folder,
+)
+from llm_flock.cli._sinks import PACE, Pacer, chosen, refuse, showing
+from llm_flock.cli._terminal import Screen, say
+from llm_flock.errors import InputError
+
+SHOWN = (
+    *("shape", "n_robots", "obstacles", "protocol", "model", "base_url", "loss"),
+    *("rounds", "seed", "kill", "out"),
+)
+"""Fields that `run --help` lists."""
+
+
+@with_config_flags(shown=SHOWN)
+@extended("sinks")
+def run(
+    config: ConfigPath = None,
+    json_output: JsonOutput = False,
+    record: Record = True,
+    quiet: Quiet = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the calls, tokens and cost to expect, and ask no model")
+    ] = False,
+    pace: Annotated[
+        float | None,
+        typer.Option(
+            help=f"Rounds a second at most, 0.01 to 1000 [{PACE:g} while it is shown live, else no limit]",
+            show_default=False,
+        ),
+    ] = None,
+    *,
+    extensions: list[Extension],
+    **flags: Any,
+) -> None:
+    """Fly one mission and record it. Every field of the configuration is a flag.
+
+    Without --out, the record goes to a new folder under runs/.
+    """
+    from llm_flock.runtime._config import RunConfig
+
+    sinks = chosen(extensions)
+    if pace is not None and not 0.01 <= pace <= 1000:
+        raise InputError("pace", pace, "a number from 0.01 to 1000")
+    settings = with_output_folder(RunConfig.load(config, **flags), record=record, typed=flags.get("out"))
+    if dry_run:
+        refuse(sinks, "a dry run")
+        if pace is not None:
+            raise InputError("pace", pace, says="has no effect in a dry run")
+        from llm_flock.cli._expected import show_expected_run
+
+        show_expected_run(settings, as_json=json_output, quiet=quiet)
+        return
+    from llm_flock.runtime._api import run as run_trial
+
+    bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
+    try:
+        with showing(sinks, settings) as sink, bar:
+            pace = PACE if sinks and pace is None else pace
+            steer = None if pace is None else Pacer(pace)
+            result = run_trial(config=settings, on_round=on_round, sink=sink, steer=steer, trace=False)
+    except KeyboardInterrupt:
+        where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""
+        say(f"interrupted{where}", error=True)
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    if json_output:
+        say(json.dumps(result.summary.to_dict(), allow_nan=False))
+    else:
+        Screen().show(summary_table(result.summary, settings.mission.safe_distance))
+    if result.summary.stopped in ("no_answers", "no_plan"):
+        say(f"error: {no_success(result.summary, settings.protocol.fallback)}", error=True)
+        raise typer.Exit(EXIT_FAILED)

@@ -1,0 +1,5 @@
+"""Prompts, answers and language models: everything that turns a question of the core into text and back."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,109 @@
+"""The form of an answer for models that can be held to it: a JSON schema, or a grammar in llama.cpp's GBNF.
+
+Both say how an answer is written, never what is right: every answer is read and verified. They are made from the number
+of places, of coordinates and of positions that a question asks for.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import lru_cache
+from typing import Any
+
+from llm_flock.llm._port import AnswerForm, Kind
+
+WHOLE_DIGITS = 6
+"""Most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`."""
+
+DECIMALS = 4
+"""Most digits after it: a confused model must not write a number without end."""
+
+LETTER_TOKENS = 4
+"""Longest answer of one letter [tokens]: room to see that a model would not stop after it."""
+
+REASONING = "reasoning"
+"""First field of a JSON answer: a model that must write the object at once still needs room to think."""
+
+REASON_LINES = 3
+REASON_CHARS = 200
+"""Longest reason: lines, and characters of each; in JSON one line."""
+
+CHARS_PER_TOKEN = 3
+"""In prose; each digit and bracket is one token."""
+
+_PROSE = re.compile(r"[A-Za-z\s]")
+
+
+def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
+    """JSON schema of an answer in this form, for providers that accept one."""
+    point = {"type": "array", "items": {"type": "number"}, "minItems": form.dim, "maxItems": form.dim}
+    # Strict providers write the fields in this order, and want each one to be required.
+    properties: dict[str, Any] = {}
+    if form.reasons:
+        properties[REASONING] = {"type": "string", "description": "Your reason, in a sentence or two"}
+    if kind == "plan":
+        properties["plan"] = {"type": "array", "items": point, "minItems": form.n, "maxItems": form.n}
+        properties["my_plan"] = {"type": "integer", "minimum": 0, "maximum": form.n - 1}
+    elif form.horizon == 1:
+        properties["position"] = point
+    else:
+        properties["path"] = {"type": "array", "items": point, "minItems": 1, "maxItems": form.horizon}
+    return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
+
+
+@lru_cache(maxsize=256)
+def answer_grammar(kind: Kind, form: AnswerForm) -> str:
+    """The grammar of an answer in this form; it begins at `root`."""
+    if form.letters:
+        return "root ::= " + " | ".join(f'"{letter}"' for letter in form.letters) + "\n"
+    number = f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?'
+    rules = {
+        "answer": _json_answer(kind, form) if form.json else _text_answer(kind, form),
+        "point": f'"[" number (", " number){{{form.dim - 1}}} "]"',
+        "number": number,
+    }
+    if kind == "plan":
+        rules["index"] = " | ".join(f'"{place}"' for place in range(form.n))
+    if form.reasons and form.json:
+        rules["reason"] = f'"\\"{REASONING}\\": \\"" [^"\\\\\\x00-\\x1F]{{0,{REASON_CHARS}}} "\\", "'
+        root = "answer"
+    elif form.reasons:
+        rules["reason"] = f'[^\\n]{{1,{REASON_CHARS}}} "\\n"'
+        root = f"reason{{0,{REASON_LINES}}} answer"
+    else:
+        root = "answer"
+    return "\n".join(f"{name} ::= {rule}" for name, rule in {"root": root, **rules}.items()) + "\n"
+
+
+def longest_answer(kind: Kind, form: AnswerForm) -> int:
+    """Upper bound of the length of an answer in this form [tokens]."""
+    if form.letters:
+        return LETTER_TOKENS
+    points = form.n if kind == "plan" else form.horizon
+    number = 1 + WHOLE_DIGITS + 1 + DECIMALS + len(", ")
+    reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons else 0
+    return points * (form.dim * number + len("[], ")) + reason + 40
+
+
+def tokens_of(text: str) -> int:
+    """Length of a text, estimated from above [tokens]."""
+    prose = len(_PROSE.findall(text))
+    return len(text) - prose + prose // CHARS_PER_TOKEN
+
+
+def _text_answer(kind: Kind, form: AnswerForm) -> str:
+    """The paper's lines (118, 391 and 110), and our own for a path."""
+    if kind == "plan":
+        return f'"Plan: [" point (", " point){{{form.n - 1}}} "]\\nmy plan: " index'
+    if form.horizon == 1:
+        return '"Position: " point'
+    return f'"Path: [" point (", " point){{0,{form.horizon - 1}}} "]"'
+
+
+def _json_answer(kind: Kind, form: AnswerForm) -> str:
+    begin = '"{" reason ' if form.reasons else '"{" '
+    if kind == "plan":
+        return begin + f'"\\"plan\\": [" point (", " point){{{form.n - 1}}} "], \\"my_plan\\": " index "}}"'
+    if form.horizon == 1:
+        return begin + '"\\"position\\": " point "}"'
+    return begin + f'"\\"path\\": [" point (", " point){{0,{form.horizon - 1}}} "]}}"'

@@ -1,0 +1,242 @@
+"""One call through pydantic-ai: our messages in, our reply or our ModelError out.
+
+pydantic-ai's `direct.model_request` translates between providers. Its retries are not used: `limits` retries transport
+faults, and the planner asks again after answers that it cannot use.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+import time
+from collections.abc import Mapping
+from itertools import groupby
+from typing import Any, cast
+
+import httpx2
+from pydantic_ai import exceptions as pai
+from pydantic_ai.direct import model_request
+from pydantic_ai.messages import (
+    ModelMessage,
+    ModelRequest,
+    ModelResponse,
+    SystemPromptPart,
+    TextPart,
+    ThinkingPart,
+    UserPromptPart,
+)
+from pydantic_ai.models import Model, ModelRequestParameters
+from pydantic_ai.output import OutputObjectDefinition
+from pydantic_ai.settings import ModelSettings
+
+from llm_flock.errors import ModelError
+from llm_flock.llm._models import cost_usd
+from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
+from llm_flock.llm._thoughts import spoken
+
+logger = logging.getLogger(__name__)
+
+MODEL_NAME_LENGTH = 100
+"""Longest name of a model in a reply [characters]."""
+
+DETAIL_LENGTH = 400
+"""Longest error text of a provider [characters]."""
+
+CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_length", "context_length_exceeded"})
+"""Words of some servers for `length`, which pydantic-ai passes on as they are."""
+
+BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
+"""Words for an answer that the server did not bring to an end."""
+
+_FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
+
+_KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
+"""The form of providers' keys, also where a provider returns one half hidden by asterisks."""
+
+
+def scrub(text: str, secrets: tuple[str, ...]) -> str:
+    """The text without any of the secrets and without anything that looks like a key."""
+    for secret in secrets:
+        if secret and secret in text:
+            text = text.replace(secret, "[key]")
+    return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
+
+
+class PydanticModel:
+    """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
+
+    Args:
+        model: the pydantic-ai model.
+        name: `provider:model` as configured.
+        settings: how to sample.
+        secrets: keys to remove from every text that leaves this object.
+        priced: whether the provider's price list applies.
+    """
+
+    def __init__(
+        self,
+        model: Model[Any],
+        *,
+        name: str,
+        settings: CallSettings | None = None,
+        secrets: tuple[str, ...] = (),
+        priced: bool = False,
+    ) -> None:
+        self._model = model
+        self.name = name
+        self._provider = name.partition(":")[0]
+        self._secrets = secrets
+        self._price_list = self._provider if priced else None
+        settings = settings or CallSettings()
+        self._asked = settings.plain()
+        self._settings = _model_settings(settings, self._provider)
+        self._words = ModelRequestParameters()
+
+    async def ask(self, call: Call) -> Reply:
+        """Answer one call: one try, without retries. Every failure is a ModelError, whose text holds no key."""
+        started = time.perf_counter()
+        try:
+            response = await model_request(
+                self._model,
+                to_model_messages(call.messages),
+                model_settings=self._settings,
+                model_request_parameters=self._parameters(call.schema),
+            )
+        except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
+            retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
+            raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
+        except Exception as error:  # noqa: BLE001 - nobody knows all that SDKs raise; it is logged, recorded and counted
+            # A malformed body that the SDK's parser trips over must not end the run of all robots.
+            # `from None`, here and above: the original exception may quote the request's headers.
+            detail = f"{type(error).__name__} while reading the response: {error}"
+            logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
+            raise ModelError("garbage", self._clean(detail)) from None
+        reason = finish_reason(response)
+        if reason == "content_filter":
+            refusal = (response.provider_details or {}).get("refusal") or "it does not say why"
+            raise ModelError("refused", self._clean(f"the provider's content filter stopped the answer: {refusal}"))
+        if reason in BROKEN_OFF:
+            raise ModelError("server", f"the provider broke the answer off ({reason})")
+        return self._reply(response, reason, time.perf_counter() - started)
+
+    def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
+        if schema is None:
+            return self._words
+        answer = OutputObjectDefinition(json_schema=dict(schema), name="answer")
+        # DeepSeek and older Claude models accept no JSON schema: they are asked for JSON, and get the schema as text.
+        native = self._model.profile.get("supports_json_schema_output", False)
+        return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
+
+    def _reply(self, response: ModelResponse, reason: str | None, latency_s: float) -> Reply:
+        used = response.usage
+        usage = Usage.reported(used.input_tokens, used.output_tokens, used.cache_read_tokens)
+        said = spoken(response.text or "")
+        # A thought that does not end stays, with its mark: the record shows what was refused.
+        raw = said.text.lstrip() if said.thought and not said.unfinished else response.text or ""
+        text = _encodable(scrub(raw, self._secrets))
+        # A server may return anything as its model's name, even the key.
+        answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH])
+        answered_by = answered_by or self.name.partition(":")[2]
+        return Reply(
+            text=text,
+            model=f"{self._provider}:{answered_by}",
+            settings=self._asked,
+            usage=usage,
+            cost_usd=cost_usd(self._price_list, answered_by, usage),
+            latency_s=latency_s,
+            finish_reason=reason,
+            thought=said.thought or _thought(response),
+        )
+
+    def _clean(self, text: str) -> str:
+        # Scrub before cutting: a key cut in half would not be recognised.
+        text = _encodable(" ".join(scrub(text, self._secrets).split()))
+        return text if len(text) <= DETAIL_LENGTH else text[: DETAIL_LENGTH - 3] + "..."
+
+
+def _encodable(text: str) -> str:
+    """The text without lone surrogates, which neither UTF-8 nor the records can hold."""
+    return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
+
+
+def finish_reason(response: ModelResponse) -> str | None:
+    """Why a model stopped: `stop`, `length`, `content_filter`, a word in BROKEN_OFF, or another one of the server."""
+    if response.finish_reason is not None:
+        return response.finish_reason
+    word = str((response.provider_details or {}).get("finish_reason", "")).lower()
+    if word in CUT_OFF:
+        return "length"
+    # Long answers of Anthropic are streamed, and every whole one gives a reason: without it, the stream broke off.
+    if not word and (response.state in ("incomplete", "interrupted") or response.provider_name == "anthropic"):
+        return "aborted"
+    return word if _FINISH_REASON.fullmatch(word) else None
+
+
+def _thought(response: ModelResponse) -> bool:
+    """Whether a model thought apart from its text; some providers only count the tokens."""
+    counted = response.usage.details.get("reasoning_tokens", 0)
+    return counted > 0 or any(isinstance(part, ThinkingPart) for part in response.parts)
+
+
+def error_kind(error: Exception) -> str:
+    """The ModelError kind of an exception from pydantic-ai or from the HTTP client below it."""
+    match error:
+        case pai.ModelTimeoutError() | pai.ModelRequestTimeout() | httpx2.TimeoutException() | TimeoutError():
+            return "timeout"
+        case pai.ModelRateLimitError():
+            return "rate_limit"
+        case pai.ModelUnavailableError() | pai.ModelServerError():
+            return "server"
+        case httpx2.DecodingError():
+            return "garbage"
+        case pai.ModelConnectionError() if isinstance(_origin(error), httpx2.DecodingError):
+            return "garbage"
+        case pai.ModelConnectionError() | httpx2.HTTPError() | OSError():
+            return "connection"
+        case pai.ModelQuotaExceededError() | pai.ModelRequestRejectedError() | pai.ContentFilterError():
+            return "refused"
+        case pai.ModelHTTPError(status_code=status):
+            return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
+        case pai.UserError():
+            return "refused"  # a feature that the model lacks: a retry changes nothing
+        case _:
+            return "garbage"
+
+
+def _story(error: Exception) -> str:
+    """One line about an exception, with the transport's cause where pydantic-ai says only "Connection error."."""
+    text, cause = str(error) or type(error).__name__, _origin(error)
+    if isinstance(error, pai.ModelConnectionError) and cause is not error:
+        text += f" ({type(cause).__name__}: {cause})"
+    return text
+
+
+def _origin(error: BaseException) -> BaseException:
+    """The exception with which it began."""
+    while error.__cause__ is not None:
+        error = error.__cause__
+    return error
+
+
+def to_model_messages(messages: tuple[ChatMessage, ...]) -> list[ModelMessage]:
+    """A conversation in pydantic-ai's form: the messages between two answers are one request."""
+    out: list[ModelMessage] = []
+    for answers, group in groupby(messages, key=lambda message: message.role == "assistant"):
+        if answers:
+            out += [ModelResponse(parts=[TextPart(message.text)]) for message in group]
+        else:
+            parts = [(SystemPromptPart if m.role == "system" else UserPromptPart)(m.text) for m in group]
+            out.append(ModelRequest(parts=parts))
+    return out
+
+
+def _model_settings(settings: CallSettings, provider: str) -> ModelSettings | None:
+    out = settings.plain()
+    effort = out.pop("reasoning", None)
+    if effort is not None and provider == "anthropic":
+        out["thinking"] = False if effort == "none" else effort
+    elif effort is not None:
+        # pydantic-ai drops its unified `thinking` for models that it does not know as reasoning models, as most
+        # local ones. This is sent as the operator asks.
+        out["openai_reasoning_effort"] = effort
+    return cast(ModelSettings, out) if out else None

@@ -1,0 +1,143 @@
+"""The coordinates of a prompt: those of the world, or a frame in which the numbers are small and near zero.
+
+A small model cannot add 57.31 and 3.18 reliably. In its own frame it need not: it plans around the origin with the
+spacing as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is
+rendered, and the answer is moved and scaled back before anything else reads it. Directions stay.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+from llm_flock.arrays import Point
+from llm_flock.llm._port import FrameName
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.shapes import shape_name
+
+Q = TypeVar("Q", PlanQuestion, StepQuestion)
+A = TypeVar("A", PlanAnswer, StepAnswer)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptFrame:
+    """Moved and scaled coordinates: `(point - origin) / unit`.
+
+    Attributes:
+        origin: the point that becomes zero [units; world frame].
+        unit: the length that becomes one [units].
+        decimals: decimals of observed and planned points in this frame.
+    """
+
+    origin: Point
+    unit: float
+    decimals: int
+
+    def rounded(self, point: Point) -> Point:
+        """A point of the world in this frame, rounded."""
+        # Adding zero turns -0.0 into 0.0.
+        return tuple(round(x, self.decimals) + 0.0 for x in self.exact(point))
+
+    def exact(self, point: Point) -> Point:
+        """A point of the world in this frame, not rounded."""
+        return tuple((x - o) / self.unit for x, o in zip(point, self.origin, strict=True))
+
+    def world(self, point: Point) -> Point:
+        """A point of this frame in the world [units]."""
+        return tuple(o + x * self.unit for x, o in zip(point, self.origin, strict=True))
+
+    def mission(self, mission: Mission) -> Mission:
+        """The mission in this frame. It was valid in the world's, so it is not validated again."""
+        fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
+        for name in ("spacing", "safe_distance", "max_step", "comm_range"):
+            fields[name] = getattr(mission, name) / self.unit
+        low, high = mission.arena
+        fields["center"], fields["arena"] = self.exact(mission.center), (self.exact(low), self.exact(high))
+        fields["obstacles"] = tuple(map(self._obstacle, mission.obstacles))
+        if mission.sense_range is not None:
+            fields["sense_range"] = mission.sense_range / self.unit
+        if mission.velocity is not None:
+            fields["velocity"] = tuple(v / self.unit for v in mission.velocity)
+        if mission.points is not None:
+            fields["points"] = tuple(tuple(x / self.unit for x in row) for row in mission.points)
+        return Mission.model_construct(**fields)
+
+    def _obstacle(self, obstacle: Obstacle) -> Obstacle:
+        if obstacle.polygon is not None:
+            return Obstacle.model_construct(polygon=tuple(map(self.exact, obstacle.polygon)))
+        assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a polygon or a disc"
+        return Obstacle.model_construct(center=self.exact(obstacle.center), radius=obstacle.radius / self.unit)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FramedQuestion(Generic[Q]):
+    """A question in the world and in the frame of its prompt.
+
+    Attributes:
+        framed: in the frame of the prompt; the same one where that is the world.
+        frame: between the two; None where they are the same.
+    """
+
+    question: Q
+    framed: Q
+    frame: PromptFrame | None = None
+
+    def to_world(self, answer: A) -> A:
+        """An answer in the world; a goal that the model repeats is exactly the goal."""
+        if self.frame is None:
+            return answer
+        if isinstance(answer, PlanAnswer):
+            return replace(answer, plan=Plan.of(map(self.frame.world, answer.plan.points)))
+        return replace(answer, waypoint=self._waypoint(answer.waypoint), path=tuple(map(self._waypoint, answer.path)))
+
+    def _waypoint(self, point: Point) -> Point:
+        assert self.frame is not None
+        assert isinstance(self.framed, StepQuestion) and isinstance(self.question, StepQuestion)
+        return self.question.goal if point == self.framed.goal else self.frame.world(point)
+
+
+def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQuestion]:
+    """Frame a question for a plan: around the origin, in spacings.
+
+    A shape in words may mention lengths, which cannot be scaled: it is asked for in the world.
+    """
+    mission = question.mission
+    if name == "world" or shape_name(mission.shape) == "text":
+        return FramedQuestion(question=question, framed=question)
+    frame = _frame(mission.center, mission.spacing, mission)
+    still = tuple(map(frame.rounded, question.still))
+    return FramedQuestion(question=question, framed=replace(_moved(question, frame), still=still), frame=frame)
+
+
+def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQuestion]:
+    """Frame a question for a step: from the origin, in step limits."""
+    if name == "world":
+        return FramedQuestion(question=question, framed=question)
+    frame = _frame(question.position, question.mission.max_step, question.mission)
+    framed = replace(
+        _moved(question, frame),
+        plan=Plan.of(map(frame.rounded, question.plan.points)),
+        target=None if question.target is None else frame.rounded(question.target),
+        corner=None if question.corner is None else frame.rounded(question.corner),
+    )
+    return FramedQuestion(question=question, framed=framed, frame=frame)
+
+
+def _moved(question: Q, frame: PromptFrame) -> Q:
+    """A question with the fields that both kinds have in another frame."""
+    return replace(
+        question,
+        mission=frame.mission(question.mission),
+        position=frame.rounded(question.position),
+        neighbors=tuple(map(frame.rounded, question.neighbors)),
+    )
+
+
+def _frame(origin: Point, unit: float, mission: Mission) -> PromptFrame:
+    """Two decimals, and more where they would be coarse beside the spacing or the safe distance."""
+    finest = 10 * min(mission.spacing, mission.safe_distance)
+    return PromptFrame(origin=origin, unit=unit, decimals=2 + max(0, math.ceil(math.log10(unit / finest))))

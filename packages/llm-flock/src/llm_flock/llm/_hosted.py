@@ -1,0 +1,128 @@
+"""pydantic-ai models of real providers, with our own HTTP client and without retries of theirs.
+
+Imports the providers' SDKs, which takes most of a second: import this module only where a provider is needed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from typing import Any
+
+import httpx2
+from pydantic_ai.models import Model
+
+CONNECT_TIMEOUT_S = 10.0
+PER_POOL = 8
+"""Requests that one connection pool serves at once."""
+
+MOST_ANSWER_BYTES = 2 << 20
+"""Largest body of a response that is read [bytes]: more than twice the longest answers of today's models. Read as JSON,
+it can take sixty times as much memory."""
+
+NO_KEY = "no-key"
+"""The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
+
+
+_UNLIMITED = httpx2.Limits(max_connections=None, max_keepalive_connections=None)
+
+
+class ManyPools(httpx2.AsyncBaseTransport):
+    """A transport that spreads requests over small connection pools, as many as are needed.
+
+    Whenever a request begins or ends, httpcore goes through all connections of its pool, with a system call for each
+    idle one: with 200 robots, more work than all the rest of a call. Small pools keep it constant. None is limited, so
+    no robot waits for a connection (httpx2 alone would stop at 100).
+    """
+
+    def __init__(self) -> None:
+        self._busy: dict[httpx2.AsyncHTTPTransport, int] = {}
+        self._tls = httpx2.create_ssl_context()
+
+    async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
+        """Send the request through the first pool that has room."""
+        pool = next((pool for pool, busy in self._busy.items() if busy < PER_POOL), None)
+        pool = pool or httpx2.AsyncHTTPTransport(verify=self._tls, limits=_UNLIMITED)
+        self._busy[pool] = self._busy.get(pool, 0) + 1
+        try:
+            return await pool.handle_async_request(request)
+        finally:
+            self._busy[pool] -= 1
+
+    async def aclose(self) -> None:
+        """Close all connections."""
+        for pool in self._busy:
+            await pool.aclose()
+
+
+class _Bounded(httpx2.AsyncByteStream):
+    """A response's body, which fails instead of growing beyond the limit."""
+
+    def __init__(self, body: httpx2.AsyncByteStream) -> None:
+        self._body = body
+
+    async def __aiter__(self) -> AsyncIterator[bytes]:
+        read = 0
+        async for chunk in self._body:
+            read += len(chunk)
+            if read > MOST_ANSWER_BYTES:
+                raise httpx2.DecodingError(f"the response is larger than {MOST_ANSWER_BYTES >> 20} MiB")
+            yield chunk
+
+    async def aclose(self) -> None:
+        await self._body.aclose()
+
+
+async def _bound(response: httpx2.Response) -> None:
+    """Refuse a response before it fills the memory: by its size, also of what is packed in few bytes."""
+    packed = response.headers.get("content-encoding", "identity")
+    if packed != "identity":
+        raise httpx2.DecodingError(f"the response is compressed ({packed[:20]}), which was not asked for")
+    assert isinstance(response.stream, httpx2.AsyncByteStream)
+    response.stream = _Bounded(response.stream)
+    # All these protocols are UTF-8. Python has codecs that take hours for a megabyte (punycode), or give no text.
+    response.encoding = "utf-8"
+
+
+def new_http_client() -> httpx2.AsyncClient:
+    """One client for all models, with connections for any number of calls at once.
+
+    A response has at most `MOST_ANSWER_BYTES`, and is not compressed: a few kilobytes can unpack to gigabytes.
+
+    Proxies from the environment (HTTPS_PROXY and its relatives) are honoured; requests through one share its pool.
+    """
+    return httpx2.AsyncClient(
+        limits=_UNLIMITED,
+        mounts={"all://": ManyPools()},
+        headers={"Accept-Encoding": "identity"},
+        event_hooks={"response": [_bound]},
+    )
+
+
+def build_model(
+    provider: str, model: str, *, base_url: str, key: str, http: httpx2.AsyncClient, timeout_s: float
+) -> Model[Any]:
+    """The pydantic-ai model for a provider of the table in `providers`.
+
+    The SDKs' own retries (2 by default) are switched off: they would hide faults from the record, and give up earlier
+    than `limits`.
+    """
+    options: dict[str, Any] = {
+        "api_key": key or NO_KEY,
+        "base_url": base_url,
+        "http_client": http,
+        "max_retries": 0,
+        "timeout": httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
+    }
+    if provider == "anthropic":
+        # Its SDK takes longer to import than all the others together.
+        from anthropic import AsyncAnthropic
+        from pydantic_ai.models.anthropic import AnthropicModel, AnthropicModelSettings
+        from pydantic_ai.providers.anthropic import AnthropicProvider
+
+        # The system message is the same for the whole team and all its questions: it is read from the cache.
+        settings = AnthropicModelSettings(anthropic_cache_instructions=True)
+        client = AsyncAnthropic(**options)
+        return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=client), settings=settings)
+    from llm_flock.llm._hosted_openai import build_openai_model
+
+    return build_openai_model(provider, model, options)

@@ -1,0 +1,222 @@
+"""Queue, time-outs, retries and budget between the robots of one run and a provider."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from llm_flock.errors import BudgetExceeded, ModelError
+from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
+
+FINAL = frozenset({"refused", "budget"})
+"""Kinds of ModelError that are not retried."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetryPolicy:
+    """When to try again after a fault, up to `max_tries` tries with the first.
+
+    The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at most
+    longest_wait_s: robots that were turned away together do not return together. A wait that the provider asks for by
+    Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
+
+    A server that has answered with `max_garbage` responses in a row that are none of its protocol is neither busy nor
+    away, so waiting longer does not help: that was the last try.
+    """
+
+    max_tries: int = 8
+    max_garbage: int = 4
+    first_wait_s: float = 0.5
+    longest_wait_s: float = 30.0
+    longest_retry_after_s: float = 60.0
+
+    def gives_up(self, faults: tuple[str, ...]) -> bool:
+        """Whether another try is of no use, by the kinds of all faults of a call so far."""
+        return len(faults) >= self.max_tries or faults[-self.max_garbage :] == ("garbage",) * self.max_garbage
+
+    def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
+        """Draw the wait before the next try, after `failed` >= 1 failed ones [s]."""
+        if retry_after_s is not None:
+            return min(retry_after_s, self.longest_retry_after_s) * rng.uniform(1.0, 1.1)
+        # 2.0 ** 40 is longer than any longest_wait_s that makes sense, and never overflows.
+        scale = min(self.first_wait_s * 2.0 ** min(failed - 1, 40), self.longest_wait_s)
+        return scale * rng.uniform(0.5, 1.0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Spent:
+    """Calls, tokens in and out, and money as far as prices are known [US dollars]."""
+
+    calls: int = 0
+    tokens: int = 0
+    cost_usd: float = 0.0
+
+    def __add__(self, other: Spent) -> Spent:
+        return Spent(
+            calls=self.calls + other.calls, tokens=self.tokens + other.tokens, cost_usd=self.cost_usd + other.cost_usd
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Budget:
+    """Limits of one run or one sweep, checked where they are read; None is without limit.
+
+    Attributes:
+        max_calls: questions to models; a retried call counts once.
+        max_tokens: input and output together.
+        max_cost_usd: money, as far as prices are known [US dollars].
+    """
+
+    max_calls: int | None = None
+    max_tokens: int | None = None
+    max_cost_usd: float | None = None
+
+    def exhausted(self, spent: Spent, *, new_call: bool, owner: str = "") -> str | None:
+        """Say which limit is reached (and whose: ` of the sweep`), None while none is; a retry is no new call."""
+        if self.max_tokens is not None and spent.tokens >= self.max_tokens:
+            return f"max_tokens = {self.max_tokens}{owner} is used up ({spent.tokens} tokens)"
+        if self.max_cost_usd is not None and spent.cost_usd >= self.max_cost_usd:
+            return f"max_cost = {self.max_cost_usd:g}{owner} is used up ({spent.cost_usd:.4f} US dollars)"
+        if new_call and self.max_calls is not None and spent.calls >= self.max_calls:
+            return f"max_calls = {self.max_calls}{owner} is used up"
+        return None
+
+
+class BudgetMeter:
+    """Counts what the models of a run were asked and have used, and enforces its budget.
+
+    Calls are counted when they begin, so that many at once cannot overrun `max_calls`. Tokens and money are known
+    only with the answer: calls under way at that moment may overrun those two.
+
+    Attributes:
+        reason: which limit turned a call away, None while none has.
+    """
+
+    def __init__(self, budget: Budget | None = None) -> None:
+        self.budget = budget or Budget()
+        self.spent = Spent()
+        self.reason: str | None = None
+
+    def check(self, *, new_call: bool) -> None:
+        """Raise BudgetExceeded when a limit is reached, as far as replies have told."""
+        reason = self.budget.exhausted(self.spent, new_call=new_call)
+        if reason is not None:
+            self.reason = reason
+            raise BudgetExceeded(reason)
+
+
+class CallGate(Protocol):
+    """Admits calls of many runs one by one; see `sharing.SharedGate`."""
+
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
+        """Wait for a turn to ask `provider:model` a question of `chars` characters; returns a ticket for `leave`.
+
+        A call that failed before (`again`) is no new one for the budget.
+
+        Raises:
+            BudgetExceeded: nothing is left for it.
+        """
+        ...
+
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
+        """End the call; without usage, it failed."""
+        ...
+
+
+@dataclass(slots=True, kw_only=True)
+class CallLimits:
+    """Limits that all models of one run share. Build one for each run, in the thread of its event loop.
+
+    Attributes:
+        rng: chance for the jitter of waits.
+        max_concurrent: calls under way at once; `slots` holds as many.
+        timeout_s: longest try, the queue not counted [s].
+        gate: admits calls of this run and others; None admits all.
+    """
+
+    rng: np.random.Generator
+    max_concurrent: int = 256
+    timeout_s: float = 120.0
+    retry: RetryPolicy = field(default_factory=RetryPolicy)
+    meter: BudgetMeter = field(default_factory=BudgetMeter)
+    gate: CallGate | None = None
+    clock: Callable[[], float] = time.perf_counter
+    sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
+    slots: asyncio.Semaphore = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.slots = asyncio.Semaphore(self.max_concurrent)
+
+
+class Limited:
+    """A `LanguageModel` that queues, times out, retries and counts the calls of another one."""
+
+    def __init__(self, model: LanguageModel, limits: CallLimits) -> None:
+        self.name = model.name
+        self._model = model
+        self._limits = limits
+
+    async def ask(self, call: Call) -> Reply:
+        """Answer one call, retrying faults.
+
+        The reply's latency runs from the first try to the answer, with the waits between tries but without the queue
+        before the first one; its faults are those that were retried.
+
+        Raises:
+            BudgetExceeded: the budget is used up; nothing more was sent.
+            ModelError: the last fault, with all of them in `faults`.
+        """
+        limits = self._limits
+        limits.meter.check(new_call=True)
+        limits.meter.spent += Spent(calls=1)
+        faults: tuple[str, ...] = ()
+        started: float | None = None
+        while True:
+            async with limits.slots:
+                ticket: int | None = None
+                try:
+                    # Other calls may have used up the budget while this one was in the queue.
+                    limits.meter.check(new_call=False)
+                    if limits.gate is not None:
+                        chars = sum(len(message.text) for message in call.messages)
+                        ticket = await limits.gate.enter(self.name, chars, again=bool(faults))
+                except BudgetExceeded as error:
+                    if not faults:
+                        limits.meter.spent += Spent(calls=-1)  # it was never sent
+                    error.faults = faults
+                    raise
+                if started is None:
+                    started = limits.clock()
+                outcome: Reply | ModelError | None = None
+                try:
+                    outcome = await self._try(call)
+                finally:
+                    if limits.gate is not None and ticket is not None:
+                        used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
+                        limits.gate.leave(ticket, *used)
+            if isinstance(outcome, Reply):
+                limits.meter.spent += Spent(tokens=outcome.usage.total, cost_usd=outcome.cost_usd or 0.0)
+                if not faults and outcome.latency_s:
+                    return outcome  # a single try, timed by the model
+                return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
+            faults += outcome.faults or (outcome.kind,)
+            if outcome.kind in FINAL or limits.retry.gives_up(faults):
+                outcome.faults = faults
+                raise outcome
+            await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))
+
+    async def _try(self, call: Call) -> Reply | ModelError:
+        """One try; a fault is returned, because its wait happens outside the slot."""
+        limits = self._limits
+        try:
+            async with asyncio.timeout(limits.timeout_s):
+                return await self._model.ask(call)
+        except ModelError as error:
+            return error
+        except TimeoutError:
+            return ModelError("timeout", f"no answer within {limits.timeout_s:g} s")

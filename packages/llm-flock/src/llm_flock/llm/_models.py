@@ -1,0 +1,310 @@
+"""Build a language model for each robot from the options: ranges, settings, and a shared pool of connections."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Iterable, Mapping
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Self, get_args
+
+import numpy as np
+
+from llm_flock.errors import InputError, unknown
+from llm_flock.llm._port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
+from llm_flock.llm._providers import PROVIDERS, ModelName, parse_model
+
+if TYPE_CHECKING:
+    import httpx2
+    from pydantic_ai.models import Model
+
+    from llm_flock.llm._sources import ModelHost
+
+LISTED = frozenset({"openai", "anthropic", "deepseek"})
+"""Providers with a price list, which holds at their own addresses."""
+
+
+_SAME_LIST = {"openai-responses": "openai"}
+
+
+def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
+    """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
+    provider = _SAME_LIST.get(provider or "", provider)
+    if provider not in LISTED:
+        return None
+    from genai_prices import calc_price
+    from genai_prices.types import Usage as PricedUsage
+
+    tokens = PricedUsage(
+        input_tokens=usage.input, output_tokens=usage.output, cache_read_tokens=min(usage.cached, usage.input)
+    )
+    try:
+        return float(calc_price(tokens, model, provider_id=provider).total_price)
+    except LookupError:
+        return None
+
+
+_RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="
+_STARTS_WITH_RANGE = re.compile(_RANGE)
+_NEXT_RANGE = re.compile(rf",(?={_RANGE})")
+
+
+def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
+    """Assign values to robots: `A` for all, `0-4=A,5-9=B` or `3=A,0-2=B` by ranges.
+
+    Values may contain commas: only a comma before another range separates.
+
+    Raises:
+        InputError: for `field`: an empty or reversed range, or a robot outside 0..n-1, named twice, or missing.
+    """
+    if not _STARTS_WITH_RANGE.match(text):
+        return (text.strip(),) * n
+    values: list[str | None] = [None] * n
+    for part in _NEXT_RANGE.split(text):
+        robots, _, value = part.partition("=")
+        low, _, high = robots.partition("-")
+        first, last = int(low), int(high or low)
+        if first > last or last >= n:
+            raise InputError(field, part.strip(), f"a range of robots within 0..{n - 1}, lower id first")
+        if not value.strip():
+            raise InputError(field, part.strip(), "a value after '='")
+        for robot in range(first, last + 1):
+            if values[robot] is not None:
+                raise InputError(field, text, says=f"robot {robot} is named twice")
+            values[robot] = value.strip()
+    gaps = [str(robot) for robot, value in enumerate(values) if value is None]
+    if gaps:
+        raise InputError(field, text, f"a value for every robot; there is none for {', '.join(gaps[:8])}")
+    return tuple(value for value in values if value is not None)
+
+
+def parse_models(text: str, n: int) -> tuple[str, ...]:
+    """The model string of each of n robots, checked by `parse_model`; for ranges see `per_robot`."""
+    models = per_robot("model", text, n)
+    for model in dict.fromkeys(models):
+        parse_model(model)
+    return models
+
+
+def parse_settings(
+    n: int,
+    *,
+    temperature: str | None = None,
+    seed: str | None = None,
+    reasoning: str | None = None,
+    max_tokens: int | None = None,
+) -> tuple[CallSettings, ...]:
+    """Sampling settings of each of n robots, written as in `per_robot`; one cap on the tokens of an answer for all."""
+    given = {"temperature": temperature, "seed": seed, "reasoning": reasoning}
+    spread = {name: per_robot(_FIELDS[name], text, n) for name, text in given.items() if text is not None}
+    return tuple(
+        CallSettings(max_tokens=max_tokens, **{name: _setting(name, values[robot]) for name, values in spread.items()})
+        for robot in range(n)
+    )
+
+
+_FIELDS = {"temperature": "temperature", "seed": "model_seed", "reasoning": "reasoning_effort"}
+"""Sampling settings by the field of the configuration that holds them."""
+
+
+def _setting(name: str, text: str) -> Any:
+    """Read one sampling setting."""
+    field = _FIELDS[name]
+    if name == "reasoning":
+        if text not in get_args(Effort):
+            raise InputError(field, text, says=unknown("effort", text, get_args(Effort)))
+        return text
+    warm = name == "temperature"
+    try:
+        value = float(text) if warm else int(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value <= (2 if warm else 2**63 - 1):
+        raise InputError(field, text, "a number from 0 to 2" if warm else "a whole number of at least 0")
+    return value
+
+
+def waits(model: str) -> bool:
+    """Whether a model mostly waits for answers, so that runs with it need little of a processor."""
+    name = parse_model(model)
+    if name.kind != "simulated":
+        return name.kind in ("provider", "plugin", "own")
+    from llm_flock.llm._simulated.profiles import parse_profile
+
+    return any(parse_profile(name.model).rates.get(fault, 0.0) > 0 for fault in ("slow", "flaky"))
+
+
+def model_digests(model: str) -> Mapping[str, str]:
+    """Digests of the files of a plug-in's model, by name; empty for any other model.
+
+    Raises:
+        InputError: the files are missing or unfit.
+    """
+    name = parse_model(model)
+    if name.kind != "plugin":
+        return {}
+    from llm_flock.llm._sources import source_of
+
+    return source_of(name.provider).digests(name.model)
+
+
+def parse_history(text: str) -> int | None:
+    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
+
+    Raises:
+        InputError: for field `history`.
+    """
+    if text in ("none", "full"):
+        return 0 if text == "none" else None
+    last, _, count = text.partition(":")
+    if last != "last" or not (count.isascii() and count.isdecimal() and len(count) <= 9 and int(count) >= 1):
+        raise InputError("history", text, "none, full, or last:K with a whole number K >= 1")
+    return int(count)
+
+
+def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
+    """Refuse a money budget for models of unknown price: it would have no effect.
+
+    Simulated models, cassettes and geometry cost nothing. A provider behind another address may charge anything, and
+    so may a class of the user's own.
+
+    Raises:
+        InputError: for field `max_cost`, naming the models without a price.
+    """
+    if max_cost_usd is None:
+        return
+    one = Usage(input=1, output=1)
+    names = [name for name in map(parse_model, dict.fromkeys(models)) if name.kind in ("provider", "own")]
+    unknown = [
+        name.text
+        for name in names
+        if name.kind == "own" or name.provider in base_urls or cost_usd(name.provider, name.model, one) is None
+    ]
+    if unknown:
+        allowed = f"models with a known price, not {', '.join(unknown)}: use max_tokens or max_calls"
+        raise InputError("max_cost", max_cost_usd, allowed)
+
+
+class _NeverAsked:
+    """Stands for a provider's model where a configuration is only checked."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    async def ask(self, call: Call) -> Reply:
+        raise AssertionError(f"{self.name} was to be checked, not asked")
+
+
+class ModelPool:
+    """Builds models on one HTTP client, and a host for each plug-in; many runs of one event loop may share them.
+
+    It is an async context manager. Keys are read from the environment when a model is first needed, and removed from
+    all texts of its replies.
+    A pool for which `asks` is false needs no keys: its models of providers check a configuration, and are never asked.
+
+    Args:
+        environ: environment variables with keys; those of the process by default.
+        asks: whether models of providers will be asked.
+    """
+
+    def __init__(self, *, environ: Mapping[str, str] | None = None, asks: bool = True) -> None:
+        self._asks = asks
+        self._environ = os.environ if environ is None else environ
+        self._models: dict[tuple[str, str, str, float], Model[Any]] = {}
+        self._http: httpx2.AsyncClient | None = None
+        self._hosts: dict[str, ModelHost] = {}
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *error: object) -> None:
+        await self.aclose()
+
+    async def aclose(self) -> None:
+        """Close all connections, and the hosts of plug-ins. No model of this pool may be asked afterwards."""
+        while self._hosts:
+            await self._hosts.popitem()[1].aclose()
+        if self._http is not None:
+            await self._http.aclose()
+        self._http = None
+        self._models.clear()
+
+    def model(
+        self,
+        text: str,
+        *,
+        rng: np.random.Generator,
+        settings: CallSettings | None = None,
+        base_urls: Mapping[str, str] = MappingProxyType({}),
+        timeout_s: float = 600.0,
+    ) -> LanguageModel:
+        """The language model of one robot.
+
+        Args:
+            text: `provider:model`, `simulated:PROFILE`, or the name of a plug-in's model.
+            rng: chance of a simulated model; others do not use it.
+            settings: how to sample.
+            base_urls: addresses that replace the providers' own (`parse_base_urls`).
+            timeout_s: longest wait for a response, should `limits` fail to end it [s].
+
+        Raises:
+            InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
+                geometry, which other classes provide (`replay.ReplayModel`, `geometry.GeometryPlanner`).
+        """
+        name = parse_model(text)
+        if name.kind == "plugin":
+            from llm_flock.llm._sources import source_of
+
+            if name.provider not in self._hosts:
+                self._hosts[name.provider] = source_of(name.provider).host()
+            return self._hosts[name.provider].model(name.text, settings)
+        if name.kind not in ("simulated", "provider"):
+            raise InputError("model", text, "no replay, geometry or class here")
+        if name.kind == "provider" and not self._asks:
+            return _NeverAsked(name.text)
+        if name.kind == "simulated":
+            from llm_flock.llm._simulated.model import SimulatedModel
+            from llm_flock.llm._simulated.profiles import parse_profile
+
+            return SimulatedModel(parse_profile(name.model), rng, settings)
+        hosted = self._hosted(name, base_urls, timeout_s)
+        # pydantic-ai takes about a second to import: wrong input is reported without it.
+        from llm_flock.llm._client import PydanticModel
+
+        return PydanticModel(
+            hosted,
+            name=name.text,
+            settings=settings,
+            secrets=self._secrets(),
+            priced=name.provider not in base_urls,
+        )
+
+    def _secrets(self) -> tuple[str, ...]:
+        """Every key that is set: an error of one provider may quote the key of another."""
+        values = (self._environ.get(info.key_env, "").strip() for info in PROVIDERS.values())
+        return tuple(value for value in values if value)
+
+    def _hosted(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float) -> Model[Any]:
+        info = name.info
+        key = self._environ.get(info.key_env, "").strip()
+        if not key and info.key_required and name.provider not in base_urls:
+            raise InputError("model", name.text, says=f"needs a key: export {info.key_env}=...")
+        address = base_urls.get(name.provider, info.base_url)
+        if address is None:
+            raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
+
+        from llm_flock.extras import require
+
+        require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")
+        # The SDKs take most of a second to import: a run with simulated models needs none of them.
+        import llm_flock.llm._hosted as hosted
+
+        if self._http is None:
+            self._http = hosted.new_http_client()
+        place = (name.provider, name.model, address, timeout_s)
+        if place not in self._models:
+            self._models[place] = hosted.build_model(
+                name.provider, name.model, base_url=address, key=key, http=self._http, timeout_s=timeout_s
+            )
+        return self._models[place]

@@ -1,0 +1,193 @@
+"""A language model of the user's own: an object with `ask`, or a class named as `package.module:Class`."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import inspect
+import json
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Self, TypeAlias, cast
+
+from llm_flock.errors import InputError, ModelError
+from llm_flock.llm._port import MOST_TOKENS, Answers, Call, Reply, Usage
+from llm_flock.llm._providers import model_forms
+from llm_flock.own_code import is_cancelled, load_own, shown
+
+logger = logging.getLogger(__name__)
+
+CLOSE_S = 10.0
+"""Longest wait for a model of the user's own to close [s]."""
+
+ModelChoice: TypeAlias = str | Answers | Sequence[str | Answers]
+"""One model for all robots, by its name or as an object, or one for each."""
+
+
+class OwnModel:
+    """A `LanguageModel` around an object of the user's own: whatever it raises or returns, the run goes on.
+
+    What it raises counts as a failed call: `TimeoutError` and other `OSError`s are tried again, everything else is a
+    fault of the code, is logged once with its traceback, and is not.
+
+    Attributes:
+        name: `package.module:Class`, as in records.
+        simulated: whether the object says of itself that it is a stand-in (an attribute `simulated` that is true).
+        made: whether it was made by its name, and not handed over as an object.
+
+    Raises:
+        InputError: for field `model`: the object has no `async def ask(self, call)`.
+    """
+
+    def __init__(self, model: object, *, name: str | None = None) -> None:
+        self.name = own_name(model) if name is None else name
+        self.simulated = bool(getattr(model, "simulated", False))
+        self.made = name is not None
+        self._model = model
+        self._told = False
+        if not inspect.iscoroutinefunction(getattr(model, "ask", None)):
+            raise InputError("model", self.name, "a class with the method `async def ask(self, call)`")
+
+    @classmethod
+    def load(cls, name: str) -> Self:
+        """The model that a class, called without arguments, makes.
+
+        Raises:
+            InputError: for field `model`: there is no such class, or it cannot be called so.
+        """
+        make = load_own("model", name, model_forms())
+        try:
+            model = make()
+        except Exception as error:  # a user's code may raise anything
+            allowed = f"a class that is called without arguments ({shown(error)})"
+            raise InputError("model", name, allowed) from error
+        return cls(model, name=name)
+
+    async def ask(self, call: Call) -> Reply:
+        """Answer one call; a ModelError without an answer."""
+        try:
+            reply = await cast(Answers, self._model).ask(call)
+        except ModelError:
+            raise
+        except TimeoutError as error:
+            raise ModelError("timeout", f"{self.name}: {error or 'no answer in time'}") from error
+        except OSError as error:
+            raise ModelError("connection", f"{self.name}: {shown(error)}") from error
+        except (Exception, SystemExit, asyncio.CancelledError) as error:  # a user's code may raise anything
+            if isinstance(error, asyncio.CancelledError) and is_cancelled():
+                raise
+            if not self._told:
+                self._told = True
+                logger.warning("robot %d, %s failed", call.robot, self.name, exc_info=True)
+            raise ModelError("refused", f"{self.name} failed: {shown(error)}") from error
+        found = Reply(text=reply, model=self.name) if isinstance(reply, str) else reply
+        if (fault := _fault(found)) is not None:
+            raise ModelError("garbage", f"{self.name} returned {fault}")
+        # Neither UTF-8 nor the records can hold half a character.
+        return replace(found, text=found.text.encode("utf-8", "replace").decode(), model=self.name)
+
+    async def aclose(self) -> None:
+        """Close what was made here, if it has an `aclose`; an object that was handed over stays open."""
+        close = getattr(self._model, "aclose", None)
+        if self.made and close is not None:
+            try:
+                await asyncio.wait_for(close(), CLOSE_S)
+            except (Exception, SystemExit, asyncio.CancelledError) as error:  # the result is there already
+                if isinstance(error, asyncio.CancelledError) and is_cancelled():
+                    raise
+                logger.warning("%s could not be closed: %s", self.name, shown(error))
+
+    @property
+    def source(self) -> str | None:
+        """SHA-256 of the file that defines the class; None where there is none, as in a notebook."""
+        try:
+            file = inspect.getsourcefile(type(self._model))
+            return None if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        except (OSError, TypeError):
+            return None
+
+    @property
+    def unrepeatable(self) -> str:
+        """What of this model a record cannot repeat, as a sentence."""
+        if not self.made:
+            return (
+                f"{self.name} was handed over as an object: neither its code nor its arguments are recorded, so the "
+                "run cannot be flown again by its configuration; a cassette (record_llm) repeats the answers."
+            )
+        code = "its code is not recorded" if self.source is None else f"its file had SHA-256 {self.source}"
+        return f"{self.name} is code of the user's own, of which only the name is recorded ({code})."
+
+
+def says_simulated(name: str) -> bool:
+    """Whether a class says that it is a stand-in; the class is imported, but not called.
+
+    Raises:
+        InputError: for field `model`: there is no such class.
+    """
+    return bool(getattr(load_own("model", name, model_forms()), "simulated", False))
+
+
+def own_name(model: object) -> str:
+    """The name of an object's class: `package.module:Class`."""
+    kind = type(model)
+    return f"{kind.__module__}:{kind.__qualname__}"
+
+
+def split_choice(choice: ModelChoice) -> tuple[str, Mapping[int, OwnModel]]:
+    """A choice of models as the configuration writes it, and the objects among them by robot; -1 stands for all.
+
+    Raises:
+        InputError: for field `model`: neither a name nor an object with `ask`, or a sequence without any.
+    """
+    if isinstance(choice, str):
+        return choice, {}
+    if not isinstance(choice, list | tuple):
+        own = _wrapped(choice)
+        return own.name, {-1: own}
+    if not choice:
+        raise InputError("model", [], "a model for each robot")
+    known: dict[int, OwnModel] = {}
+    objects: dict[int, OwnModel] = {}
+    names: list[str] = []
+    for robot, model in enumerate(cast("Sequence[str | Answers]", choice)):
+        if isinstance(model, str):
+            names.append(model)
+        else:
+            objects[robot] = known.setdefault(id(model), _wrapped(model))
+            names.append(objects[robot].name)
+    return ",".join(f"{robot}={name}" for robot, name in enumerate(names)), objects
+
+
+def _wrapped(model: object) -> OwnModel:
+    if isinstance(model, type):
+        raise InputError("model", own_name(model), f"an object, such as {model.__name__}(), or a name")
+    return OwnModel(model)
+
+
+def _fault(reply: object) -> str | None:
+    """What is wrong with a reply, None if nothing: a record must be able to hold it."""
+    if not isinstance(reply, Reply):
+        return f"{type(reply).__name__}, and no Reply or str"
+    values: list[tuple[str, Any]] = [
+        ("text", reply.text),
+        ("usage", reply.usage),
+        ("finish_reason", reply.finish_reason),
+    ]
+    kinds: tuple[tuple[type, ...], ...] = ((str,), (Usage,), (str, type(None)))
+    for (name, value), kind in zip(values, kinds, strict=True):
+        if not isinstance(value, kind):
+            return f"a reply whose {name} is {type(value).__name__}"
+    usage = (reply.usage.input, reply.usage.output, reply.usage.cached)
+    if not all(type(count) is int and 0 <= count <= MOST_TOKENS for count in cast("tuple[Any, ...]", usage)):
+        return f"a reply whose usage is {usage}"
+    for name, number in (("cost_usd", reply.cost_usd), ("latency_s", reply.latency_s)):
+        if number is not None and not (isinstance(cast(Any, number), int | float) and 0 <= number < math.inf):
+            return f"a reply whose {name} is {number!r}"
+    try:
+        json.dumps(dict(reply.settings), allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        return f"a reply whose settings are no JSON ({error})"
+    return None

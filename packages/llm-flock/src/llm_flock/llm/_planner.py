@@ -1,0 +1,260 @@
+"""A robot's conversation with its language model: ask, read, ask again with the reason, give up after some tries.
+
+Each robot has its own planner, which holds only this robot's conversation. Every question carries its mission, which
+may differ from the one before.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from llm_flock.errors import AnswerError, InputError, ModelError
+from llm_flock.llm._answer_forms import answer_schema
+from llm_flock.llm._answers import read_plan, read_waypoints
+from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
+from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
+from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._whole_answer import quoted, whole_answer
+from llm_flock.mission import Mission
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol._verification.steps import Verdict
+
+logger = logging.getLogger(__name__)
+
+CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
+"""A reason to reject an answer, as a sentence for the model, or None."""
+
+Judge: TypeAlias = Callable[[StepQuestion, StepAnswer], Verdict]
+
+
+def _same_task(one: Mission, other: Mission) -> bool:
+    """Whether two missions are the same apart from the position of a moving centre."""
+    if one.digest == other.digest:
+        return True
+    if one.velocity is None or one.velocity != other.velocity:
+        return False
+    moving = {"center", "since"}
+    return one.model_dump(exclude=moving) == other.model_dump(exclude=moving)
+
+
+def _objection(
+    asked: FramedQuestion[Q], framed: A, answer: A, check: Callable[[Q, A], str | None] | None
+) -> str | None:
+    """Why a check rejects an answer, in the numbers that the model was given and has answered with."""
+    rejected = None if check is None else check(asked.question, answer)
+    if check is None or rejected is None or asked.frame is None:
+        return rejected
+    # The check in the world decides. Rounding may let the same answer pass in the model's own numbers.
+    return check(asked.framed, framed) or f"in the team's coordinates, which are not yours, {rejected}"
+
+
+def _plain(question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer) -> dict[str, Any]:
+    """An answer as it is recorded, in the world frame."""
+    if isinstance(answer, PlanAnswer):
+        return {"plan": [list(point) for point in answer.plan.points], "slot": answer.slot}
+    plain: dict[str, Any] = {"waypoint": list(answer.waypoint)}
+    if isinstance(question, StepQuestion) and question.horizon > 1:
+        plain["path"] = [list(point) for point in answer.path]
+    return plain
+
+
+class LanguagePlanner:
+    """A `Planner` that asks a language model.
+
+    An answer that cannot be read, or that a check rejects, goes back to the model with the reason. Rejected tries stay
+    in the conversation of their question only: later questions see the accepted exchange.
+
+    Args:
+        prompts: renders the questions, which state the form of the answers.
+        max_retries: number of rejected answers that are sent back before giving up.
+        history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
+        on_attempt: called after every call, with its outcome.
+        judge: checks steps and paths.
+        clips: accept an answer that does not fit if it can be flown clipped, which is quicker than asking again.
+        frame: coordinates of the prompts, see `frame`.
+
+    Raises:
+        InputError: history is to be kept of questions in different frames, or the prompts ask for something else than
+            this planner reads.
+    """
+
+    LETTERS = False
+    """Whether it reads letters."""
+
+    def __init__(
+        self,
+        robot: int,
+        model: LanguageModel,
+        prompts: PromptSet,
+        *,
+        max_retries: int = 2,
+        history: int | None = 0,
+        on_attempt: AttemptSink = lambda _: None,
+        check_plan: CheckPlan | None = None,
+        judge: Judge | None = None,
+        clips: bool = False,
+        frame: FrameName = "world",
+    ) -> None:
+        if prompts.letters != self.LETTERS:
+            raise InputError("prompts", "letters", "full, brief or a folder: nothing else than a run asks for a letter")
+        if frame == "own" and history != 0:
+            raise InputError(
+                "frame", frame, "world while history is kept, because with own each question has a different frame"
+            )
+        self._robot = robot
+        self._model = model
+        self._prompts = prompts
+        self._max_retries = max_retries
+        self._kept = history
+        self._frame: FrameName = frame
+        self._report = on_attempt
+        self._check_plan = check_plan
+        self._judge = judge
+        self._clips = clips
+        self._history: list[ChatMessage] = []
+        self._about: Mission | None = None
+        self._round = -1
+        self._attempt = 0
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """Ask for a plan of the whole formation and the robot's own place in it."""
+
+        def read(text: str, form: AnswerForm) -> PlanAnswer:
+            plan, slot = read_plan(text, form)
+            return PlanAnswer(plan=plan, slot=slot)
+
+        asked = frame_plan(question, self._frame)
+        return await self._converse("plan", asked, self._prompts.plan(asked.framed), 1, read, self._check_plan)
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """Ask for the next waypoint, or for a path."""
+
+        def read(text: str, form: AnswerForm) -> StepAnswer:
+            waypoint, *path = read_waypoints(text, form)
+            return StepAnswer(waypoint=waypoint, path=tuple(path))
+
+        asked, horizon = frame_step(question, self._frame), question.horizon
+        return await self._converse("step", asked, self._prompts.step(asked.framed), horizon, read, self._check_step)
+
+    def _check_step(self, question: StepQuestion, answer: StepAnswer) -> str | None:
+        return None if self._judge is None else self._judge(question, answer).reason
+
+    async def _converse(
+        self,
+        kind: Kind,
+        asked: FramedQuestion[Q],
+        text: str,
+        horizon: int,
+        read: Callable[[str, AnswerForm], A],
+        check: Callable[[Q, A], str | None] | None,
+        letters: str = "",
+    ) -> A | NoAnswer:
+        """Ask one question up to `1 + max_retries` times; a probe once."""
+        mission, round_ = asked.question.mission, asked.question.round
+        form = AnswerForm(
+            n=mission.n_places,
+            dim=mission.dim,
+            horizon=horizon,
+            json=self._prompts.json,
+            reasons=self._prompts.reasons,
+            letters=letters,
+        )
+        self._forget_other_missions(mission)
+        system = ChatMessage("system", self._prompts.system(asked.framed.mission))
+        question = ChatMessage("user", text)
+        messages = (system, *self._history, question)
+        reason, unfit = "", None
+        tries = 1 if asked.question.probe else 1 + self._max_retries
+        for _ in range(tries):
+            call = self._call(kind, round_, messages, form, probe=asked.question.probe)
+            began = time.perf_counter()
+            try:
+                reply = await self._model.ask(call)
+            except ModelError as error:
+                return self._give_up(call, error, time.perf_counter() - began)
+            try:
+                framed = read(whole_answer(reply), form)
+                answer = asked.to_world(framed)
+                rejected = _objection(asked, framed, answer, check)
+            except AnswerError as error:
+                answer, rejected = None, str(error)
+            clipped = None
+            if rejected is not None and self._will_be_clipped(asked.question, answer):
+                clipped, rejected = rejected, None
+            self._report(
+                Attempt(
+                    call=call,
+                    model=reply.model,
+                    reply=reply,
+                    parsed=_plain(asked.question, answer) if answer is not None and rejected is None else None,
+                    rejected=rejected,
+                    clipped=clipped,
+                    faults=reply.faults,
+                    latency_s=reply.latency_s,
+                )
+            )
+            said = ChatMessage("assistant", quoted(reply))
+            if answer is not None and rejected is None:
+                self._keep(question, said)
+                return answer
+            reason = rejected or ""
+            unfit = answer.waypoint if isinstance(answer, StepAnswer) else unfit
+            messages += (said, ChatMessage("user", self._prompts.retry(reason, asked.framed)))
+        story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
+        logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
+        return NoAnswer(cause="answer", reason=story, waypoint=unfit)
+
+    def _will_be_clipped(self, question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer | None) -> bool:
+        if self._judge is None or not isinstance(question, StepQuestion) or not isinstance(answer, StepAnswer):
+            return False
+        return self._clips and self._judge(question, answer).fit is not None
+
+    def _forget_other_missions(self, mission: Mission) -> None:
+        """Forget exchanges about another mission; one whose centre has moved is still the same."""
+        if self._about is None or not _same_task(self._about, mission):
+            self._history = []
+        self._about = mission
+
+    def _call(
+        self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm, *, probe: bool
+    ) -> Call:
+        """The next call; attempts are numbered within a round, over both kinds of questions."""
+        if round_ != self._round:
+            self._round, self._attempt = round_, 0
+        call = Call(
+            robot=self._robot,
+            round=round_,
+            kind=kind,
+            attempt=self._attempt,
+            messages=messages,
+            schema=answer_schema(kind, form) if form.json else None,
+            form=form,
+            probe=probe,
+        )
+        self._attempt += 1
+        return call
+
+    def _give_up(self, call: Call, error: ModelError, latency_s: float) -> NoAnswer:
+        """Report a failed call. It is not repeated here: `limits` has retried transport faults already."""
+        self._report(
+            Attempt(
+                call=call,
+                model=error.model or self._model.name,
+                error=(error.kind, error.detail),
+                faults=error.faults,
+                latency_s=latency_s,
+            )
+        )
+        logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
+        return NoAnswer(cause=error.kind, reason=str(error))
+
+    def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
+        """Add an accepted exchange to the history, and drop the oldest ones."""
+        if self._kept == 0:
+            return
+        self._history += [question, answer]
+        if self._kept is not None:
+            del self._history[: -2 * self._kept]

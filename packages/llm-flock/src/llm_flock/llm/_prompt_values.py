@@ -1,0 +1,139 @@
+"""Write the numbers and words of a mission for a prompt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from itertools import chain
+from typing import Any
+
+from llm_flock import shapes as formations
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.plan import DECIMALS, Plan
+
+AXES = ("x", "y", "z")
+
+NEAREST = 3
+"""Robots that the brief prompts mention at most."""
+
+FARTHEST = 10.0
+"""Distance of the farthest goal that brief prompts name [step limits]: small models lose the direction of others."""
+
+
+def number_text(value: float) -> str:
+    """A number in the shortest form, with six decimals at most: `10`, `2.5`."""
+    rounded = round(value, DECIMALS)
+    return str(int(rounded)) if rounded == int(rounded) else repr(rounded)
+
+
+def place_text(place: Point) -> str:
+    """A place of a plan, with six decimals at most: `[45.0, 65.388418]`."""
+    # Adding zero turns -0.0 into 0.0.
+    return repr([round(x, DECIMALS) + 0.0 for x in place])
+
+
+def position_text(position: Point, decimals: int) -> str:
+    """An observed position, with a fixed number of decimals: `[12.346, 3.000]`."""
+    return "[" + ", ".join([f"%.{decimals}f"] * len(position)) % position + "]"
+
+
+def positions_text(positions: Sequence[Point], decimals: int) -> str:
+    """Observed positions as `[[x, y], ...]`, or `none`."""
+    if not positions:
+        return "none"
+    # One format for all takes a third of the time of one for each.
+    one = "[" + ", ".join([f"%.{decimals}f"] * len(positions[0])) + "]"
+    return "[" + ", ".join([one] * len(positions)) % tuple(chain.from_iterable(positions)) + "]"
+
+
+def _row(point: Point) -> str:
+    return "[" + ", ".join(map(number_text, point)) + "]"
+
+
+def short_text(position: Point, decimals: int) -> str:
+    """A position in the shortest form, with at most `decimals` decimals: `[0, 4.25]`."""
+    return _row(tuple(round(x, decimals) for x in position))
+
+
+def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) -> str:
+    """The robots that one step could come too near to, nearest first and three at most, or `none`."""
+    reach = mission.max_step + mission.safe_distance
+    by_distance = sorted((math.dist(position, other), other) for other in neighbors)
+    near = [other for distance, other in by_distance[:NEAREST] if distance < reach]
+    decimals = position_decimals(mission.max_step)
+    return ", ".join(short_text(other, decimals) for other in near) or "none"
+
+
+def nearer_goal(position: Point, goal: Point, max_step: float) -> Point:
+    """The goal, or the point `FARTHEST` step limits away on the straight way to one that is farther.
+
+    The point is rounded to a hundredth of the step limit: the direction counts.
+    """
+    distance = math.dist(position, goal)
+    if distance <= FARTHEST * max_step:
+        return goal
+    share, decimals = FARTHEST * max_step / distance, 2 - math.floor(math.log10(max_step))
+    return tuple(round(x + share * (g - x), decimals) for x, g in zip(position, goal, strict=True))
+
+
+@lru_cache(maxsize=64)
+def position_decimals(length: float) -> int:
+    """Decimals of positions where `length` matters (the step limit, say): 3, more if a thousandth of it is finer."""
+    return min(DECIMALS, max(3, 3 - math.floor(math.log10(length))))
+
+
+@lru_cache(maxsize=1024)
+def plan_text(plan: Plan) -> str:
+    """A plan, with six decimals at most. Cached: a run shows few plans many times."""
+    return "[" + ", ".join(map(place_text, plan.points)) + "]"
+
+
+def shape_text(mission: Mission) -> str:
+    """The shape in words; a custom shape by its points relative to its centre, in any orientation."""
+    if mission.points is None or mission.ideal is None:
+        return formations.describe(mission.shape)
+    # Rounding and adding zero remove differences like -1e-15, which would be written as -0.000.
+    offsets = [
+        tuple(round(x - c, DECIMALS) + 0.0 for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal
+    ]
+    places = positions_text(offsets, position_decimals(mission.spacing))
+    return f"a given shape, turned in any direction; relative to its centre its places are {places}"
+
+
+def obstacles_text(mission: Mission) -> str:
+    """The obstacles and the distance to keep from them, in words; empty without any."""
+    if not mission.obstacles:
+        return ""
+    body = "disc" if mission.dim == 2 else "ball"
+    parts = [
+        f"a polygon with the corners [{', '.join(map(_row, o.polygon))}]"
+        if o.polygon is not None
+        else f"a {body} of radius {number_text(o.radius or 0.0)} around {_row(o.center or ())}"
+        for o in mission.obstacles
+    ]
+    distance = number_text(mission.body_radius)
+    return f"keep your position and every place of a plan {distance} or more from {'; '.join(parts)}"
+
+
+def _axes(mission: Mission) -> str:
+    return f"[{', '.join(AXES[: mission.dim])}]"
+
+
+MISSION: Mapping[str, Callable[[Mission], Any]] = {
+    "shape": shape_text,
+    "n_robots": lambda mission: mission.n_robots,
+    "places": lambda mission: mission.n_places,
+    "dim": lambda mission: mission.dim,
+    "center": lambda mission: _row(mission.center),
+    "velocity": lambda mission: "" if mission.velocity is None else place_text(mission.velocity),
+    "spacing": lambda mission: number_text(mission.spacing),
+    "safe_distance": lambda mission: number_text(mission.safe_distance),
+    "max_step": lambda mission: number_text(mission.max_step),
+    "comm_range": lambda mission: number_text(mission.comm_range),
+    "obstacles": obstacles_text,
+    "point_format": _axes,
+    "plan_format": lambda m: f"[{_axes(m)}, {_axes(m)}, ...]" if m.n_places > 1 else f"[{_axes(m)}]",
+}
+"""Variables of a mission, and how each is written. Every template but `retry.j2` may use them."""

@@ -1,0 +1,257 @@
+"""Render questions as prompts, from templates that an operator may replace.
+
+The paper's messages are the system message (lines 101-113), the plan generation message (115-120) and the position
+update (166-171); the wording here is our own, and the plan message also gives the robot's id and the centre.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Self
+
+import jinja2
+import jinja2.meta
+from jinja2.sandbox import SandboxedEnvironment
+
+from llm_flock.errors import InputError
+from llm_flock.llm._frame import Q
+from llm_flock.llm._letters import NO_WISH, LetterWay, ways_of, ways_text
+from llm_flock.llm._prompt_values import (
+    MISSION,
+    nearer_goal,
+    nearest_text,
+    place_text,
+    plan_text,
+    position_decimals,
+    position_text,
+    positions_text,
+    short_text,
+)
+from llm_flock.mission import Mission, build_mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+
+logger = logging.getLogger(__name__)
+
+PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief", "letters": "prompts/letters"}
+"""Packaged sets of templates, and their folders."""
+
+LETTERS = "letters"
+"""The packaged set that asks for one letter, of ways that code computes; plans are not asked."""
+
+MISSIONS_KEPT = 64
+"""Missions whose variables and system message are kept."""
+
+COMMON = frozenset({"json", "wish", *MISSION})
+OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
+    "robot": lambda asked: asked.robot,
+    "round": lambda asked: asked.round,
+    "position": lambda asked: position_text(asked.position, _decimals(asked)),
+    "neighbors": lambda asked: positions_text(asked.neighbors, _decimals(asked)),
+    "here": lambda asked: short_text(asked.position, _decimals(asked)),
+    "near": lambda asked: nearest_text(asked.position, asked.neighbors, asked.mission),
+}
+PLAN: Mapping[str, Callable[[PlanQuestion], Any]] = {
+    **OBSERVED,
+    "still": lambda asked: positions_text(asked.still, _decimals(asked)),
+}
+STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
+    **OBSERVED,
+    "plan": lambda asked: plan_text(asked.plan),
+    "slot": lambda asked: asked.slot,
+    "cornering": lambda asked: asked.corner is not None,
+    "searching": lambda asked: asked.target is not None and asked.slot is not None,
+    "waiting": lambda asked: asked.slot is None,
+    "goal": lambda asked: place_text(asked.goal),
+    "toward": lambda asked: place_text(nearer_goal(asked.position, asked.goal, asked.mission.max_step)),
+    "horizon": lambda asked: asked.horizon,
+    "ways": lambda asked: ways_text(ways_of(asked)),
+}
+"""Variables of a question, and how each is written."""
+
+VARIABLES: Mapping[str, frozenset[str]] = {
+    "system.j2": COMMON,
+    "plan.j2": COMMON.union(PLAN),
+    "step.j2": COMMON.union(STEP),
+    "retry.j2": frozenset({"json", "reason", "kind", "horizon", "point_format", "plan_format"}),
+}
+"""The templates, and the variables that each may use."""
+
+
+def _decimals(asked: PlanQuestion | StepQuestion) -> int:
+    return position_decimals(asked.mission.max_step)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompiledTemplate:
+    """A compiled template, and the variables that it may use."""
+
+    template: jinja2.Template
+    uses: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PromptSet:
+    """Four templates, compiled and checked.
+
+    Attributes:
+        json: whether they ask for a JSON object instead of the paper's text forms.
+        reasons: whether they ask for a reason before the answer.
+        letters: whether they ask for a letter instead of a position, and for no plan.
+        wish: what the operator wishes of the steps, in words; empty without a wish.
+    """
+
+    json: bool
+    reasons: bool = True
+    letters: bool = False
+    wish: str = ""
+    templates: Mapping[str, CompiledTemplate]
+    _missions: dict[str, tuple[dict[str, Any], str]] = field(
+        default_factory=dict[str, tuple[dict[str, Any], str]], init=False, repr=False
+    )
+
+    @classmethod
+    def load(cls, prompts: str | Path = "full", *, json: bool = False, wish: str = "") -> Self:
+        """A packaged set by its name, or the operator's folder, whose templates replace those of `full`.
+
+        `wish` is what the operator wishes of the steps, in words.
+
+        Raises:
+            InputError: for field `prompts`: no such folder, none of the templates in it, or a template that cannot
+                be used (syntax, unknown variable, or a failure on an example), naming the file.
+        """
+        if isinstance(prompts, str) and prompts in PACKAGED:
+            letters = prompts == LETTERS
+            if letters and json:
+                raise InputError("answers", "json", "text: the prompts 'letters' ask for one letter")
+            templates = _packaged_templates(prompts)
+            return cls(json=json, reasons=prompts == "full", letters=letters, wish=wish, templates=templates)
+        folder = Path(prompts)
+        replaced = [name for name in VARIABLES if (folder / name).is_file()]
+        if not replaced:
+            raise InputError("prompts", str(folder), f"a folder with at least one of {', '.join(VARIABLES)}")
+        logger.info("prompt templates from %s: %s", folder, ", ".join(replaced))
+        loaded = cls(json=json, wish=wish, templates=_templates("full", folder))
+        loaded.try_out()
+        return loaded
+
+    def system(self, mission: Mission) -> str:
+        """The system message: the same text for every robot of the team."""
+        return self._mission(mission)[1]
+
+    def plan(self, question: PlanQuestion) -> str:
+        """The plan generation message."""
+        return self._question("plan.j2", PLAN, question)
+
+    def step(self, question: StepQuestion, ways: Sequence[LetterWay] | None = None) -> str:
+        """The position update message; with the ways to choose from, where they are known already."""
+        known: Mapping[str, Callable[[StepQuestion], Any]] = STEP
+        if ways is not None:
+            shown = ways_text(ways)
+            known = {**STEP, "ways": lambda asked: shown}
+        return self._question("step.j2", known, question)
+
+    def retry(self, reason: str, question: PlanQuestion | StepQuestion) -> str:
+        """The message after an answer that cannot be used to the same question; `reason` is a sentence."""
+        plan = isinstance(question, PlanQuestion)
+        common = self._mission(question.mission)[0]
+        variables = {name: common[name] for name in ("json", "point_format", "plan_format")}
+        about = {"reason": reason, "kind": "plan" if plan else "step", "horizon": 1 if plan else question.horizon}
+        return self._render("retry.j2", {**self._globals(), **variables, **about})
+
+    def _mission(self, mission: Mission) -> tuple[dict[str, Any], str]:
+        """Variables of every message, and the system message, made once for each mission."""
+        known = self._missions.get(mission.digest)
+        if known is None:
+            if len(self._missions) >= MISSIONS_KEPT:
+                # A moving centre gives another mission in every round.
+                self._missions.clear()
+            common = {**self._globals(), "json": self.json, "wish": self.wish or NO_WISH}
+            common |= {name: write(mission) for name, write in MISSION.items()}
+            known = self._missions[mission.digest] = common, self._render("system.j2", common)
+        return known
+
+    def _globals(self) -> Mapping[str, Any]:
+        """Jinja's own globals."""
+        return self.templates["system.j2"].template.globals
+
+    def _question(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> str:
+        """Write only the variables that the template uses, for every robot asks."""
+        uses = self.templates[name].uses
+        own = {variable: write(question) for variable, write in known.items() if variable in uses}
+        return self._render(name, {**self._mission(question.mission)[0], **own})
+
+    def _render(self, name: str, variables: dict[str, Any]) -> str:
+        template = self.templates[name].template
+        try:
+            # As `template.render`, without its two copies of the variables: they hold the globals already.
+            return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
+        except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
+            # Any fault of an expression: the template is the operator's text, not our code.
+            allowed = f"a template that can be rendered: {error}"
+            raise InputError("prompts", template.filename or name, allowed) from None
+
+    def try_out(self) -> None:
+        """Render everything once, so that a faulty template fails before a run begins."""
+        mission = build_mission(shape="triangle", n_robots=3)
+        here, there = (40.0, 40.0), ((45.0, 40.0),)
+        plan = Plan.of(mission.ideal or ())
+        self.system(mission)
+        asked = PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, still=there)
+        self.plan(asked)
+        step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=there, plan=plan, slot=0)
+        for question in (step, replace(step, horizon=2)):
+            self.step(question)
+            self.retry("the answer is an example.", question)
+        self.retry("the answer is an example.", asked)
+
+
+@lru_cache(maxsize=len(PACKAGED))
+def _packaged_templates(packaged: str) -> Mapping[str, CompiledTemplate]:
+    """Compiled and tried out once in a process: it takes 0.1 s."""
+    templates = MappingProxyType(_templates(packaged, None))
+    for json in (False, True):
+        PromptSet(json=json, templates=templates).try_out()
+    return templates
+
+
+def _templates(packaged: str, directory: Path | None) -> dict[str, CompiledTemplate]:
+    """Every template, compiled and checked: the operator's, or else the packaged one."""
+    folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
+    # Templates may come from strangers; in the sandbox they can only make text.
+    environment = SandboxedEnvironment(
+        loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return {name: _compiled(environment, name, directory) for name in VARIABLES}
+
+
+def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> CompiledTemplate:
+    """A template with correct syntax and known variables."""
+    assert environment.loader is not None
+    file = name if directory is None else str(directory / name)
+    try:
+        source, filename, _ = environment.loader.get_source(environment, name)
+        file = filename or file
+        template = environment.get_template(name)
+        parsed = environment.parse(source, name, filename)
+        used = jinja2.meta.find_undeclared_variables(parsed)
+        others = list(jinja2.meta.find_referenced_templates(parsed))
+    except jinja2.TemplateSyntaxError as error:
+        where = f"{error.filename or file}, line {error.lineno}"
+        raise InputError("prompts", where, f"a Jinja template: {error.message}") from None
+    except (jinja2.TemplateError, OSError, UnicodeDecodeError) as error:
+        raise InputError("prompts", file, f"a readable text file in UTF-8: {error}") from None
+    unknown = sorted(used - VARIABLES[name])
+    if unknown:
+        known = ", ".join(sorted(VARIABLES[name]))
+        raise InputError("prompts", file, f"a template of the variables {known}; not {', '.join(unknown)}")
+    # The variables of included templates are not known.
+    return CompiledTemplate(template=template, uses=VARIABLES[name] if others else frozenset(used))

@@ -1,0 +1,259 @@
+"""Cassettes: files with every conversation of a run, one attempt a line, and a model that answers from them.
+
+A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`, with `"simulated": true` where a stand-in may
+have answered; each further line is a `CassetteLine`.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import logging
+from contextlib import ExitStack
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import IO, Annotated, Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
+from llm_flock.llm._port import MOST_TOKENS, Attempt, Call, ChatMessage, Kind, Reply, Usage
+from llm_flock.protocol._planning import PlanQuestion
+
+logger = logging.getLogger(__name__)
+
+VERSION = 1
+HEADER = "llm_flock_cassette"
+LONGEST_LINE = 1 << 26
+"""Lines of a cassette are shorter [bytes]."""
+
+DIFF_LINES = 40
+"""Longest difference that an error shows [lines]."""
+
+
+class CassetteLine(BaseModel):
+    """One attempt, answered or not. Field names and meanings are those of `port.Attempt`, `Call` and `Reply`.
+
+    `text` is null when there was no answer; then `error` says why.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    robot: int
+    round: int
+    attempt: int
+    kind: Kind
+    request_hash: str
+    messages: tuple[ChatMessage, ...]
+    answer_schema: dict[str, Any] | None
+    model: str
+    settings: dict[str, Any]
+    text: str | None
+    parsed: dict[str, Any] | None
+    rejected: str | None
+    error: tuple[str, str] | None
+    usage: Usage
+    cost_usd: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] | None
+    latency_s: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+    faults: tuple[str, ...]
+    finish_reason: str | None = None
+    thought: bool = False
+    clipped: str | None = None
+    """The last three are missing in older cassettes."""
+
+    @field_validator("usage")
+    @classmethod
+    def _believed(cls, usage: Usage) -> Usage:
+        if usage != Usage.reported(usage.input, usage.output, usage.cached):
+            raise ValueError(f"tokens of one call are from 0 to {MOST_TOKENS}")
+        return usage
+
+
+class _Cassette:
+    """An open file; a context manager."""
+
+    _file: IO[Any]
+
+    def close(self) -> None:
+        """Close the file. It cannot be used afterwards."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+class CassetteWriter(_Cassette):
+    """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
+
+    A run that is killed loses at most the line that was being written. An existing file is never touched. `simulated`
+    tells whether a stand-in may answer: the names of models need not say so.
+
+    Raises:
+        InputError: for field `record_llm`: the file exists or cannot be created.
+    """
+
+    def __init__(self, path: Path, *, simulated: bool = False) -> None:
+        try:
+            self._file = path.open("x", encoding="ascii", newline="\n")
+        except FileExistsError:
+            raise InputError("record_llm", str(path), "a file that does not exist yet") from None
+        except OSError as error:
+            raise InputError("record_llm", str(path), f"a file that can be created ({error.strerror})") from None
+        self._write({HEADER: VERSION, "simulated": True} if simulated else {HEADER: VERSION})
+
+    def __call__(self, attempt: Attempt) -> None:
+        """Write one line, the fields of a `CassetteLine`."""
+        call, reply = attempt.call, attempt.reply
+        # Without an answer, the attempt itself tells the model, the faults and the duration.
+        answer = reply or Reply(text="", model=attempt.model, faults=attempt.faults, latency_s=attempt.latency_s)
+        told = _fields(attempt) | _fields(call) | _fields(answer)
+        told |= {"request_hash": call.request_hash, "answer_schema": call.schema}
+        told |= {"settings": dict(answer.settings), "text": reply.text if reply else None}
+        self._write({name: told[name] for name in CassetteLine.model_fields})
+
+    def _write(self, line: dict[str, Any]) -> None:
+        # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.
+        text = json.dumps(line, separators=(",", ":"), allow_nan=False, default=asdict)
+        self._file.write(text + "\n")
+        self._file.flush()
+
+
+class ReplayModel(_Cassette):
+    """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
+
+    Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
+    failures are repeated. Ask it directly: `limits.Limited` would retry a second time.
+
+    Raises:
+        InputError: for field `model`: there is no such file.
+        RecordError: not a cassette, another version, or damaged (with the line's number).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.name = f"replay:{path}"
+        self._path = path
+        self.models: set[str] = set()
+        """Names of the models that answered when the cassette was recorded."""
+        self.exhausted = False
+        """Whether it has repeated that the recorded run's budget was used up."""
+        self._plans: set[tuple[int, int]] = set()
+        self._marked = False
+        try:
+            with ExitStack() as opened:
+                self._file = opened.enter_context(path.open("rb"))
+                self._offsets = self._index()
+                opened.pop_all()
+        except OSError as error:
+            raise InputError("model", f"replay:{path}", f"a cassette that can be read ({error.strerror})") from None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether a simulated stand-in answered when the cassette was recorded."""
+        return self._marked or any(model.startswith("simulated:") for model in self.models)
+
+    def was_asked(self, question: PlanQuestion) -> bool:
+        """Whether the robot's model was asked for a plan in this round."""
+        return (question.robot, question.round) in self._plans
+
+    async def ask(self, call: Call) -> Reply:
+        """The recorded answer to this call.
+
+        Raises:
+            ReplayDrift: the cassette has no such attempt, or another question there.
+            ModelError: the recorded error.
+        """
+        line = self._read(call)
+        if line.error is not None:
+            kind, detail = line.error
+            self.exhausted |= kind == "budget"
+            error = BudgetExceeded(detail) if kind == "budget" else ModelError(kind, detail)
+            error.faults = line.faults
+            error.model = line.model
+            raise error
+        told: dict[str, Any] = {field.name: getattr(line, field.name) for field in fields(Reply)}
+        told["text"] = line.text or ""
+        return Reply(**told)
+
+    def _read(self, call: Call) -> CassetteLine:
+        where = f"robot {call.robot}, round {call.round}, attempt {call.attempt}"
+        offset = self._offsets.get((call.robot, call.round, call.attempt))
+        if offset is None:
+            rounds = [r for robot, r, _ in self._offsets if robot == call.robot]
+            held = f"rounds {min(rounds)} to {max(rounds)}" if rounds else "nothing"
+            raise ReplayDrift(f"{self._path}: no {call.kind} recorded for {where}; it holds {held} of this robot")
+        self._file.seek(offset)
+        line = CassetteLine.model_validate_json(self._file.readline())
+        if line.request_hash != call.request_hash or line.kind != call.kind:
+            raise ReplayDrift(f"{self._path}: another question than recorded for {where}\n{_difference(line, call)}")
+        return line
+
+    def _index(self) -> dict[tuple[int, int, int], int]:
+        """Byte offset of every attempt; checks the whole file, line by line."""
+        offsets: dict[tuple[int, int, int], int] = {}
+        self._check_header(self._file.readline(LONGEST_LINE))
+        number = 1
+        while True:
+            offset = self._file.tell()
+            raw = self._file.readline(LONGEST_LINE)
+            if not raw:
+                return offsets
+            number += 1
+            if len(raw) == LONGEST_LINE:
+                raise RecordError(f"{self._path}, line {number}: damaged: a line of {LONGEST_LINE} bytes or more")
+            try:
+                line = CassetteLine.model_validate_json(raw)
+            except ValidationError as error:
+                if not raw.endswith(b"\n"):
+                    logger.warning("%s: line %d was cut off in writing and is left out", self._path, number)
+                    return offsets
+                first = error.errors()[0]
+                at = ".".join(str(part) for part in first["loc"])
+                raise RecordError(f"{self._path}, line {number}: damaged: {at or 'line'}: {first['msg']}") from None
+            key = (line.robot, line.round, line.attempt)
+            if key in offsets:
+                raise RecordError(
+                    f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
+                )
+            offsets[key] = offset
+            self.models.add(line.model)
+            if line.kind == "plan":
+                self._plans.add((line.robot, line.round))
+
+    def _check_header(self, raw: bytes) -> None:
+        try:
+            header = json.loads(raw)
+            version = header[HEADER]
+            self._marked = header.get("simulated") is True
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError):
+            raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
+        if version != VERSION:
+            raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")
+
+
+def _fields(value: Attempt | Call | Reply) -> dict[str, Any]:
+    return {field.name: getattr(value, field.name) for field in fields(value)}
+
+
+def _difference(line: CassetteLine, call: Call) -> str:
+    """A unified diff of limited length between the recorded question and this one."""
+    recorded = _readable(line.kind, line.messages, line.answer_schema)
+    asked = _readable(call.kind, call.messages, dict(call.schema) if call.schema is not None else None)
+    diff = list(difflib.unified_diff(recorded, asked, "recorded", "asked now", n=1, lineterm=""))
+    if not diff:
+        return "the texts are equal: the recorded hash does not fit its own line"
+    if len(diff) > DIFF_LINES:
+        diff = [*diff[:DIFF_LINES], f"... and {len(diff) - DIFF_LINES} more lines"]
+    return "\n".join(text if len(text) <= 300 else text[:297] + "..." for text in diff)
+
+
+def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> list[str]:
+    lines = [f"kind: {kind}"]
+    for message in messages:
+        lines.append(f"[{message.role}]")
+        lines.extend(message.text.splitlines())
+    if schema is not None:
+        lines.append(f"[schema] {json.dumps(schema, sort_keys=True)}")
+    return lines

@@ -1,0 +1,211 @@
+"""A budget, the rates of providers, and models that the runs of a sweep share."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import time
+from collections import defaultdict, deque
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+from llm_flock import plugins
+from llm_flock.errors import BudgetExceeded
+from llm_flock.llm._limits import Budget, CallGate, Spent
+from llm_flock.llm._models import ModelPool, cost_usd
+from llm_flock.llm._port import Usage
+from llm_flock.llm._sources import source_of
+
+CHARS_PER_TOKEN = 4
+FIRST_GUESS = 500
+"""Expected length of an answer before a model's first one [tokens]."""
+
+WINDOW_S = 60.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rate:
+    """Limits of a provider for all runs together, checked where they are read; None is without limit.
+
+    Attributes:
+        calls_per_minute: calls within any 60 s, retries included.
+        tokens_per_minute: tokens in and out within any 60 s; of calls under way, the expected number.
+    """
+
+    max_concurrent: int | None = None
+    calls_per_minute: int | None = None
+    tokens_per_minute: int | None = None
+
+
+@dataclass(slots=True, eq=False)
+class _SentCall:
+    """A call that was sent; tokens and money are those expected until it has ended."""
+
+    model: str
+    tokens: int
+    cost_usd: float
+    at_s: float
+
+
+class _Traffic:
+    """One provider's calls: those under way and those of the last minute."""
+
+    def __init__(self, rate: Rate, window_s: float) -> None:
+        self.rate = rate
+        self.queue = asyncio.Lock()
+        self.under_way = 0
+        self._window_s = window_s
+        self._recent: deque[_SentCall] = deque()
+
+    def wait_s(self, tokens: int, now: float) -> float:
+        """Wait before a call of this size may be sent [s]; infinite until another call ends."""
+        rate, recent = self.rate, self._recent
+        if rate.max_concurrent is not None and self.under_way >= rate.max_concurrent:
+            return float("inf")
+        while recent and recent[0].at_s <= now - self._window_s:
+            recent.popleft()
+        full = rate.calls_per_minute is not None and len(recent) >= rate.calls_per_minute
+        if not full and rate.tokens_per_minute is not None:
+            full = sum(call.tokens for call in recent) + tokens > rate.tokens_per_minute
+        # A call larger than the whole limit may go when no other one counts.
+        return recent[0].at_s + self._window_s - now if recent and full else 0.0
+
+    def sent(self, call: _SentCall) -> None:
+        """Count a call."""
+        self.under_way += 1
+        if self.rate.calls_per_minute is not None or self.rate.tokens_per_minute is not None:
+            self._recent.append(call)
+
+
+class SharedGate:
+    """A `CallGate` within one process and event loop.
+
+    Calls count when they begin. Tokens and money are known with the answer; until then a call reserves its expected
+    use, so that near the end of a budget calls wait for those under way, and it is overrun by about one call.
+
+    Args:
+        budget: of all runs together.
+        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to as
+            many questions at once as they answer.
+        window_s: length of a minute, for tests [s].
+    """
+
+    def __init__(
+        self,
+        budget: Budget | None = None,
+        rates: Mapping[str, Rate] | None = None,
+        *,
+        window_s: float = WINDOW_S,
+    ) -> None:
+        given = rates or {}
+        self.budget = budget or Budget()
+        self.spent = Spent()
+        self.elsewhere = Spent()
+        """Spent by other processes, of the same budget; whoever learns of it sets it."""
+        self.reason: str | None = None
+        self._traffic: defaultdict[str, _Traffic] = defaultdict(lambda: _Traffic(Rate(), window_s))
+        for provider in {*plugins.entries("models"), *given}:
+            rate = given.get(provider)
+            if rate is None:
+                rate = Rate(max_concurrent=source_of(provider).at_once)
+            self._traffic[provider] = _Traffic(rate, window_s)
+        self._changed = asyncio.Event()
+        self._tickets = itertools.count()
+        self._under_way: dict[int, _SentCall] = {}
+        self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
+
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
+        """See `CallGate`. Calls of one provider go in the order of arrival."""
+        traffic = self._traffic[model.partition(":")[0]]
+        tokens, cost = self._expected(model, chars)
+        async with traffic.queue:
+            while True:
+                self._check(new_call=not again)
+                wait = max(self._wait_for_budget(tokens, cost), traffic.wait_s(tokens, time.monotonic()))
+                if wait <= 0:
+                    break
+                self._changed.clear()
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(None if wait == float("inf") else wait):
+                        await self._changed.wait()
+            ticket = next(self._tickets)
+            self._under_way[ticket] = call = _SentCall(model, tokens, cost, time.monotonic())
+            traffic.sent(call)
+            if not again:
+                self.spent += Spent(calls=1)
+        return ticket
+
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
+        """See `CallGate`."""
+        call = self._under_way.pop(ticket)
+        self._traffic[call.model.partition(":")[0]].under_way -= 1
+        if usage is not None:
+            call.tokens = usage.total
+            self.spent += Spent(tokens=usage.total, cost_usd=cost_usd or 0.0)
+            calls, output, paid = self._answers[call.model]
+            self._answers[call.model] = (calls + 1, output + usage.output, paid + (cost_usd or 0.0))
+        self._changed.set()
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether a new call would be turned away."""
+        with suppress(BudgetExceeded):
+            self._check(new_call=True)
+        return self.reason is not None
+
+    def _check(self, *, new_call: bool) -> None:
+        reason = self.budget.exhausted(self.spent + self.elsewhere, new_call=new_call, owner=" of the sweep")
+        if reason is not None:
+            self.reason = reason
+            self._changed.set()
+            raise BudgetExceeded(reason)
+
+    def _wait_for_budget(self, tokens: int, cost: float) -> float:
+        """Infinite while calls under way may use up the rest of the budget, else 0 [s]."""
+        budget, held = self.budget, self._under_way.values()
+        if not held or (budget.max_tokens is None and budget.max_cost_usd is None):
+            return 0.0
+        tokens += self.spent.tokens + self.elsewhere.tokens + sum(call.tokens for call in held)
+        cost += self.spent.cost_usd + self.elsewhere.cost_usd + sum(call.cost_usd for call in held)
+        over = budget.max_tokens is not None and tokens > budget.max_tokens
+        over |= budget.max_cost_usd is not None and cost > budget.max_cost_usd
+        return float("inf") if over else 0.0
+
+    def _expected(self, model: str, chars: int) -> tuple[int, float]:
+        """Expected tokens and money of a call: by list price, or the mean of earlier calls."""
+        calls, output, paid = self._answers[model]
+        usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else FIRST_GUESS)
+        provider, _, name = model.partition(":")
+        if self.budget.max_cost_usd is None:
+            return usage.total, 0.0
+        listed = cost_usd(provider, name, usage)
+        return usage.total, listed if listed is not None else paid / max(1, calls)
+
+
+class CallLane:
+    """One run's access to the shared gate and models.
+
+    Without gate, all calls are admitted; without pool, the run makes its own. `cut` tells whether the shared budget
+    turned away a call of this run.
+    """
+
+    def __init__(self, gate: CallGate | None = None, pool: ModelPool | None = None) -> None:
+        self.pool = pool
+        self.cut = False
+        self._gate = gate
+
+    async def enter(self, model: str, chars: int, *, again: bool) -> int:
+        """See `CallGate`."""
+        if self._gate is None:
+            return -1
+        try:
+            return await self._gate.enter(model, chars, again=again)
+        except BudgetExceeded:
+            self.cut = True
+            raise
+
+    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
+        """See `CallGate`."""
+        if self._gate is not None:
+            self._gate.leave(ticket, usage, cost_usd)

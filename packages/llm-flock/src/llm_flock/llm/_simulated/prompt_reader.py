@@ -1,0 +1,223 @@
+"""Read the packaged prompts: all that a simulated model knows comes from here."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from llm_flock import shapes as formations
+from llm_flock.arrays import Point, Points
+from llm_flock.errors import InputError
+from llm_flock.llm._prompting import PromptSet
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle, clearance
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+
+_FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
+_TEAM = re.compile(r"in a team of ([0-9]+)")
+_PLACES = re.compile(r"^- Places: ([0-9]+) ", re.MULTILINE)
+_LINE = re.compile(r"^- ([A-Z][a-z ]+): (.*)$", re.MULTILINE)
+_ROBOT = re.compile(r"You are robot ([0-9]+)")
+_POLYGON = re.compile(r"a regular polygon with ([0-9]+) sides")
+_ROUND = re.compile(r"of radius ([0-9.]+) around \[([^\]]+)\]")
+_CORNERS = re.compile(r"with the corners \[((?:\[[^\]]+\],? ?)+)\]")
+_CORNER = re.compile(r"\[([^\]]+)\]")
+_STILL = re.compile(r"^Robots that do not move any more stand at (\[\[.+\]\]): ", re.MULTILINE)
+_GIVEN = "relative to its centre its places are [["
+
+_WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
+
+WISH_MARK = "Wish: "
+PLAN_MARK = "Work out a plan:"
+STEP_MARK = "Your position: "
+_NEIGHBORS_MARK = "\nRobots near you, moving as well: "
+_GOAL_MARK = "\nYour goal, "
+_JSON_MARK = "JSON object"
+_HORIZON = re.compile(r"path of at most ([0-9]+) positions")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Task:
+    """The content of the system message: the shape in words, lengths [units], obstacles, and how far to keep away.
+
+    `safe_distance` is that from other robots, `clearance` that from obstacles; 0 where the message has none.
+    """
+
+    shape: str
+    n_places: int
+    center: Point
+    spacing: float
+    max_step: float
+    obstacles: tuple[Obstacle, ...] = ()
+    clearance: float = 0.0
+    safe_distance: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepPrompt:
+    """The content of the position update.
+
+    Attributes:
+        goal_text: the goal as it was written.
+        neighbors: positions of the other robots, as text.
+        horizon: longest path; 1 asks for a single position.
+        json: whether the answer is to be JSON.
+    """
+
+    position: Point
+    goal: Point
+    goal_text: str
+    neighbors: str
+    horizon: int
+    json: bool
+
+    def seen(self) -> list[Point]:
+        """Read the positions of the other robots."""
+        return _points(self.neighbors, len(self.position))
+
+
+def _points(text: str, dim: int) -> list[Point]:
+    """All points of a text, in order."""
+    values = numbers(text)
+    return [values[i : i + dim] for i in range(0, len(values), dim)]
+
+
+def numbers(text: str) -> Point:
+    """All numbers of a text, in order."""
+    return tuple(map(float, _FLOAT.findall(text)))
+
+
+@lru_cache(maxsize=64)
+def sensible_decimals(length: float) -> int:
+    """Decimals of stated numbers: two, and more where lengths are below one unit."""
+    return max(2, 2 - math.floor(math.log10(length)))
+
+
+@lru_cache(maxsize=64)
+def read_task(system: str) -> Task:
+    """Read the system message; InputError if it is not in the packaged words."""
+    team, lines = _PLACES.search(system) or _TEAM.search(system), dict(_LINE.findall(system))
+    center = numbers(lines.get("Centre of the shape", ""))
+    spacing, max_step = numbers(lines.get("Spacing", "")), numbers(lines.get("Step limit", ""))
+    if team is None or "Shape" not in lines or not (center and spacing and max_step):
+        raise _other_words("system.j2", system)
+    obstacles = lines.get("Obstacles", "")
+    return Task(
+        shape=lines["Shape"],
+        n_places=int(team[1]),
+        center=center,
+        spacing=spacing[0],
+        max_step=max_step[0],
+        obstacles=_obstacles(obstacles),
+        clearance=next(iter(numbers(obstacles)), 0.0),
+        safe_distance=next(iter(numbers(lines.get("Safe distance", ""))), 0.0),
+    )
+
+
+def _obstacles(text: str) -> tuple[Obstacle, ...]:
+    """The obstacles of their line in the system message."""
+    round_ones = [Obstacle(radius=float(radius), center=numbers(at)) for radius, at in _ROUND.findall(text)]
+    corners = [[numbers(corner) for corner in _CORNER.findall(rows)] for rows in _CORNERS.findall(text)]
+    return (*round_ones, *(Obstacle(polygon=tuple((x, y) for x, y in rows)) for rows in corners))
+
+
+def read_plan(text: str) -> tuple[int, bool]:
+    """Read the robot's id in the plan message, and whether the answer is to be JSON; InputError as in `read_task`."""
+    robot = _ROBOT.search(text)
+    if robot is None:
+        raise _other_words("plan.j2", text)
+    return int(robot[1]), _JSON_MARK in text
+
+
+def read_still(text: str, dim: int) -> list[Point]:
+    """Read where the plan message says that robots stand still; empty if it names none."""
+    found = _STILL.search(text)
+    return [] if found is None else _points(found[1], dim)
+
+
+def read_step(text: str) -> StepPrompt:
+    """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
+    position = numbers(_line_after(text, STEP_MARK))
+    goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
+    goal = numbers(goal_text)
+    if not position or len(goal) != len(position):
+        raise _other_words("step.j2", text)
+    horizon = _HORIZON.search(text)
+    return StepPrompt(
+        position=position,
+        goal=goal,
+        goal_text=goal_text,
+        neighbors=_line_after(text, _NEIGHBORS_MARK),
+        horizon=1 if horizon is None else int(horizon[1]),
+        json=_JSON_MARK in text,
+    )
+
+
+def read_ways(text: str) -> list[str]:
+    """Read the letters of the ways, in their order; empty if the question is not for a letter."""
+    return _WAY.findall(text.rpartition("\n")[2]) if text.startswith(WISH_MARK) else []
+
+
+def check_prompts(prompts: PromptSet, mission: Mission) -> None:
+    """Read the prompts of sample questions. Call before a run with simulated models; InputError as in `read_task`."""
+    if prompts.letters:
+        return
+    read_task(prompts.system(mission))
+    here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
+    read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))
+    step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0)
+    read_step(prompts.step(step))
+
+
+def _line_after(text: str, mark: str) -> str:
+    """The rest of the line after a mark, empty without the mark."""
+    begin = text.find(mark)
+    if begin < 0:
+        return ""
+    begin += len(mark)
+    end = text.find("\n", begin)
+    return text[begin:] if end < 0 else text[begin:end]
+
+
+def _other_words(template: str, text: str) -> InputError:
+    return InputError("prompts", text[:80], f"{template} in the packaged words: simulated models understand no others")
+
+
+@lru_cache(maxsize=64)
+def formation(task: Task) -> Points:
+    """Ideal points of the task's shape, shape (n, d) [units]; do not change them.
+
+    A shape that is only described in words becomes a circle.
+    """
+    center, n = task.center, task.n_places
+    if _GIVEN in task.shape:
+        rows = np.array(numbers(task.shape.partition(_GIVEN)[2])).reshape(n, len(center))
+        points = formations.ideal_points("points", n, center, task.spacing, rows.tolist())
+    else:
+        spec = _spec(task.shape)
+        points = formations.ideal_points(spec, n, center[:2], task.spacing)
+    assert points is not None, "only free text has no ideal points, and it was taken for a circle"
+    if points.shape[1] < len(center):
+        height = np.full((n, len(center) - 2), center[2:])
+        points = np.hstack([points, height])
+    points.setflags(write=False)
+    return points
+
+
+def clear_of_obstacles(points: Points, task: Task) -> bool:
+    """Whether all places, shape (n, d) [units], are far enough from the task's obstacles."""
+    return all(clearance(tuple(row), task.obstacles) >= task.clearance for row in points.tolist())
+
+
+def _spec(words: str) -> str:
+    """The named shape that has this description."""
+    polygon = _POLYGON.match(words)
+    if polygon is not None:
+        return f"polygon:{polygon[1]}"
+    plain = (info.name for info in formations.shapes() if ":" not in info.name and info.name != "points")
+    return next((name for name in plain if formations.describe(name) == words), "circle")

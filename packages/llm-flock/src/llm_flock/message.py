@@ -1,0 +1,430 @@
+"""The one kind of message between robots, and its bytes: a version byte, then MessagePack.
+
+A message carries everything public about its sender: mission, influence, plan with its provenance, claimed slot and,
+for the auction, its bids. Long parts are named by a digest, and spelled out only where a neighbour may lack them
+(`llm_flock.protocol._messages.dissemination`). Positions of neighbours are sensed; reports of positions are for
+joint assignments. The types of the fields hold the bounds of what a stranger may send, and `decode` checks the rest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import operator
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+from functools import cached_property, lru_cache
+from typing import Annotated, Any, TypeAlias, cast
+
+import msgspec
+from msgspec.structs import astuple, force_setattr, replace
+
+from llm_flock.arrays import MAX_COORDINATE
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.errors import InputError, MessageError
+from llm_flock.mission import Mission
+from llm_flock.plan import Coordinate, Plan
+
+LOGICAL_BITS = 16
+"""Lowest bits of an order's time, which count orders within a millisecond."""
+
+LATEST = 2**60
+"""Above every time of an order: far enough in the future, and below the largest machine integer."""
+
+MOST_AHEAD_MS = 24 * 3600 * 1000
+"""A time that others tell is believed if it is at most this far ahead of the own clock [ms]; no liar sets the clock."""
+
+
+def order_time(milliseconds: int, count: int = 0) -> int:
+    """The time of an order at this moment [ms], the `count`-th of its millisecond."""
+    return (milliseconds << LOGICAL_BITS) + count
+
+
+class OperatorClock:
+    """Gives each order of one operator a higher time than all before; `now_ms` is the wall clock [ms since 1970]."""
+
+    def __init__(self, now_ms: Callable[[], int]) -> None:
+        self._now_ms = now_ms
+        self._last = 0
+
+    def witness(self, time: int) -> None:
+        """Take note of the time of another order, of this operator's in an earlier life for instance."""
+        if time <= order_time(self._now_ms() + MOST_AHEAD_MS):
+            self._last = max(self._last, time)
+
+    def next(self) -> int:
+        """The time of an order that is given now."""
+        self._last = max(order_time(self._now_ms()), self._last + 1)
+        return self._last
+
+
+def time_text(time: int) -> str:
+    """An order's time in words; the first mission, and rounds of a simulation, count from 1970 too."""
+    moment = datetime.fromtimestamp((time >> LOGICAL_BITS) / 1000.0, UTC)
+    count = time & ((1 << LOGICAL_BITS) - 1)
+    return f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 1000:03} UTC" + (f" ({count})" if count else "")
+
+
+WIRE_VERSION = 8
+
+MAX_BID = 10 * MAX_COORDINATE
+"""Largest distance between two points of the largest arena [units]."""
+
+NO_OWNER = -1
+BLOCKED = -2
+"""Owner of a slot that no robot can take, because a body that does not move stands there."""
+
+LAST_ROUND = 1023
+"""Largest round number in a position report."""
+
+MOST_LOOKS = 64
+"""Largest number of visits to a vacant slot in an entry."""
+
+MOST_EPOCHS = 32
+"""Largest epoch: plans for one mission that follow on each other."""
+
+HIGHEST = 15
+"""Highest level of a right of way."""
+
+MOST_STOPS = 4
+"""Most points of a course."""
+
+Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
+Bid = Annotated[float, msgspec.Meta(ge=-MAX_BID, le=MAX_BID)]
+Counter = Annotated[int, msgspec.Meta(ge=0, lt=2**40)]
+"""Far more than an honest robot ever counts, and far enough below the largest machine integer to be raised safely."""
+Round = Annotated[int, msgspec.Meta(ge=0, le=LAST_ROUND)]
+OrderTime = Annotated[int, msgspec.Meta(ge=0, lt=LATEST)]
+Digest = Annotated[str, msgspec.Meta(pattern=r"^[0-9a-f]{16}\Z")]
+TableDigest = Annotated[bytes, msgspec.Meta(min_length=8, max_length=8)]
+Coordinates: TypeAlias = tuple[Coordinate, ...]
+
+BidEntry: TypeAlias = tuple[int, float, int]
+"""One slot of a bid table: (version, bid, owner), CBAA's winning bid and winning agent; owner NO_OWNER marks a free
+slot."""
+
+BidTable: TypeAlias = tuple[BidEntry, ...]
+
+UNSAID: BidEntry = (0, 0.0, NO_OWNER)
+"""The entry of lowest rank: merging it changes nothing, so it stands for slots that a message leaves out."""
+
+Claims: TypeAlias = tuple[tuple[Id, Counter, Bid, Owner], ...]
+"""The entries of a bid table that a message spells out: slot, version, bid and owner of each."""
+
+PositionReport: TypeAlias = tuple[Round, Coordinates, Coordinates]
+"""A robot's report for a joint assignment: round of the mission, 0 for its start; position at that time; and position
+for the second collection of a large team, empty before that [units; frame of the mission]."""
+
+TeamPositions: TypeAlias = tuple[int, tuple[int, ...], tuple[Coordinates, ...]]
+"""A collection: version of the claims that follow from it, ids of the robots, and the position of each of them [units;
+frame of the mission]."""
+
+
+class _OnWire(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, kw_only=True):
+    """A part of a message: an array of its fields in their order."""
+
+
+class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, order=True):
+    """Identifies a mission: operator's time of the order, 0 for the first one, then content.
+
+    The mission with the higher stamp is in force, so that of the last order.
+    """
+
+    counter: OrderTime
+    digest: Digest
+
+
+NO_MISSION = MissionStamp(0, "0" * 16)
+"""The stamp of a message that names no mission."""
+
+
+class Provenance(_OnWire, frozen=True, kw_only=True):
+    """Where a plan comes from: fixed when it is proposed, and carried along unchanged.
+
+    Attributes:
+        mission: time of the order for the mission that the plan was made for.
+        mission_digest: content of that mission.
+        epoch: counter of plans for that mission.
+        degree: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
+        proposer: id of the robot that proposed.
+        sequence: counts the proposals of that robot.
+    """
+
+    mission: OrderTime
+    mission_digest: Digest
+    epoch: Counter
+    degree: Id
+    proposer: Id
+    sequence: Counter
+
+    @property
+    def stamp(self) -> MissionStamp:
+        """The mission that the plan was made for."""
+        return MissionStamp(self.mission, self.mission_digest)
+
+
+class Offer(_OnWire, frozen=True, kw_only=True):
+    """An exchange of slots, offered to one neighbour.
+
+    The sender would give slot `give`, which it owns, for slot `take`, which robot `to` owns, as long as these entries
+    have these versions; `bid` is the sender's bid for `take`.
+    """
+
+    to: Id
+    give: Id
+    take: Id
+    give_version: Counter
+    take_version: Counter
+    bid: Bid
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "bid", self.bid + 0.0)  # a zero without a sign, which would be signed as another number
+
+
+class Course(_OnWire, frozen=True, kw_only=True):
+    """Where a robot that others block will be in the next rounds.
+
+    Attributes:
+        level: rises with the time for which the right of way has been missing.
+        of: the robot whose right it is: the sender, or one that the sender makes way for.
+        path: next corners of the sender's way [units; world frame].
+    """
+
+    level: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
+    of: Id
+    path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MOST_STOPS)]
+
+
+class Message(_OnWire, frozen=True, kw_only=True, dict=True):
+    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`.
+
+    Attributes:
+        sender: id of the robot.
+        sequence: counts the changes of the content; equal content is equal bytes.
+        degree: number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
+        stamp: the sender's mission; None with a provenance, which has it.
+        provenance: origin of the plan that the sender follows, present with it.
+        places: number of places of that plan; that of `plan` if left out.
+        plan_digest: digest of that plan; that of `plan` if left out.
+        slot: index of the claimed place.
+        table_digest: digest of the sender's whole bid table (auction only).
+        claims: entries of that table, in ascending order of slots (auction only).
+        offer: an exchange that the sender offers (auction only).
+        course: the way that the sender asks others to leave free; None if nothing is in its way.
+        beats: heartbeat counters of the team, by id; None if not spelled out.
+        plan: the plan spelled out; None before the sender has one, or if only the digest is given.
+        mission_text: the mission spelled out as JSON; None if not.
+        positions: position reports of the team, by id; None if not spelled out.
+        plan_class: class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
+        proofs: signatures that came with the message (teams with keys only); never part of the message itself.
+    """
+
+    sender: Id
+    sequence: Counter
+    degree: Id
+    stamp: MissionStamp | None = None
+    provenance: Provenance | None = None
+    places: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROBOTS)] = 0
+    plan_digest: Digest | None = None
+    slot: Id | None = None
+    table_digest: TableDigest | None = None
+    claims: Claims | None = None
+    offer: Offer | None = None
+    course: Course | None = None
+    beats: tuple[Counter, ...] | None = None
+    plan: Plan | None = None
+    mission_text: str | None = None
+    positions: dict[Id, PositionReport] | None = None
+    plan_class: int = 0
+    proofs: object = None
+
+    def __post_init__(self) -> None:
+        plan = self.plan
+        if self.stamp is not None and self.provenance is not None:
+            force_setattr(self, "stamp", None)
+        if plan is not None and self.plan_digest != plan.digest:
+            force_setattr(self, "plan_digest", plan.digest)
+        if plan is not None and self.places != len(plan.points):
+            force_setattr(self, "places", len(plan.points))
+
+    @cached_property
+    def mission(self) -> MissionStamp:
+        """The sender's mission."""
+        return self.stamp or NO_MISSION if self.provenance is None else self.provenance.stamp
+
+    @cached_property
+    def table(self) -> BidTable | None:
+        """The sender's bid table, with UNSAID for slots left out; None without claims."""
+        return None if self.claims is None else _table(self.claims, self.places)
+
+    @cached_property
+    def said(self) -> tuple[int, ...] | None:
+        """Slots that `table` does not leave out, if they are at most half of all; otherwise None."""
+        if self.claims is None or 2 * len(self.claims) > self.places:
+            return None
+        return tuple(map(_SLOT, self.claims))
+
+
+_SLOT, _OWNER = operator.itemgetter(0), operator.itemgetter(3)
+_VERSION = bytes([WIRE_VERSION])
+_WIRE_FIELDS, _PLAN_DIGEST = map(Message.__struct_fields__.index, ("plan_class", "plan_digest"))
+_ENCODER = msgspec.msgpack.Encoder()
+_DECODER = msgspec.msgpack.Decoder(Message)
+
+
+@lru_cache(maxsize=256)
+def _table(claims: Claims, places: int) -> BidTable:
+    table = [UNSAID] * places
+    for slot, version, bid, owner in claims:
+        table[slot] = _entry(version, bid, owner)
+    return tuple(table)
+
+
+@lru_cache(maxsize=2**18)
+def _entry(version: int, bid: float, owner: int) -> BidEntry:
+    """One object for equal entries, so that large tables are compared by identity (`agreement.auction.merged`).
+
+    A bid of zero loses its sign: equal entries must have the same digest and signature, whichever is read first.
+    """
+    return version, bid + 0.0, owner
+
+
+def claims_in(table: BidTable, slots: Iterable[int] | None = None) -> Claims:
+    """A bid table as a message spells it out: all of it, or these slots.
+
+    A bid of 0, as in joint assignments, takes one byte as an integer, and nine as a float.
+    """
+    chosen = range(len(table)) if slots is None else slots
+    named = [(slot, table[slot]) for slot in chosen if table[slot] != UNSAID]
+    return tuple([(slot, version, bid or 0, owner) for slot, (version, bid, owner) in named])
+
+
+def table_digest(table: BidTable) -> bytes:
+    """8 bytes that identify a whole bid table."""
+    return hashlib.blake2b(msgspec.msgpack.encode(table), digest_size=8).digest()
+
+
+def without_plan(message: Message) -> Message:
+    """The message as from a robot that follows no plan."""
+    return replace(
+        message,
+        stamp=message.mission,
+        provenance=None,
+        places=0,
+        plan=None,
+        plan_digest=None,
+        slot=None,
+        table_digest=None,
+        claims=None,
+        offer=None,
+    )
+
+
+def max_payload_bytes(n_robots: int) -> int:
+    """Largest payload that a team of N legitimately needs [bytes]."""
+    return 4096 + 256 * n_robots
+
+
+def encode(message: Message) -> bytes:
+    """The message as bytes: without what it does not have at its end, nor the digest of a plan that it spells out."""
+    fields: list[object] = [*astuple(message)[:_WIRE_FIELDS]]
+    if message.plan is not None:
+        fields[_PLAN_DIGEST] = None
+    while fields[-1] is None:
+        fields.pop()
+    return _VERSION + _ENCODER.encode(fields)
+
+
+def decode(payload: bytes, n_robots: int, dim: int) -> Message:
+    """The message in a payload from an untrusted sender. Pure.
+
+    Raises:
+        MessageError: with reason `oversized`, `version`, `malformed`, `wrong_length` or `unknown_id`.
+    """
+    if len(payload) > max_payload_bytes(n_robots):
+        raise MessageError("oversized", f"{len(payload)} bytes, at most {max_payload_bytes(n_robots)} are allowed")
+    if payload[:1] != _VERSION:
+        raise MessageError("version", f"version {WIRE_VERSION} is spoken here")
+    try:
+        message = _DECODER.decode(memoryview(payload)[1:])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise MessageError("malformed", str(error)) from None
+    _check_ids(message, n_robots)
+    _check_lengths(message, n_robots, dim)
+    return message
+
+
+def _check_ids(message: Message, n_robots: int) -> None:
+    origin, offer, course = message.provenance, message.offer, message.course
+    named = [message.sender, *(message.positions or ()), *map(_OWNER, message.claims or ())]
+    named += [] if origin is None else [origin.proposer]
+    named += [] if offer is None else [offer.to]
+    named += [] if course is None else [course.of]
+    if max(named) >= n_robots:
+        raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
+    if max(message.degree, 0 if origin is None else origin.degree) >= n_robots:
+        raise MessageError("unknown_id", f"more neighbours than a team of {n_robots} has")
+
+
+def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
+    plan, offer, places = message.plan, message.offer, message.places
+    if message.plan_class or message.proofs is not None:
+        raise MessageError("malformed", "more fields than a message has")
+    if message.beats is not None and len(message.beats) != n_robots:
+        raise MessageError("wrong_length", f"{len(message.beats)} heartbeats of {n_robots} robots")
+    reports = (message.positions or {}).values()
+    if not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in reports):
+        raise MessageError("wrong_length", f"a position has {dim} coordinates")
+    if message.course is not None and set(map(len, message.course.path)) != {dim}:
+        raise MessageError("wrong_length", f"a course has points of {dim} coordinates")
+    if (message.plan_digest is None) != (message.provenance is None):
+        raise MessageError("malformed", "a plan and its provenance go together")
+    if (message.claims is None) != (message.table_digest is None):
+        raise MessageError("malformed", "claims and their digest go together")
+    if plan is not None and len(plan.points[0]) != dim:
+        raise MessageError("wrong_length", f"a plan has points of {dim} coordinates")
+    if message.plan_digest is None:
+        if places or message.slot is not None or message.claims is not None or offer is not None:
+            raise MessageError("malformed", "claims without a plan")
+        return
+    if not places:
+        raise MessageError("wrong_length", "a plan without places")
+    slots = [*map(_SLOT, message.claims or ())]
+    slots += [] if message.slot is None else [message.slot]
+    slots += [] if offer is None else [offer.give, offer.take]
+    if slots and max(slots) >= places:
+        raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {places} places")
+
+
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
+"""Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
+
+
+def mission_text(mission: Mission) -> str:
+    """The mission's fields as JSON, for a message."""
+    return mission.model_dump_json(include=set(MISSION_FIELDS))
+
+
+def received_mission(message: Message, own: Mission) -> Mission:
+    """The mission that a message spells out, with the limits and surroundings of the robot's own mission.
+
+    A sender with other limits announces another digest, so its mission is refused.
+
+    Raises:
+        MessageError: with reason `malformed` unless it is a JSON object of `MISSION_FIELDS`, or `other_mission`.
+    """
+    try:
+        decoded: object = json.loads(message.mission_text or "")
+    except (ValueError, RecursionError) as error:
+        raise MessageError("malformed", f"the mission is not JSON ({error})") from None
+    fields = cast("dict[str, Any]", decoded) if isinstance(decoded, dict) else {"": decoded}
+    if not fields.keys() <= MISSION_FIELDS:
+        raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
+    try:
+        mission = own.change(**fields)
+    except InputError as error:
+        raise MessageError("other_mission", str(error)) from None
+    if mission.digest != message.mission.digest:
+        raise MessageError("other_mission", f"not the mission that {message.mission.digest} stands for")
+    return mission

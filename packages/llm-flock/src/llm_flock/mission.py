@@ -1,0 +1,412 @@
+"""The mission: a validated, immutable description of the formation, the team, and the team's limits."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Iterator, Sized
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from llm_flock import shapes as formations
+from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
+from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places
+from llm_flock.errors import InputError
+from llm_flock.obstacles import Obstacle, clearance
+from llm_flock.printable import hidden
+from llm_flock.validation import input_error
+
+if TYPE_CHECKING:
+    from llm_flock.roadmap import Roadmap  # imported where it is used: few missions have obstacles
+
+Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
+
+ORIENTATIONS = 72
+"""Number of evenly spaced orientations in which the shape is tried among the obstacles."""
+
+CENTER_TOLERANCE = 0.05
+"""Largest distance of the mean of a plan's places from the centre, as a share of the spacing: half a unit at the
+paper's spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
+
+SHIFTS = 8
+"""Directions in which the shape is also shifted, by a little less than that, if no orientation fits."""
+
+START_DENSITY = 0.35
+"""Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
+
+
+def start_volume(n_robots: int, dim: int, safe_distance: float) -> float:
+    """Volume of the smallest arena that has room for `n_robots` random starts, `safe_distance` apart [units^dim]."""
+    ball = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1) * (safe_distance / 2) ** dim
+    return n_robots * ball / START_DENSITY
+
+
+class Mission(BaseModel):
+    """A formation to build, the team that builds it, and the limits that the team must respect.
+
+    The defaults are those of the paper (section 4: spacing 10, safe distance 3, 6 units per round, radio range 15,
+    arena 100 x 100, centre [50, 50]). Lengths are in mission units, positions in the world frame.
+
+    Raises:
+        ValidationError: a single field is invalid (`Mission(n_robots=0)`); raised by pydantic.
+        InputError: fields contradict each other. `build_mission` raises InputError in both cases.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    shape: str = Field(
+        default="circle", description="Named shape, optionally with an argument: circle, polygon:5, text:..."
+    )
+    n_robots: int = Field(
+        default=10, ge=1, le=MAX_ROBOTS, description="Number of robots N", json_schema_extra={"flag": "robots"}
+    )
+    places: int | None = Field(
+        default=None, ge=1, le=MAX_ROBOTS, description="Number of places in the formation; one per robot if unset"
+    )
+    center: tuple[Coordinate, ...] = Field(default=(50.0, 50.0), description="Centre of the formation [units]")
+    velocity: tuple[Coordinate, ...] | None = Field(
+        default=None, description="Velocity of the centre [units per round]; the formation stands still if unset"
+    )
+    since: int = Field(default=0, ge=0, description="Round at which a moving formation's centre is at `center`")
+    spacing: Length = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
+    safe_distance: Length = Field(default=3.0, description="Smallest allowed distance between two robots d_s [units]")
+    max_step: Length = Field(default=6.0, description="Longest move in one round v_m [units]")
+    comm_range: Length = Field(default=15.0, description="Radio range r_comm [units]")
+    sense_range: Length | None = Field(
+        default=None, description="Range of the position sensors [units]; comm_range if unset"
+    )
+    arena: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] = Field(
+        default=((0.0, 0.0), (100.0, 100.0)), description="Lower and upper corners of the flight space [units]"
+    )
+    points: tuple[tuple[Coordinate, ...], ...] | None = Field(
+        default=None, description="Target points of the shape 'points' [units]; only their relative positions matter"
+    )
+    obstacles: tuple[Obstacle, ...] = Field(
+        default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots must avoid"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _fill_from_points(cls, data: Any) -> Any:
+        """Derive the shape, the number of places and, unless given, the number of robots from `points`."""
+        if not isinstance(data, dict):
+            return data
+        given = cast("dict[str, Any]", data)
+        points = given.get("points")
+        if not isinstance(points, Sized):
+            return given  # absent, or of a type that the field's own validation refuses
+        if not len(points):
+            raise InputError("points", points, "at least one point")
+        filled = {"shape": "points", "n_robots": len(points), **given}
+        if filled.get("places") is None and filled["n_robots"] != len(points):
+            filled["places"] = len(points)
+        return filled
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        low, high = self.arena
+        dim = len(self.center)
+        if not 2 <= dim <= 3:
+            raise InputError("center", list(self.center), "2 or 3 coordinates")
+        if len(low) != dim or len(high) != dim or any(a >= b for a, b in zip(low, high, strict=True)):
+            raise InputError("arena", [list(low), list(high)], f"two corners of {dim} numbers, each lower < upper")
+        if any(not a <= c <= b for a, c, b in zip(low, self.center, high, strict=True)):
+            raise InputError("center", list(self.center), f"a point inside the arena {list(low)} .. {list(high)}")
+        if self.spacing < self.safe_distance:
+            raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
+        self._check_velocity()
+        self._check_places()
+        self._check_room()
+        self.check_shape()
+        self._check_obstacles()
+        return self
+
+    def _check_velocity(self) -> None:
+        """Check that robots can catch up with their moving places."""
+        if self.velocity is None:
+            return
+        if len(self.velocity) != self.dim:
+            raise InputError("velocity", list(self.velocity), f"{self.dim} numbers, as the centre has")
+        speed = math.hypot(*self.velocity)
+        if speed > self.max_step / 2 + 1e-9:
+            raise InputError(
+                "velocity",
+                list(self.velocity),
+                f"at most max_step / 2 = {self.max_step / 2:g} per round, so that robots can catch up with their "
+                f"places (here {speed:.4g})",
+            )
+
+    def _check_places(self) -> None:
+        """Check that messages have room for all places."""
+        most = max_places(self.n_robots)
+        if self.n_places > most:
+            says = f"at most {most} for {self.n_robots} robots: their messages have room for no more"
+            raise InputError("places", self.n_places, says)
+
+    def _check_room(self) -> None:
+        """Check that random starts at least `safe_distance` apart exist, and that drawing can find them."""
+        low, high = self.arena
+        volume = math.prod(b - a for a, b in zip(low, high, strict=True))
+        most = max(1, int(volume / start_volume(1, len(low), self.safe_distance)))
+        if self.n_robots > most:
+            raise InputError(
+                "n_robots", self.n_robots, f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
+            )
+
+    def check_shape(self) -> None:
+        """Check the shape alone. Call after a change of `places`; construction does it by itself.
+
+        Raises:
+            InputError: the shape does not exist for this number of places, violates the safe distance, or does not
+                fit into the arena.
+        """
+        if (found := hidden(self.shape)) is not None:
+            raise InputError("shape", self.shape, f"letters that everybody sees, not {found!a}")
+        if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
+            says = "given, although the shape is another; they belong to shape 'points'"
+            if not self.points:
+                says = "none given, although the shape is 'points'; on the command line, --shape points:FILE"
+            raise InputError("points", None, says=says)
+        if self.points is not None and any(len(p) != len(self.center) for p in self.points):
+            raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
+        if self.ideal is None:
+            return
+        nearest = formations.smallest_distance(self.ideal)
+        if nearest < self.safe_distance - 1e-9:
+            raise InputError(
+                "shape", self.shape, f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
+            )
+        reach = formations.circumradius(self.ideal, self.center)
+        low, high = self.arena
+        room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
+        if reach > room + 1e-9:
+            raise InputError(
+                "arena",
+                [list(low), list(high)],
+                f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of "
+                f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g} "
+                f"(here {room:.4g})",
+            )
+
+    def _check_obstacles(self) -> None:
+        """Check that obstacles have the mission's dimension and leave room for the shape in some orientation."""
+        corners = sum(len(obstacle.polygon or ()) for obstacle in self.obstacles)
+        if len(self.obstacles) > MAX_OBSTACLES or corners > MAX_CORNERS:
+            says = f"at most {MAX_OBSTACLES} obstacles, whose polygons have at most {MAX_CORNERS:,} corners in all"
+            raise InputError("obstacles", f"{len(self.obstacles)} obstacles with {corners} corners", says)
+        for obstacle in self.obstacles:
+            if obstacle.dim != self.dim:
+                allowed = f"{self.dim} coordinates, as the centre has"
+                raise InputError("obstacles", obstacle.model_dump(exclude_none=True), allowed)
+        if not self.obstacles or self.ideal is None:
+            return
+        if next(self.placements(), None) is None:
+            raise InputError(
+                "obstacles",
+                f"{len(self.obstacles)} obstacles",
+                f"obstacles that leave room for '{self.shape}' around the centre in some orientation, with every place "
+                f"at least safe_distance / 2 = {self.body_radius:g} from every obstacle, and a way between any two",
+            )
+
+    def placements(self, angle_rad: float = 0.0) -> Iterator[Points]:
+        """The ideal points, shape (n, d) [units], wherever obstacles leave room for all of them; none without an ideal.
+
+        Turned about the centre by `angle_rad` first, then in `ORIENTATIONS` evenly spaced steps, then the same slightly
+        shifted. Without obstacles every orientation comes.
+        """
+        if self.ideal is None:
+            return
+        points, reach = np.array(self.ideal), 0.9 * CENTER_TOLERANCE * self.spacing
+        around = [2 * math.pi * k / SHIFTS for k in range(SHIFTS)] if self.obstacles else []
+        for shift in ((0.0, 0.0), *((reach * math.cos(a), reach * math.sin(a)) for a in around)):
+            for k in range(ORIENTATIONS):
+                turned = points.copy()
+                angle = angle_rad + 2 * math.pi * k / ORIENTATIONS
+                turned[:, :2] = formations.rotated(points[:, :2], self.center[:2], angle) + np.array(shift)
+                rows: list[list[float]] = turned.tolist()
+                fits = all(clearance(tuple(row), self.obstacles) >= self.body_radius for row in rows)
+                if fits and len(self.regions_of(map(tuple, rows))) <= 1:
+                    yield turned
+
+    def regions_of(self, points: Iterable[Point]) -> frozenset[int]:
+        """Regions of the plane between obstacles and walls in which these points are; robots cannot change regions.
+
+        Empty without obstacles and in space, where everything is in reach of everything.
+        """
+        if not self.obstacles or self.dim != 2:
+            return frozenset()
+        from llm_flock.roadmap import free_regions, region_of
+
+        regions = free_regions(self.arena, self.obstacles, self.body_radius)
+        return frozenset(region_of(point, regions) for point in points)
+
+    @property
+    def roadmap(self) -> Roadmap | None:
+        """The ways round the obstacles [world frame]; None without any."""
+        if not self.obstacles:
+            return None
+        from llm_flock.roadmap import roadmap_of
+
+        return roadmap_of(self.arena, self.obstacles, self.body_radius)
+
+    def shortest_ways(self, starts: Points, goals: Points) -> Pairwise:
+        """As `llm_flock.roadmap.shortest_ways`, among the obstacles of this mission."""
+        if not self.obstacles:
+            return np.linalg.norm(starts[:, None] - goals[None], axis=2)
+        from llm_flock.roadmap import shortest_ways
+
+        return shortest_ways(self.arena, self.obstacles, self.body_radius, starts, goals)
+
+    @property
+    def n_places(self) -> int:
+        """Number of places in the formation. Fewer than robots leave spare robots, more leave empty places."""
+        return self.n_robots if self.places is None else self.places
+
+    @property
+    def body_radius(self) -> float:
+        """Smallest allowed distance of a robot's centre from an obstacle: half the safe distance [units]."""
+        return self.safe_distance / 2
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, Mission) and self.digest == other.digest)
+
+    @cached_property
+    def dim(self) -> int:
+        """Dimension d of the flight space, 2 or 3."""
+        return len(self.center)
+
+    @property
+    def sensing(self) -> float:
+        """Range of the position sensors [units]."""
+        return self.comm_range if self.sense_range is None else self.sense_range
+
+    @cached_property
+    def ideal(self) -> tuple[Point, ...] | None:
+        """Ideal target points of the shape in its reference orientation [units]; None for a shape in words."""
+        try:
+            points = formations.ideal_points(self.shape, self.n_places, self.center, self.spacing, self.points)
+        except InputError as error:
+            if error.field != "n_robots" or self.places is None:
+                raise
+            # The field that sets the number.
+            raise InputError("places", error.value, says=error.says.replace("robots", "places")) from None
+        return None if points is None else tuple(tuple(row) for row in points.tolist())
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hexadecimal digits that identify the content of this mission."""
+        return hashlib.blake2b(self.model_dump_json().encode(), digest_size=8).hexdigest()
+
+    @cached_property
+    def travel_rounds(self) -> float:
+        """Rounds after `since` at which the formation stops at a wall; infinite for a formation that stands still."""
+        if self.velocity is None:
+            return math.inf
+        reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
+        low, high = self.arena
+        room = [
+            (b - reach - c) / v if v > 0 else (c - reach - a) / -v
+            for a, c, b, v in zip(low, self.center, high, self.velocity, strict=True)
+            if v != 0
+        ]
+        return max(0.0, min(room, default=math.inf))
+
+    def drift(self, round_: int) -> Point:
+        """Displacement of the centre from `center` at the end of a round [units].
+
+        The formation stops as a whole when the circle around its shape reaches a wall.
+        """
+        if self.velocity is None:
+            return (0.0,) * self.dim
+        rounds = min(max(0, round_ - self.since), self.travel_rounds)
+        return tuple(rounds * v for v in self.velocity)
+
+    def at(self, round_: int) -> Mission:
+        """The mission as it stands at the end of a round: `center` is the centre's position then, `since` that round.
+
+        A formation that has stopped at a wall has no velocity any more. A formation that stands still returns itself.
+        """
+        return self if self.velocity is None else _at(self, round_)
+
+    def resized(self, places: int) -> Mission:
+        """The same mission with another number of places. Call to check a plan for a smaller team.
+
+        Use the result of a moving mission for the size of its plan only: a formation of another size stops elsewhere
+        at a wall.
+
+        Raises:
+            InputError: the shape does not exist for this number of places, or does not fit.
+        """
+        return self if places == self.n_places else _resized(self, places)
+
+    def change(self, /, **fields: Any) -> Mission:
+        """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
+
+        Raises:
+            InputError: a field is invalid; names the first such field, its value, and what is allowed.
+        """
+        changed = {**self.model_dump(), **fields}
+        if fields.get("points") is not None:
+            changed["shape"] = fields.get("shape", "points")
+            changed["places"] = fields.get("places")
+        elif "shape" in fields and fields["shape"] != self.shape:
+            changed["points"] = None
+        return build_mission(**changed)
+
+    def check_sensing(self) -> None:
+        """Check that robots sense far enough for the shield. Call before a run with the shield on.
+
+        Two robots that do not see each other approach by at most 2 * max_step in one round, so the proof needs
+        sense_range >= safe_distance + 2 * max_step (Zhou et al. 2017, lockstep form).
+
+        Raises:
+            InputError: the range is shorter.
+        """
+        needed = self.safe_distance + 2 * self.max_step
+        if self.sensing < needed:
+            raise InputError(
+                "sense_range",
+                self.sensing,
+                f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on "
+                "(raise sense_range or comm_range, lower max_step, or switch the shield off)",
+            )
+
+
+def _unchecked(mission: Mission, **fields: Any) -> Mission:
+    """A changed copy without validation, and without the values of cached properties."""
+    return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
+
+
+@lru_cache(maxsize=256)
+def _at(mission: Mission, round_: int) -> Mission:
+    center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
+    if round_ - mission.since >= mission.travel_rounds:
+        return _unchecked(mission, center=center, velocity=None, since=0)
+    return _unchecked(mission, center=center, since=max(round_, mission.since))
+
+
+@lru_cache(maxsize=256)
+def _resized(mission: Mission, places: int) -> Mission:
+    resized = _unchecked(mission, places=None if places == mission.n_robots else places)
+    # Only the shape depends on the number. Obstacles are not checked: a moving formation may be anywhere among them.
+    resized.check_shape()
+    return resized
+
+
+def build_mission(**fields: Any) -> Mission:
+    """A `Mission` from plain values. Call it where values come from an operator.
+
+    Raises:
+        InputError: a field is invalid; names the first such field, its value, and what is allowed.
+    """
+    try:
+        return Mission(**fields)
+    except ValidationError as error:
+        raise input_error(error, Mission) from None

@@ -1,0 +1,75 @@
+"""What is installed beside the core: parts announce it as entry points, and only this file reads them.
+
+An entry point of the group `llm_flock.KIND` is one thing of that kind, under its name:
+
+| Kind | Name | Object |
+|---|---|---|
+| `commands` | the command | a function with Typer's parameters, or a Typer with commands of its own |
+| `models` | prefix of a model string | a `llm_flock.llm._sources.ModelSource` |
+| `consensus`, `assignment` | the rule | a class without parameters that is a `ConsensusRule` or an `AssignmentRule` |
+| `robots` | the driver | makes the robots of a flight (`llm_flock_flight._flight.fleet.Driver`) |
+| `sinks` | the flag | a function that shows runs while they fly (`llm_flock.cli._sinks`) |
+| `exports` | the flag | a function that writes a record for another program (`llm_flock.cli._export`) |
+| `inspections` | the subject | a function that shows more of a record in `llm-flock inspect` |
+| `watches` | what is watched | makes a `llm_flock.runtime._watched.WatchedTeam` |
+| `flights` | what shows them | shows flights, and provides poses (`llm_flock_flight._flight.shown`) |
+| `doctor` | the subject | a function that returns the findings of `llm-flock doctor` |
+| `views` | `html` or `animation` | how a notebook shows a record |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+
+from llm_flock.errors import FieldError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
+
+Kind: TypeAlias = Literal[
+    "commands",
+    "models",
+    "consensus",
+    "assignment",
+    "robots",
+    "sinks",
+    "exports",
+    "inspections",
+    "watches",
+    "flights",
+    "doctor",
+    "views",
+]
+
+
+@cache
+def entries(kind: Kind) -> Mapping[str, EntryPoint]:
+    """The plug-ins of a kind by name, in the order of their names. Imports none of them."""
+    from importlib.metadata import entry_points  # takes longer to import than many commands take
+
+    found = entry_points(group=f"llm_flock.{kind}")
+    return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
+
+
+def load(kind: Kind, name: str) -> Any:
+    """The plug-in of this name.
+
+    Raises:
+        KeyError: there is none.
+        FieldError: for field `plugin`: it cannot be imported.
+    """
+    entry = entries(kind)[name]
+    try:
+        return entry.load()
+    except (ImportError, AttributeError) as error:
+        source = "an unknown distribution" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+        says = f"{entry.value} of {source}, which is installed, cannot be imported ({error})"
+        raise FieldError("plugin", name, says=says) from error
+
+
+def load_all(kind: Kind) -> Iterator[tuple[str, Any]]:
+    """Every plug-in of a kind with its name; raises as `load`."""
+    for name in entries(kind):
+        yield name, load(kind, name)

@@ -1,0 +1,5 @@
+"""One robot's decision process, sans-IO: without asyncio, time, random, sockets or files."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,208 @@
+"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims.
+
+Everything here happens between motion rounds. Positions are in the frame of the mission, which travels with the centre
+of the formation, so the places of a plan stand still in it.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping
+from typing import Literal
+
+from llm_flock.arrays import Point
+from llm_flock.events import Note
+from llm_flock.message import BLOCKED, MOST_EPOCHS, Message, MissionStamp, Provenance
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
+from llm_flock.protocol._breaker import fallback_notes
+from llm_flock.protocol._parts import Parts
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer
+
+
+class Agreement:
+    """Mission, plan and claim of one robot, and the decisions about them."""
+
+    def __init__(self, robot: int, mission: Mission, parts: Parts) -> None:
+        self.mission = mission
+        self.stamp = MissionStamp(0, mission.digest)
+        self.plan: Plan | None = None
+        self.provenance: Provenance | None = None
+        self.claim = Claim(slot=None)
+        self.degree = 0
+        self.position: Point = ()
+        self._robot = robot
+        self._consensus, self._assignment = parts.consensus, parts.assignment
+        self._membership, self._verifier = parts.membership, parts.verifier
+        self._refused_answer: NoAnswer | None = None
+        self._proposals = 0
+        self._last_epoch = -1
+        self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
+        self.listens = False
+        self._void = frozenset[int]()
+        self._chosen: int | None = None
+        self._sensed: Mapping[int, Point] = {}
+        self._knows_blocked = False
+        self._occupancy_due = False
+        self._settled: tuple[object, ...] = ()
+
+    def sense(self, position: Point, sensed: Mapping[int, Point]) -> None:
+        """Take the own believed position and those of sensed robots, by id [units; frame of the mission]."""
+        self.position, self._sensed = position, sensed
+
+    def begin_round(self, degree: int) -> None:
+        """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
+        self.degree = degree
+        self._occupancy_due = True
+        self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
+
+    @property
+    def bodies(self) -> tuple[Point, ...]:
+        """Bodies in sight whose heartbeats have stopped [units; frame of the mission]."""
+        return self._membership.still(self.mission, self._sensed)
+
+    def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
+        """Pursue another mission: plan and claim of the one before are void."""
+        self.mission, self.stamp = mission, stamp
+        self.plan = self.provenance = self._refused_answer = self._chosen = None
+        self.claim = Claim(slot=None)
+        self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
+        self._membership.begin_mission()
+        return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
+
+    def lack_plan(self, failure: NoAnswer) -> Note:
+        """The own planner has no plan to propose."""
+        self._refused_answer = failure if self._verifier.verify else None
+        return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
+
+    @property
+    def _next_epoch(self) -> int:
+        return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
+
+    def may_propose(self, places: int) -> bool:
+        """Whether this robot may propose a plan with so many places now.
+
+        It proposes once in an epoch. A plan of the last epoch is replaced only by one with more places.
+        """
+        if self._robot in self._void or self._next_epoch <= self._last_epoch:
+            return False
+        last = self.provenance is not None and self.provenance.epoch == MOST_EPOCHS
+        return not last or self.plan is None or places > len(self.plan)
+
+    def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
+        """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
+
+        Nothing happens where no more plans may follow.
+        """
+        if not self.may_propose(len(answer.plan)):
+            return []
+        origin = Provenance(
+            mission=self.stamp.counter,
+            mission_digest=self.stamp.digest,
+            epoch=self._next_epoch,
+            degree=self.degree,
+            proposer=self._robot,
+            sequence=self._proposals,
+        )
+        self._proposals += 1
+        self._last_epoch = origin.epoch
+        self._chosen = answer.slot
+        self._follow(answer.plan, origin, adopted=False, heard=[])
+        return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
+
+    def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
+        """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
+        plan, origin = source.plan, source.provenance
+        assert plan is not None and origin is not None, "a rule may only choose a message with a plan"
+        if plan == self.plan:
+            self._remember()
+            self.provenance = origin
+            return []
+        notes = fallback_notes("plan", "neighbour", self._refused_answer if self.plan is None else None)
+        self._follow(plan, origin, adopted=True, heard=heard)
+        return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
+
+    def _remember(self) -> None:
+        """Keep the plan in force, as it stands: of each proposer the last one, in case that later ones are void."""
+        if self.plan is not None and self.provenance is not None:
+            self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
+
+    def _withdraw(self, plan: Plan, proposer: int) -> Note:
+        """Go on with the highest plan that it has followed and that is not void, as it stood then."""
+        known = [known for robot, known in self._followed.items() if robot not in self._void]
+        self.plan, self.provenance, self.claim = max(known, key=self._key, default=(None, None, Claim(slot=None)))
+        self._membership.begin_plan()
+        self.listens = self.plan is None  # to the next exchange: others may have a plan that counts
+        after = None if self.plan is None else self.plan.digest
+        return Note("void_plan", {"plan": plan.digest, "proposer": proposer, "after": after, "slot": self.claim.slot})
+
+    def _key(self, followed: tuple[Plan, Provenance, Claim]) -> PlanKey:
+        plan, origin, _ = followed
+        return plan_key(plan, origin, self._verifier.plan_class(self.mission, plan))
+
+    def _follow(self, plan: Plan, origin: Provenance, *, adopted: bool, heard: list[Message]) -> None:
+        self._remember()
+        self.plan, self.provenance, self.claim = plan, origin, Claim(slot=None)
+        self._membership.begin_plan()
+        self.claim = self._assignment.take(self._assignment_input(plan, adopted=adopted, heard=heard))
+
+    def _assignment_input(self, plan: Plan, *, adopted: bool, heard: list[Message]) -> AssignmentInput:
+        occupancy = None
+        if self._occupancy_due:
+            occupancy = self._membership.occupancy(
+                self.mission,
+                plan,
+                self.position,
+                self._sensed,
+                hears_others=bool(heard),
+                knows_blocked=self._knows_blocked,
+            )
+        return AssignmentInput(
+            robot=self._robot,
+            position=self.position,
+            plan=plan,
+            spacing=self.mission.spacing,
+            chosen=self._chosen,
+            adopted=adopted,
+            heard=[m for m in heard if m.plan == plan],
+            sensed=self._sensed,
+            mission=self.stamp,
+            origin=self.provenance,
+            roadmap=self.mission.roadmap if self.mission.velocity is None else None,
+            occupancy=occupancy,
+            positions=self._membership.positions(self.mission, plan, self.claim),
+        )
+
+    def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
+        """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
+
+        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved; plans of
+        `void` robots do not count. Rules are pure functions, so they are not asked twice in a row with the same
+        arguments.
+        """
+        self._void, self.listens = void, False
+        withdrawn = list[Note]()
+        if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
+            withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
+        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self._sensed)
+        arguments = (*standing, self._membership.known, *heard)
+        due = self._occupancy_due
+        if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
+            return []
+        own_class = self._verifier.plan_class(self.mission, self.plan)
+        own = Standing(plan=self.plan, provenance=self.provenance, degree=self.degree, plan_class=own_class)
+        before = self.claim
+        source = self._consensus.choose(own, heard)
+        adopted = [] if source is None else self._adopt(source, heard)
+        if not adopted and self.plan is not None:
+            claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))
+            self.claim = before if claim == before else claim
+        self._occupancy_due = False
+        notes = [*withdrawn, *adopted]
+        self._settled = () if due or notes or self.claim is not before else arguments
+        self._membership.hear_claims(heard, self.plan)
+        if self.claim.slot != before.slot:
+            notes.append(Note("claimed", {"slot": self.claim.slot, "before": before.slot}))
+        return notes

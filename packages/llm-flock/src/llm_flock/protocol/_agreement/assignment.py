@@ -1,0 +1,187 @@
+"""Assignment rules: which slot of the plan to claim, given the own claim and the messages just heard."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+
+from llm_flock.algorithm1 import nearest_available
+from llm_flock.arrays import Point
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.message import NO_MISSION, BidEntry, BidTable, Message, MissionStamp, Offer, Provenance, TeamPositions
+from llm_flock.plan import Plan
+
+if TYPE_CHECKING:
+    from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
+
+
+class Claim(msgspec.Struct, frozen=True, kw_only=True):
+    """A robot's slot in its present plan.
+
+    Attributes:
+        slot: index of the place, None while the robot has none.
+        table: bid table, all claims as far as known (auction only).
+        bids: this robot's bid for every slot, fixed when it adopted the plan (auction only).
+        offer: the exchange of slots that this robot has offered and is bound to (auction only).
+        bound: communication rounds for which it stays bound to its offer.
+    """
+
+    slot: int | None
+    table: BidTable | None = None
+    bids: tuple[float, ...] | None = None
+    offer: Offer | None = None
+    bound: int = 0
+
+
+NONE = frozenset[int]()
+
+
+class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
+    """What a robot can say about the slots of a plan.
+
+    Attributes:
+        silent: robots whose heartbeats have stopped; their slots are free.
+        blocked: slots that no robot can take, because a body that does not move stands there.
+        clear: slots that certainly have no such body.
+        alive: number of robots that were heard of and are not silent, with this one.
+    """
+
+    silent: frozenset[int] = NONE
+    blocked: frozenset[int] = NONE
+    clear: frozenset[int] = NONE
+    alive: int = MAX_ROBOTS
+
+
+class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything that a robot knows when it claims a slot of its plan.
+
+    Attributes:
+        position: own believed position [units; frame of the mission].
+        spacing: wanted distance between neighbouring robots [units].
+        origin: where the plan comes from; None without provenance.
+        roadmap: the ways round obstacles, for lengths; None where straight lines count.
+        chosen: the slot that the robot's own model named, None where the model gave no plan.
+        adopted: whether the plan is another robot's.
+        heard: the newest message of each robot on the same plan, in ascending order of ids.
+        sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
+        occupancy: what sensors and heartbeats say about the slots; None except once a round.
+        positions: where the robots are that are to be assigned jointly; None where that is not known, or not new.
+        granted: entries that enough robots have signed together; None in a team without keys.
+        precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
+        draw: the robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
+        freed: whether this version of a slot was freed by witnesses whom the robot can show; None without keys.
+        exchanges: whether the robot may exchange slots.
+    """
+
+    robot: int
+    position: Point
+    plan: Plan
+    spacing: float
+    chosen: int | None
+    adopted: bool
+    heard: Sequence[Message]
+    sensed: Mapping[int, Point]
+    mission: MissionStamp = NO_MISSION
+    origin: Provenance | None = None
+    roadmap: Roadmap | None = None
+    occupancy: Occupancy | None = None
+    positions: TeamPositions | None = None
+    granted: BidTable | None = None
+    precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
+    draw: Callable[[int, int], float] | None = None
+    freed: Callable[[int, int], bool] | None = None
+    exchanges: bool = True
+
+
+class AssignmentRule(Protocol):
+    """Chooses a robot's own slot.
+
+    A rule is a pure function of its arguments.
+    `llm_flock.testing.check_assignment_rule` tests a new rule.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name on the command line and in records."""
+        ...
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """First claim on a plan that was just proposed or adopted."""
+        ...
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """The claim after a communication round on the same plan."""
+        ...
+
+
+def _nearest_unclaimed(now: AssignmentInput) -> Claim:
+    """The nearest place that no neighbour on the same plan claims."""
+    taken = {m.slot for m in now.heard if m.slot is not None}
+    return Claim(slot=nearest_available(now.position, now.plan.points, taken))
+
+
+def _own_choice(now: AssignmentInput) -> int:
+    """The model's own index; the robot's id if the model named none."""
+    return now.robot if now.chosen is None else now.chosen
+
+
+@dataclass(frozen=True, slots=True)
+class IndexAssignment:
+    """The model's own choice (paper, line 119), kept whatever others claim; the baseline's rule."""
+
+    name: str = "index"
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """The index that this robot's model named with its own plan, also in a plan adopted from another."""
+        return Claim(slot=_own_choice(now))
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Unchanged."""
+        return claim
+
+
+@dataclass(frozen=True, slots=True)
+class NearestAssignment:
+    """The paper's rule, literally (lines 136-139 and 155-157).
+
+    On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is not used
+    again. No other robot learns of it, so two robots may take the same goal. A robot's own plan keeps the index that
+    its model named.
+    """
+
+    name: str = "nearest"
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """The model's index on its own plan; the nearest of all points on an adopted one."""
+        return Claim(slot=nearest_available(now.position, now.plan.points) if now.adopted else _own_choice(now))
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Unchanged: equal plans never trigger a new assignment."""
+        return claim
+
+
+@dataclass(frozen=True, slots=True)
+class NearestFreeAssignment:
+    """The paper's evident intention: claims are broadcast, and a goal claimed by a neighbour on the same plan is taken.
+
+    Two robots may still claim one goal in the same communication round, or meet later; then the higher id yields to the
+    lower and takes the nearest goal that no neighbour claims. A robot knows its neighbours' claims only, so distinct
+    goals in the whole team are not assured.
+    """
+
+    name: str = "nearest-free"
+
+    def take(self, now: AssignmentInput) -> Claim:
+        """The model's index on its own plan; the nearest unclaimed point on an adopted one."""
+        if not now.adopted:
+            return Claim(slot=_own_choice(now))
+        return _nearest_unclaimed(now)
+
+    def update(self, claim: Claim, now: AssignmentInput) -> Claim:
+        """Yield to a neighbour of lower id on the same goal."""
+        if not any(m.slot == claim.slot and m.sender < now.robot for m in now.heard):
+            return claim
+        return _nearest_unclaimed(now)

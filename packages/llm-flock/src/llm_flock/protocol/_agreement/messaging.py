@@ -1,0 +1,217 @@
+"""Sending and receiving: a message is composed and sealed, or verified, decoded and applied part by part."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from llm_flock.errors import MessageError
+from llm_flock.events import MissionGiven, Note
+from llm_flock.message import Course, Message, MissionStamp, PositionReport, received_mission
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.agreement import Agreement
+from llm_flock.protocol._agreement.assignment import Claim
+from llm_flock.protocol._messages.channel import Channel, Inbound
+from llm_flock.protocol._messages.dissemination import Dissemination
+from llm_flock.protocol._parts import Parts
+
+REMEMBERED_PAYLOADS = 256
+"""Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
+their payloads once a round saves a tenth of a large team's time."""
+
+MOST_BAD_PLANS = 8
+"""Plans of one sender that may fail verification in a round; then no more of them are verified, which takes time."""
+
+COURSE_ROUNDS = 2
+"""Rounds for which a course counts after its sender was last heard: messages get lost."""
+
+REMEMBERED_REFUSALS = 1024
+"""Most refused plans that are remembered, so that a flood of plans costs bounded memory."""
+
+
+class Messaging:
+    """One robot's side of the radio."""
+
+    def __init__(self, robot: int, agreement: Agreement, parts: Parts) -> None:
+        self._robot, self._agreement = robot, agreement
+        self._channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
+        self._membership, self._verifier = parts.membership, parts.verifier
+        self.courses: dict[int, Course] = {}  # ways that others ask to be left free, by sender
+        self._heard_ago: dict[int, int] = {}
+        self._dissemination = Dissemination()
+        self._newest: dict[int, Message] = {}
+        self._beats: list[NDArray[np.int64]] = []
+        self._refused: Counter[str] = Counter()
+        self._refused_plans: set[str] = set()
+        self._bad_plans = Counter[int]()
+        self._repeated: dict[bytes, Message] = {}
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Messages and claims refused so far, by reason."""
+        return self._refused + self._channel.rejected
+
+    @property
+    def order(self) -> bytes:
+        """The operator's signature on the mission in force; empty for the first one, and without keys."""
+        return self._channel.order
+
+    def begin_round(self) -> None:
+        """Begin a round: neighbours have come and gone."""
+        self._dissemination.begin_round()
+        self._bad_plans.clear()
+        self._repeated.clear()
+        self._heard_ago = {j: ago + 1 for j, ago in self._heard_ago.items()}
+        for j in [j for j, ago in self._heard_ago.items() if ago > COURSE_ROUNDS]:
+            del self._heard_ago[j], self.courses[j]
+
+    def broadcast(self, course: Course | None = None) -> bytes:
+        """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
+        agreement, claim = self._agreement, self._agreement.claim
+        positions = self._membership.report(
+            agreement.mission, agreement.plan, claim, agreement.position, greeting=self._dissemination.greets
+        )
+        standing = agreement.degree, agreement.stamp, agreement.plan, agreement.provenance, claim, course
+        payload = self._dissemination.unchanged(*standing)
+        if payload is None or positions is not None:
+            payload = self._compose(claim, course, positions)
+        return self._channel.seal(payload)
+
+    def _compose(self, claim: Claim, course: Course | None, positions: dict[int, PositionReport] | None) -> bytes:
+        agreement = self._agreement
+        whole = Message(
+            sender=self._robot,
+            sequence=0,
+            degree=agreement.degree,
+            stamp=agreement.stamp,
+            plan=agreement.plan,
+            provenance=agreement.provenance,
+            slot=claim.slot,
+            table_digest=self._dissemination.digest(claim.table),
+            offer=claim.offer,
+            course=course,
+            beats=self._membership.beats or None if self._dissemination.greets else None,
+            positions=positions,
+        )
+        return self._dissemination.compose(whole, claim.table, agreement.mission)
+
+    def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
+        """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim."""
+        repeated = self._repeated.get(payload)
+        if repeated is not None:
+            self._keep(repeated)
+            return []
+        try:
+            inbound = self._channel.open(payload, sender)
+            notes = self._apply_mission(inbound)
+        except MessageError as error:
+            return [self._reject(error)]
+        message = inbound.message
+        if inbound.beats is not None:
+            self._beats.append(inbound.beats)
+        if message.mission != self._agreement.stamp:
+            self._dissemination.hear(message)
+            return notes
+        if message.positions is not None:
+            self._membership.hear_positions(message.positions)
+        return [*notes, *self._apply_plan(inbound, payload)]
+
+    def _apply_mission(self, inbound: Inbound) -> list[Note]:
+        """Take a mission of higher stamp, if it is spelled out and leaves alone what belongs to this robot.
+
+        Raises:
+            MessageError: the mission is refused, and with it the message: its sender belongs to another team.
+        """
+        message, agreement = inbound.message, self._agreement
+        if message.mission <= agreement.stamp or message.mission_text is None:
+            return []
+        # The signature first: to read a mission takes many times as long.
+        self._channel.check_mission(message.mission, inbound.authorization)
+        mission = received_mission(message, agreement.mission)
+        self._channel.keep_order(inbound.authorization)
+        return [self._begin_mission(mission, message.mission)]
+
+    def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
+        """Keep a message with its plan for the next decision, unless the plan fails verification."""
+        message, mission, verifier = inbound.message, self._agreement.mission, self._verifier
+        if message.plan is not None and self._bad_plans[message.sender] >= MOST_BAD_PLANS:
+            often = f"robot {message.sender} sends one bad plan after another"
+            return [self._reject(MessageError("many_plans", often))]
+        objection = verifier.objection(mission, message.plan)
+        if objection is not None and message.plan is not None:
+            self._dissemination.hear(message)
+            self._bad_plans[message.sender] += 1
+            return self._reject_plan(message.plan, objection)
+        plan = self._dissemination.resolve_plan(message, self._agreement.plan)
+        if plan is not None:
+            message = replace(message, plan=plan, plan_class=verifier.plan_class(mission, plan))
+            if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:
+                self._repeated[payload] = message
+        self._keep(message)
+        return []
+
+    def _keep(self, message: Message) -> None:
+        self._dissemination.hear(message)
+        known = self._newest.get(message.sender)
+        if known is None or message.sequence >= known.sequence:
+            self._newest[message.sender] = message
+
+    def _reject(self, error: MessageError) -> Note:
+        self._refused[error.reason] += 1
+        return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
+
+    def _reject_plan(self, plan: Plan, objection: str) -> list[Note]:
+        """Count a plan that fails verification; returns a note the first time that this plan is refused."""
+        note = self._reject(MessageError("unverified_plan", objection))
+        if plan.digest in self._refused_plans:
+            return []
+        if len(self._refused_plans) >= REMEMBERED_REFUSALS:
+            self._refused_plans.clear()
+        self._refused_plans.add(plan.digest)
+        return [note]
+
+    def give_mission(self, order: MissionGiven) -> Note:
+        """Take a mission that the operator gives to this robot, unless a later order is known already."""
+        current, signed = self._agreement.stamp, order.authorization
+        stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
+        try:
+            if stamp <= current:  # first: an older signature must not replace that of the mission in force
+                from llm_flock.message import time_text
+
+                later = f"an order of {time_text(current.counter)} is in force, this one is of"
+                raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
+            self._channel.check_mission(stamp, signed)
+        except MessageError as error:
+            return self._reject(error)
+        self._channel.keep_order(signed)
+        return self._begin_mission(order.mission, stamp)
+
+    def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
+        self._newest.clear()
+        self._repeated.clear()
+        self._dissemination.forget_plans()
+        return self._agreement.begin_mission(mission, stamp)
+
+    @property
+    def void(self) -> frozenset[int]:
+        """Robots whose plans for the mission in force do not count; without keys there are none."""
+        return self._channel.void(self._agreement.stamp)
+
+    def drain(self) -> list[Message]:
+        """The newest message of each sender in this communication round, in ascending order of senders.
+
+        Call once before a decision: it counts the heartbeats of all messages.
+        """
+        heard = self._channel.hold([self._newest[sender] for sender in sorted(self._newest)])
+        self._membership.hear_beats(self._beats)
+        for message in heard:
+            self._heard_ago.pop(message.sender, None)
+            self.courses.pop(message.sender, None)
+            if message.course is not None:
+                self.courses[message.sender], self._heard_ago[message.sender] = message.course, 0
+        self._newest, self._beats = {}, []
+        return heard

@@ -1,0 +1,103 @@
+"""Answers by plain geometry, without a language model: the ideal points of the shape, and straight steps."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from llm_flock import shapes as formations
+from llm_flock.arrays import Point, Points
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol._verification.plans import check_proposal
+from llm_flock.protocol._verification.steps import shortened
+
+
+def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
+    """A formation, shape (n, d), turned about its centre: in the plane, or about the third axis in space."""
+    out = np.array(points, dtype=np.float64)
+    out[:, :2] = formations.rotated(out[:, :2], center[:2], angle_rad)
+    return out
+
+
+def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer | NoAnswer:
+    """The ideal points, and the place with the robot's id (modulo the places); the same answer every time.
+
+    They are turned by `angle_rad`, or else to the first orientation from there, and the first small shift, that passes
+    `check_proposal`. No answer for a shape in words, whose points are unknown, or if nothing passes.
+    """
+    mission, reason = question.mission, ""
+    if mission.ideal is None:
+        return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
+    placements = mission.placements(angle_rad) if mission.velocity is None else [_turned(mission, angle_rad)]
+    for points in placements:
+        plan = Plan.of(points.tolist())
+        objection = check_proposal(mission, plan, question.still, question.position)
+        if objection is None:
+            return PlanAnswer(plan=plan, slot=question.robot % len(plan))
+        reason = reason or objection
+    why = f"the first was refused: {reason}" if reason else "obstacles are in the way of all of them"
+    return NoAnswer(cause="answer", reason=f"geometry found no orientation and shift that fits; {why}")
+
+
+def _turned(mission: Mission, angle_rad: float) -> Points:
+    return turned(np.array(mission.ideal), mission.center, angle_rad)
+
+
+def straight_path(question: StepQuestion) -> StepAnswer:
+    """Straight towards the goal, as far as the step limit allows, and on from there up to the horizon."""
+    path = [_towards(question.position, question)]
+    while len(path) < question.horizon and path[-1] != question.goal:
+        path.append(_towards(path[-1], question))
+    return StepAnswer(waypoint=path[0], path=tuple(path[1:]))
+
+
+def _towards(position: Point, question: StepQuestion) -> Point:
+    goal, max_step = question.goal, question.mission.max_step
+    if math.dist(position, goal) <= max_step:
+        return goal
+    return shortened(position, goal, max_step)
+
+
+class GeometryPlanner:
+    """A `Planner` that knows the shape: the ideal points in some orientation, and straight steps to the goal.
+
+    `rng` draws the orientation, as independent models choose different ones; None is the reference orientation.
+    """
+
+    def __init__(self, rng: np.random.Generator | None = None) -> None:
+        self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """As `geometric_plan`."""
+        return geometric_plan(question, self._angle_rad)
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """As `straight_path`."""
+        return straight_path(question)
+
+
+def plan_by_geometry(question: PlanQuestion) -> PlanAnswer | NoAnswer:
+    """As `geometric_plan`, for a planner whose model is not asked: the answer says who made it."""
+    answer = geometric_plan(question)
+    return replace(answer, by="geometry") if isinstance(answer, PlanAnswer) else answer
+
+
+class KnownPlans:
+    """A `Planner` whose model is asked only for the plans that it `knows`. Others come from geometry, and say so."""
+
+    def __init__(self, asking: Planner, knows: Callable[[PlanQuestion], bool]) -> None:
+        self._asking = asking
+        self._knows = knows
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """The model's plan where it knows one, else the shape in its reference orientation."""
+        return await self._asking.plan(question) if self._knows(question) else plan_by_geometry(question)
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """The model's answer."""
+        return await self._asking.step(question)

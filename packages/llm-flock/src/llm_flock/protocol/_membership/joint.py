@@ -1,0 +1,225 @@
+"""Joint assignment: robots in touch report positions, and one that knows enough of them assigns all their slots.
+
+Auctions and exchanges place robots one by one, while all fly. So each robot reports its position and passes on the
+reports that it hears. Whoever knows more robots than its bid table places computes the assignment of all these with the
+smallest sum of squared distances, as C-CAPT does in one place (Turpin, Michael, Kumar: CAPT: Concurrent assignment and
+planning of trajectories for multiple robots, IJRR 2014), and writes it into its table. When two pieces of the team
+meet, both know more robots than before, and the assignment of both follows.
+
+The version of these claims is the number of robots that they place, and below that a digest of the positions: so of two
+tables the one that places more wins as a whole, and of two that place as many the same one everywhere. The table is
+merged like any other, and a robot without a slot, or with several, proceeds as usual.
+
+In a team of more than `MANY` robots it would be much traffic to report anew in each round, and much computation to
+assign every piece. There the whole team is assigned at once: from the positions at the start of the mission, or, where
+it is in pieces, from those at which its robots wait for each other (`llm_flock.protocol._membership.rendezvous`).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Collection, Mapping
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+import scipy
+
+from llm_flock.arrays import Point
+from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._membership.rendezvous import landing
+from llm_flock.protocol._membership.search import MANY
+from llm_flock.protocol._path_length import ways
+from llm_flock.roadmap import Roadmap
+
+ROUNDS = 8
+"""Rounds of a mission in which a large team passes on positions at the start; after that they are out of date."""
+
+SECOND = 0.15
+"""Waiting robots are assigned from the positions that they mark in the round that is this share of the team size. By
+then most robots of a ring have reached its circle, and the others mark the point at which they will reach it. A mark
+does not change any more, so that all robots compute the same table."""
+
+LARGEST = 256
+"""Larger teams do not wait: the traffic grows with the square of the team size."""
+
+VERSION = 2**22
+"""Version of a joint assignment for each robot that it places: above all earlier claims."""
+
+DIGESTS = 2**16
+"""Number of digests; two joint assignments of as many robots share one by chance, and are then sorted out by bids."""
+
+DECIMALS = 2
+"""Decimals of reported positions."""
+
+MOVED = 0.1
+"""A waiting robot reports its position again when it has moved by this share of the spacing."""
+
+PATIENCE = 16
+"""Rounds without news of a robot that was unknown after which a robot stops to wait, or to report positions."""
+
+
+class JointAssignment:
+    """The positions that one robot knows. In a team with keys `enabled` is false: reports are not signed."""
+
+    def __init__(self, robot: int, n_robots: int, *, enabled: bool = True) -> None:
+        self._robot, self._n, self._enabled = robot, n_robots, enabled
+        self._large = n_robots > MANY
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all reports. Call at the start of each mission."""
+        self._round = self._waited = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self.known: dict[int, PositionReport] = {}
+        """The newest report of each robot, by id; another object whenever it has changed."""
+        self._heard_in: dict[int, int] = {}
+        self._news: dict[int, PositionReport] = {}
+
+    @property
+    def _starting(self) -> bool:
+        """Whether positions at the start of the mission are passed on, in a large team."""
+        return self._large and self._round <= ROUNDS
+
+    @property
+    def waiting(self) -> bool:
+        """Whether the robots of a large team in pieces wait for each other."""
+        return self._large and self.collecting and not self._starting
+
+    @property
+    def collecting(self) -> bool:
+        """Whether reports are exchanged: at the start, and until no unknown robot was heard of for too long."""
+        if not self._enabled or self._starting:
+            return self._enabled
+        return self._n <= LARGEST and self._waited <= PATIENCE
+
+    @property
+    def others(self) -> list[Point]:
+        """Known positions of other robots [units; frame of the mission]."""
+        return [where for robot, (_, where, _) in self.known.items() if robot != self._robot]
+
+    def begin_round(self) -> None:
+        """Count a round."""
+        self._round += 1
+        self._waited += not self._large
+        if self._large and (self._round == ROUNDS + 1 or not self.collecting):
+            self._forget()
+
+    def wait(self, *, there: bool) -> None:
+        """Count a round of waiting; `there` says whether the robot has reached the point where it waits."""
+        self._waited += there
+
+    def hear(self, reports: Mapping[int, PositionReport]) -> None:
+        """Merge the reports that a neighbour passes on."""
+        known, starting = self.known, self._starting
+        if not self.collecting or (starting and reports.keys() <= known.keys()):
+            return
+        new = {
+            robot: report
+            for robot, report in reports.items()
+            if (robot not in known or report[0] > known[robot][0]) and starting == (report[0] == 0)
+        }
+        if new:
+            if not new.keys() <= known.keys():
+                self._waited = 0
+            self.known = known | new
+            self._news |= new
+            self._heard_in |= dict.fromkeys(new, self._round)
+
+    def report(
+        self, mission: Mission, plan: Plan | None, table: BidTable | None, position: Point, *, greeting: bool
+    ) -> dict[int, PositionReport] | None:
+        """The reports to broadcast: new ones, and all that are known in the `greeting`, the first broadcast of a round.
+
+        The own report is of the own position [units; frame of the mission], while waiting of where the robot waits.
+
+        Returns:
+            None where there is nothing to say: the table places all robots, or there is no circle to wait on.
+        """
+        if not self.collecting or placed(table) >= self._n:
+            self._news = {}
+            return None
+        here, (stamp, before, mark) = position, self.known.get(self._robot, (0, (), ()))
+        due = not before if self._starting else greeting
+        if self.waiting:
+            point = None if plan is None else landing(mission, plan, position)
+            if point is None:
+                return None
+            here, marks = point, not mark and self._round > SECOND * self._n
+            mark = _rounded(here) if marks else mark
+            due = marks or not before or math.dist(_rounded(here), before) > MOVED * mission.spacing
+        if due:
+            # A robot that was restarted, and hears of its former life, counts on from there.
+            stamp = 0 if self._starting else min(max(self._round, stamp + 1), LAST_ROUND)
+            self.hear({self._robot: (stamp, _rounded(here), mark)})
+        reports, self._news = dict(self.known if greeting else self._news), {}
+        return reports or None
+
+    def positions(
+        self, mission: Mission, plan: Plan, table: BidTable | None, silent: Collection[int]
+    ) -> TeamPositions | None:
+        """Where the known robots are that live, if they are more than the table of this plan places; else None.
+
+        In a small team a robot of which nothing new was heard is taken to have flown on to its place.
+        """
+        if not self.collecting or (self._large and len(self.known) < self._n):
+            return None
+        ids = sorted(self.known.keys() - silent)
+        slots = {owner: a for a, (_, _, owner) in enumerate(table or ())}
+        least = self._n if self._large else 2
+        if len(ids) < least or len(ids) <= placed(table) or BLOCKED in slots:
+            return None
+        where = list[Point]()
+        for j in ids:
+            _, here, mark = self.known[j]
+            flown = 0.0 if self._large else mission.max_step * (self._round - self._heard_in[j])
+            where.append(_towards(here, plan.points[slots[j]], flown) if flown and j in slots else mark or here)
+            if self.waiting and not mark:
+                return None
+        digest = hashlib.blake2b(msgspec.msgpack.encode((ids, where)), digest_size=2).digest()
+        version = VERSION * len(ids) + VERSION // DIGESTS * int.from_bytes(digest)
+        return version, tuple(ids), tuple(where)
+
+
+def placed(table: BidTable | None) -> int:
+    """How many robots the joint assignment in a table places, without a place for those that are too many."""
+    return max((version for version, _, _ in table or ()), default=0) // VERSION
+
+
+def _rounded(point: Point) -> Point:
+    return tuple(round(x, DECIMALS) for x in point)
+
+
+def _towards(here: Point, goal: Point, longest: float) -> Point:
+    away = math.dist(here, goal)
+    share = 1.0 if away <= longest else longest / away
+    return _rounded(tuple(x + share * (y - x) for x, y in zip(here, goal, strict=True)))
+
+
+@lru_cache(maxsize=64)
+def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None) -> BidTable:
+    """The bid table with the smallest sum of squared lengths of ways, round obstacles where there is a roadmap.
+
+    With more robots than places some robots get no slot; with fewer, some slots stay free.
+    """
+    version, ids, places = positions
+    distances = np.array([ways(place, plan.array, roadmap) for place in places])
+    table = [(version, 0.0, NO_OWNER)] * len(plan)
+    for row, slot in zip(*scipy.optimize.linear_sum_assignment(distances**2), strict=True):
+        table[slot] = (version, 0.0, ids[row])
+    return tuple(table)
+
+
+def given_jointly(table: BidTable | None, slot: int | None) -> bool:
+    """Whether a slot was given by a joint assignment, or exchanged since."""
+    return table is not None and slot is not None and table[slot][0] >= VERSION
+
+
+def flown_straight(table: BidTable | None, slot: int | None) -> bool:
+    """Whether a slot given jointly is exchanged by straight distances, as in a large team, not along the formation."""
+    return given_jointly(table, slot) and table is not None and len(table) > MANY

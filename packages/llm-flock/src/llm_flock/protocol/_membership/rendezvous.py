@@ -1,0 +1,137 @@
+"""Rendezvous of a large team that is still in pieces.
+
+Each piece has its own plan, and the same shape in another orientation has its places elsewhere: the corners of one
+square are far from the sides of another, so pieces at their places do not meet. The circle around the centre with the
+mean radius of the places is the same in every orientation. So while less than half of a plan's slots have owners, a
+robot goes to the point of that circle nearest to its place, and looks for others along it.
+
+In the plane, a large team whose joint assignment (`llm_flock.protocol._membership.joint`) does not
+place all robots after the first rounds does more: its robots wait near that circle and spread out along it until it is
+closed. Then every robot hears of every other, and all slots are assigned at once.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from llm_flock.arrays import Point
+from llm_flock.message import NO_OWNER, BidEntry
+from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
+from llm_flock.plan import Plan
+
+HOLLOW = 0.5
+"""Shapes have a circle if their nearest place is at least at this share of the farthest one's distance from the
+centre."""
+
+ENOUGH = 0.5
+"""Robots fly to their places once this share of a plan's slots is taken."""
+
+WITHIN = 0.95
+"""The circle on which robots wait is smaller by this factor: there they stand closer, and close it more easily."""
+
+NEAR = 1.0
+"""A robot within this many spacings of the circle is on it."""
+
+HOLD = 0.8
+"""Waiting robots spread out to at most this share of the radio range."""
+
+LINK = 0.95
+"""No robot moves farther than this share of the radio range from a neighbour on the circle."""
+
+PLANE = 2
+
+
+def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
+    """The places to fly to for now: on the circle of the mean radius while most slots are vacant."""
+    places = on_circle(plan, mission.center)
+    if places is None or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
+        return plan
+    return places if _clear(mission, places) else plan
+
+
+def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
+    """The point at which a robot `here` that waits for others reaches the circle; None where there is no such circle.
+
+    Positions are in the frame of the mission [units].
+    """
+    places = on_circle(plan, mission.center)
+    if mission.dim != PLANE or places is None or not _clear(mission, places):
+        return None
+    radius = WITHIN * _polar(places.points[0], mission.center)[0]
+    return _at(mission.center, radius, _polar(here, mission.center)[1])
+
+
+def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
+    """The point on the circle at which to wait for unknown robots; None where there is no such circle.
+
+    Known robots (at `others`) that follow each other on the circle within radio range spread out evenly around their
+    mean position, up to `HOLD` apart, so that the ends of such a chain meet others. Positions as for `landing`.
+    """
+    point = landing(mission, plan, here)
+    near = NEAR * mission.spacing
+    if point is None or math.dist(here, point) > near:
+        return point
+    radius, direction = _polar(point, mission.center)
+    seen = (_polar(place, mission.center) for place in others)
+    arcs = sorted(radius * _wrapped(angle - direction) for away, angle in seen if abs(away - radius) <= near)
+    along = _spread(arcs, math.tau * radius, mission.comm_range)
+    return _at(mission.center, radius, direction + min(max(along, -mission.spacing), mission.spacing) / radius)
+
+
+def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
+    """How far to move along the circle, which is `around` long, with the others at `arcs` along it, sorted [units]."""
+    mine = bisect_left(arcs, 0.0)
+    once = [*arcs[:mine], 0.0, *arcs[mine:]]
+    unrolled = [arc + turn for turn in (-around, 0.0, around) for arc in once]
+    first = last = mine = mine + len(once)
+    while mine - first < len(once) and unrolled[first] - unrolled[first - 1] <= reach:
+        first -= 1
+    if mine - first == len(once):
+        return 0.0  # the circle is closed
+    while unrolled[last + 1] - unrolled[last] <= reach:
+        last += 1
+    chain = unrolled[first : last + 1]
+    apart = min(HOLD * reach, around / len(chain))
+    along = sum(chain) / len(chain) + (mine - first - (len(chain) - 1) / 2) * apart
+    # A robot that moves away from the middle of the chain may use up the rest of a link.
+    if mine < last:
+        along = max(along, min(0.0, unrolled[mine + 1] - LINK * reach) if mine - first < last - mine else 0.0)
+    if mine > first:
+        along = min(along, max(0.0, unrolled[mine - 1] + LINK * reach) if mine - first > last - mine else 0.0)
+    return along
+
+
+def _polar(point: Point, center: Point) -> tuple[float, float]:
+    """Distance [units] and direction [rad] from the centre, in the plane."""
+    x, y = point[0] - center[0], point[1] - center[1]
+    return math.hypot(x, y), math.atan2(y, x)
+
+
+def _at(center: Point, radius: float, direction_rad: float) -> Point:
+    return center[0] + radius * math.cos(direction_rad), center[1] + radius * math.sin(direction_rad)
+
+
+def _wrapped(angle_rad: float) -> float:
+    return (angle_rad + math.pi) % math.tau - math.pi
+
+
+def _clear(mission: Mission, places: Plan) -> bool:
+    return not mission.obstacles or all(
+        clearance(place, mission.obstacles) >= mission.body_radius for place in places.points
+    )
+
+
+@lru_cache(maxsize=256)
+def on_circle(plan: Plan, center: Point) -> Plan | None:
+    """The places of a hollow plan, each moved to or from the centre onto the circle of their mean radius."""
+    offsets = plan.array - np.array(center)
+    radii = np.linalg.norm(offsets, axis=1, keepdims=True)
+    if radii.min() < HOLLOW * radii.max() or not radii.min():
+        return None
+    return Plan.of(tuple(place) for place in (np.array(center) + offsets * (radii.mean() / radii)).tolist())

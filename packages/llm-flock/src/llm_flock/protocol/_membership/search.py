@@ -1,0 +1,157 @@
+"""The search that ends frozen partitions: a robot at its place looks for the robots that should be in vacant slots.
+
+Random starts are rarely connected, and two groups can settle on slots that never come into radio range of each other:
+each then knows of vacant slots that no message will ever fill. So a robot at its goal that still knows of vacant slots
+after some rounds visits them, the nearest first and the centre last, until it hears something new. The robot nearest to
+a vacant slot goes first. Each visit at which no robot is met is counted in the slot's table entry and spreads with it,
+so the team as a whole makes `LOOKS` visits; every visit is followed by a longer wait. After that many visits the slot
+is a gap: the team may simply be smaller than the plan.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from llm_flock.arrays import Point
+from llm_flock.message import NO_OWNER, BidTable
+from llm_flock.plan import Plan
+
+PATIENCE = 1
+"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain."""
+
+NEXT_TO = 1.5
+"""A vacant slot within this many spacings of the robot's own slot is next to it."""
+
+PATIENCE_PER_PLACE = 4
+"""Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""
+
+LOOKS = 4
+"""Visits to a vacant slot while robots are missing that were never heard of, or had no plan when they last were."""
+
+LOOKS_FOR_SILENT = 1
+"""Visits where all missing robots have been heard of before, and are probably dead."""
+
+MANY = 20
+"""While more robots than these are missing, every round brings news. A search that each of them ended would never
+get anywhere, so it goes on until its next slot is taken."""
+
+ARRIVED = 0.5
+"""A point of the tour counts as visited within this share of the spacing."""
+
+
+class Search(msgspec.Struct, frozen=True, kw_only=True):
+    """State of a robot's search.
+
+    Attributes:
+        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts a new search,
+            unless many robots are missing.
+        looks: number of visits to the least visited of these slots.
+        waited: rounds spent at the goal since the last tour or visit.
+        way: points still to visit [units; frame of the mission]; empty while the robot waits.
+        gaps: vacant slots that will not be visited any more.
+        looked: vacant slots that this robot has just visited.
+    """
+
+    known: tuple[str, tuple[int, ...]] = ("", ())
+    looks: int = 0
+    waited: int = 0
+    way: tuple[Point, ...] = ()
+    gaps: tuple[int, ...] = ()
+    looked: tuple[int, ...] = ()
+
+    @property
+    def target(self) -> Point | None:
+        """The next point to visit; None while no tour is under way."""
+        return self.way[0] if self.way else None
+
+    @property
+    def given_up(self) -> bool:
+        """Whether every vacant slot is a gap."""
+        return bool(self.gaps) and self.gaps == self.known[1]
+
+
+def advance(
+    search: Search,
+    *,
+    position: Point,
+    plan: Plan,
+    slot: int,
+    table: BidTable,
+    center: Point,
+    spacing: float,
+    at_goal: bool,
+    strangers: int,
+    silent: int,
+    without_plan: int = 0,
+    standing: Collection[int] = (),
+) -> Search:
+    """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
+
+    The bid of a vacant slot in `table` is its number of visits. Nobody looks for robots in slots on which one is seen
+    `standing`. `strangers` robots have never been heard of, and the
+    heartbeats of `silent` ones have stopped. Those of robots `without_plan` have stopped too, which told before that
+    these follow no plan: they wait to be found, and not in vacant slots alone, so each tour ends at the centre.
+    """
+    vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
+    search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
+    if not vacant or not (strangers or silent or without_plan):  # a team in touch fills its vacant slots by agreement
+        return replace(search, way=(), waited=0, gaps=(), looked=())
+    most = LOOKS if strangers or without_plan else LOOKS_FOR_SILENT
+    due = [a for a in vacant if table[a][1] < most]
+    gaps = tuple(a for a in vacant if table[a][1] >= most)
+    looks = int(min((table[a][1] for a in due), default=most))
+    waited = search.waited if looks == search.looks else 0
+    search = replace(search, gaps=gaps, looks=looks, waited=waited, looked=())
+    if search.way:
+        if math.dist(position, search.way[0]) > ARRIVED * spacing:
+            return search
+        here = tuple(a for a in vacant if plan.points[a] == search.way[0])
+        return replace(search, way=search.way[1:], waited=0, looked=here)
+    if not due or not at_goal:
+        return search
+    nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in due) / spacing
+    if waited < PATIENCE * 2**looks + int(PATIENCE_PER_PLACE * max(0.0, nearest - NEXT_TO)):
+        return replace(search, waited=waited + 1)
+    tour = _tour(plan, slot, due)
+    return replace(search, way=(*tour, center) if without_plan or looks >= LOOKS // 2 else tour)
+
+
+def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
+    """The search in view of what was heard; with `many` robots missing, news neither end a tour nor reset the wait."""
+    digest, before = search.known
+    if digest != plan.digest or (vacant != before and not many):
+        return Search(known=(plan.digest, vacant))
+    if vacant == before:
+        return search
+    still = {plan.points[a] for a in vacant} | {center}
+    way = search.way if search.way and search.way[0] in still else ()
+    same = _nearest(plan, slot, vacant) == _nearest(plan, slot, before)
+    return replace(search, known=(digest, vacant), waited=search.waited if same else 0, way=way)
+
+
+@lru_cache(maxsize=4096)
+def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
+    """The vacant slot nearest to the own one."""
+    points = plan.points
+    here = points[slot]
+    return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
+
+
+def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
+    """Vacant places, each time the nearest to the one before."""
+    places = plan.array[due]
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    to_each = np.linalg.norm(places - plan.array[slot], axis=1)
+    way = list[Point]()
+    for _ in due:
+        following = int(to_each.argmin())
+        way.append(plan.points[due[following]])
+        apart[:, following] = math.inf  # it has been visited
+        to_each = apart[following]
+    return tuple(way)

@@ -1,0 +1,102 @@
+"""Between the radio's bytes and the agreement: a message is verified and decoded once, then it is a value."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock.errors import MessageError
+from llm_flock.message import Message, MissionStamp, decode
+from llm_flock.mission import Mission
+
+
+class Authorization(msgspec.Struct, frozen=True, kw_only=True):
+    """The operator's signature on a mission's digest and on the time of the order, `counter`."""
+
+    counter: int
+    signature: bytes
+
+
+class Inbound(msgspec.Struct, frozen=True, kw_only=True):
+    """One received message, verified and decoded.
+
+    `beats` are the team's heartbeat counters, shape (N,), None where the message has none. In teams with keys there is
+    an authorization of the sender's mission.
+    """
+
+    message: Message
+    beats: NDArray[np.int64] | None
+    authorization: Authorization | None = None
+
+    @property
+    def repeatable(self) -> bool:
+        """Whether the same payload has nothing more to apply when it is received again in the same round."""
+        return self.authorization is None and self.beats is None and self.message.positions is None
+
+
+class Channel:
+    """Opens payloads that come in and seals those that go out.
+
+    This one serves a team without keys: every well-formed message of another robot is believed, whoever transmits it.
+    `llm_flock_swarm._signed.channel.SignedChannel` adds signatures.
+    """
+
+    def __init__(self, robot: int, mission: Mission) -> None:
+        self._robot, self._n_robots, self._dim = robot, mission.n_robots, mission.dim
+
+    @property
+    def rejected(self) -> Counter[str]:
+        """Parts of messages refused so far, by reason."""
+        return Counter()
+
+    def open(self, payload: bytes, sender: int | None) -> Inbound:
+        """Verify and decode a payload; `sender` is the robot that signed the transmission, where the transport knows.
+
+        Raises:
+            MessageError: as `decode`, and with reason `own_id` if the sender claims to be this robot.
+        """
+        inbound = _decoded(payload, self._n_robots, self._dim)
+        self._check_sender(inbound.message)
+        return inbound
+
+    def _check_sender(self, message: Message) -> None:
+        if message.sender == self._robot:
+            raise MessageError("own_id", f"a message from outside claims to come from robot {self._robot}")
+
+    @property
+    def order(self) -> bytes:
+        """The operator's signature on the mission in force; empty for the first one, and without keys."""
+        return b""
+
+    def hold(self, heard: Sequence[Message]) -> list[Message]:
+        """The messages on which the next decision is made: without keys, all that were heard."""
+        return list(heard)
+
+    def void(self, mission: MissionStamp) -> frozenset[int]:
+        """Robots whose plans for a mission do not count; without keys there are none."""
+        return frozenset()
+
+    def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
+        """Check that a mission was given by the operator; without keys any robot may pass one on."""
+
+    def keep_order(self, authorization: Authorization | None) -> None:
+        """Take note of the order for the mission that is in force now."""
+
+    def seal(self, payload: bytes) -> bytes:
+        """The encoded message with everything that receivers need to verify it."""
+        return payload
+
+
+@lru_cache(maxsize=256)
+def _decoded(payload: bytes, n_robots: int, dim: int) -> Inbound:
+    """A broadcast has many receivers: in a simulation its bytes are decoded once for all of them.
+
+    They receive it one after the other, and a message to a large team is large, so few are kept.
+    """
+    message = decode(payload, n_robots, dim)
+    return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

@@ -1,0 +1,166 @@
+"""How much of its knowledge a robot spells out: long parts are named by a digest unless a neighbour may lack them.
+
+Receivers may merge parts of a message in any order, so leaving something out costs time and never correctness. A robot
+that hears a digest other than its own spells out its side until it hears its own digest back. Lost messages are thus
+repeated for as long as they matter, and robots that agree exchange a few dozen bytes. Neighbours come and go between
+rounds, so in small teams the first message of a round greets them with everything.
+
+In large teams that would be most of the traffic, so newcomers are told only what they turn out to lack. A large plan
+is repeated in every other broadcast at most: an answer to one broadcast is heard before the next but one. Of a large
+bid table the changes are said (delta states: Almeida, Shoker, Baquero: Delta state replicated data types, 2018). While
+changes are under way tables differ everywhere; a difference that is left when they have come to rest is a loss, and
+only then the whole table is said.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from itertools import compress
+
+from msgspec.structs import replace
+
+from llm_flock.message import BidTable, Message, claims_in, encode, mission_text, table_digest
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+
+SMALL = 64
+"""Plans and tables of at most this many slots are spelled out once a round to all neighbours, and in every
+communication round in which a digest differs."""
+
+RESTLESS_ROUNDS = 4
+"""Rounds after which a large table is said in full to neighbours that differ even if it never comes to rest."""
+
+REMEMBERED_PLANS = 1024
+"""Most plans that are known by their digest, so that a flood of plans costs bounded memory."""
+
+_KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
+"""The part of a message that shows what its sender knows."""
+
+
+class Dissemination:
+    """The messages that one robot has sent, and the knowledge that its neighbours have shown."""
+
+    def __init__(self) -> None:
+        self._peers: dict[int, Message] = {}
+        self._heard: set[int] = set()
+        self._greeting = True
+        self._table: BidTable | None = None
+        self._digested: tuple[BidTable | None, bytes | None] = (None, None)
+        self._changed: tuple[frozenset[int], ...] = ()  # slots, since each of the last two broadcasts
+        self._plan_sent: str | None = None
+        self._plan_said = False  # in the last broadcast
+        self._table_said = RESTLESS_ROUNDS  # rounds since then
+        self._sent: Message | None = None
+        self._sequence = 0
+        self._payload = b""
+        self._plans: dict[str, Plan] = {}
+        self._standing: tuple[object, ...] = ()
+        self._news = True
+
+    def begin_round(self) -> None:
+        """Forget neighbours that were silent in the last round."""
+        self._peers = {j: self._peers[j] for j in self._heard}
+        self._heard = set()
+        self._greeting = True
+        self._table_said += 1
+
+    def hear(self, message: Message) -> None:
+        """Remember what a neighbour knows."""
+        before = self._peers.get(message.sender)
+        if before is not message and (before is None or _KNOWLEDGE(before) != _KNOWLEDGE(message)):
+            self._news = True
+        self._peers[message.sender] = message
+        self._heard.add(message.sender)
+
+    def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
+        """The plan that a message names; None if it names none, or one that never arrived in full."""
+        plan, digest = message.plan, message.plan_digest
+        if plan is None:
+            named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
+            return named if named is not None and len(named.points) == message.places else None
+        if len(self._plans) >= REMEMBERED_PLANS:
+            self._plans.clear()
+        self._plans[plan.digest] = plan
+        return plan
+
+    def forget_plans(self) -> None:
+        """Forget all plans. Call when another mission comes into force."""
+        self._plans = {}
+
+    @property
+    def greets(self) -> bool:
+        """Whether the next broadcast is the first of a round."""
+        return self._greeting
+
+    def unchanged(self, *standing: object) -> bytes | None:
+        """The last payload if composing again would give the same one, else None.
+
+        `standing` is everything that the message is made of, apart from the team's positions. A robot in agreement
+        repeats itself in most communication rounds; this saves a tenth of a large team's time.
+        """
+        same, self._standing = standing == self._standing, standing
+        return self._payload if same and not (self._news or self._greeting) else None
+
+    def compose(self, whole: Message, table: BidTable | None, mission: Mission) -> bytes:
+        """The bytes to broadcast; equal ones as long as there is nothing else to say.
+
+        `whole` has everything spelled out but the table, heartbeats in a greeting only; its `sequence` is set here.
+        """
+        self._note_changes(table)
+        plan, digest = whole.plan, whole.plan_digest
+        mine = _KNOWLEDGE(whole)
+        others = [heard for heard in self._peers.values() if _KNOWLEDGE(heard) != mine]
+        greeting, self._greeting = self._greeting, False
+        small = plan is None or len(plan) <= SMALL
+        differs = any(m.plan_digest != digest for m in others)
+        spell_plan = self._plan_sent != digest or (greeting or differs if small else differs and not self._plan_said)
+        self._plan_sent, self._plan_said = digest, spell_plan
+        spell_table = table is not None and self._spells_table(whole, len(table), others, greeting=greeting)
+        claims = None if table is None else claims_in(table, None if spell_table else self._news_of(table, whole.slot))
+        behind = any(m.mission < whole.mission for m in others)
+        message = replace(
+            whole,
+            mission_text=mission_text(mission) if behind else None,
+            plan=plan if spell_plan else None,
+            claims=claims,
+        )
+        if message != self._sent:
+            self._sent = message
+            self._payload = encode(replace(message, sequence=self._sequence))
+            self._sequence += 1
+        # Greetings, positions, changes and what is long are not repeated, so the next payload differs from this one.
+        long = spell_plan or differs or spell_table
+        self._news = greeting or whole.positions is not None or any(self._changed) or long
+        return self._payload
+
+    def digest(self, table: BidTable | None) -> bytes | None:
+        """Digest of the robot's own table, computed once for each table."""
+        if table is not self._digested[0]:
+            self._digested = (table, None if table is None else table_digest(table))
+        return self._digested[1]
+
+    def _note_changes(self, table: BidTable | None) -> None:
+        """Find the slots of a large table that changed since the last broadcast."""
+        before, changed = self._table, frozenset[int]()
+        if table is not before:
+            self._table = table
+            if table is not None and before is not None and len(before) == len(table) > SMALL:
+                changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
+        self._changed = (*self._changed[-1:], changed)
+
+    def _spells_table(self, whole: Message, slots: int, others: list[Message], *, greeting: bool) -> bool:
+        """Whether to spell out the whole table, of so many slots; `others` know something else."""
+        differs = any(m.plan_digest == self._plan_sent and m.table_digest != whole.table_digest for m in others)
+        small = slots <= SMALL
+        at_rest = self._table_said > 0 and not any(self._changed)
+        overdue = self._table_said >= RESTLESS_ROUNDS and greeting
+        if not ((small and greeting) or (differs and (small or at_rest or overdue))):
+            return False
+        self._table_said = 0
+        return True
+
+    def _news_of(self, table: BidTable, slot: int | None) -> Sequence[int]:
+        """Slots to spell out where the table is not: the own one, and in a large table what has changed."""
+        changed = frozenset[int]() if len(table) <= SMALL else frozenset[int]().union(*self._changed)
+        return sorted(changed if slot is None else changed | {slot})

@@ -1,0 +1,135 @@
+"""The path that a planner gave in advance, and the events that trigger a new question.
+
+A planner that answers with a path need not be asked in every round. The robot flies the path, checking and shielding
+each step like a fresh answer, and asks again on an event: event-triggered instead of periodic control (Heemels,
+Johansson, Tabuada: An introduction to event-triggered and self-triggered control, CDC 2012).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from enum import StrEnum
+from itertools import pairwise
+from typing import Self
+
+import msgspec
+from msgspec.structs import replace
+
+from llm_flock.arrays import Point
+from llm_flock.metrics import AT_GOAL
+from llm_flock.obstacles import nearest_on_segment, segment_clearance
+from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
+
+HORIZON = 20
+"""Largest number of waypoints in an answer."""
+
+SIDEWAYS_TOLERANCE = 0.25
+"""Distance from the path up to which a shielded step still counts as on it, as a share of `max_step`."""
+
+SHORTFALL_TOLERANCE = 0.75
+"""Distance from the next waypoint up to which a shielded step still counts as flown, as a share of `max_step`."""
+
+SAME_DIRECTION = 0.8
+"""The path serves a changed goal too if its next waypoint gains at least this share of the largest possible gain."""
+
+
+class Trigger(StrEnum):
+    """The event that makes a robot ask its planner again."""
+
+    NO_ANSWER = "no_answer"
+    NEW_PLAN = "new_plan"
+    NEW_GOAL = "new_goal"
+    ALTERED = "altered"
+    USED_UP = "used_up"
+    OBSTACLE = "obstacle"
+    NEIGHBOUR = "neighbour"
+    UNFIT = "unfit"
+
+
+class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
+    """The last question to the planner, and the rest of its answer.
+
+    Attributes:
+        path: waypoints still to fly [units; frame of the mission]. A last waypoint at the goal stays, and holds the
+            robot there.
+        failed: whether the planner had no answer.
+        altered: whether the last step left the path by more than the tolerances.
+        in_sight: robots within sensing range when the planner was asked.
+    """
+
+    question: StepQuestion
+    path: tuple[Point, ...]
+    failed: bool
+    altered: bool = False
+    in_sight: frozenset[int]
+
+    @classmethod
+    def of(cls, question: StepQuestion, answer: StepAnswer | NoAnswer, sensed: Mapping[int, Point]) -> Self:
+        """The path that an answer commits the robot to. Call with every answer of the planner."""
+        usable = isinstance(answer, StepAnswer)
+        path = (answer.waypoint, *answer.path) if usable else ()
+        return cls(
+            question=question,
+            path=path,
+            failed=not usable,
+            in_sight=frozenset(sensed),
+        )
+
+    def after_step(self, position: Point, waypoint: Point) -> Self:
+        """The rest of the path after a step from `position` to `waypoint`, which the shield made of the first one."""
+        if not self.path:
+            return self
+        sideways = _distance_to_path((position, *self.path), waypoint)
+        shortfall = math.dist(waypoint, self.path[0])
+        max_step = self.question.mission.max_step
+        altered = sideways > SIDEWAYS_TOLERANCE * max_step or shortfall > SHORTFALL_TOLERANCE * max_step
+        ends = len(self.path) == 1 and _at_goal(self.question, self.path[0])
+        return replace(self, altered=altered, path=self.path if ends else self.path[1:])
+
+    def trigger(self, question: StepQuestion, sensed: Mapping[int, Point]) -> Trigger | None:
+        """The event that makes a new question necessary, or None. Call in each round before flying the next step.
+
+        `question` is the one that would be asked now, and `sensed` has the believed positions of the robots within
+        sensing range, by id [units; frame of the mission].
+        """
+        mission = question.mission
+        if self.failed:
+            return Trigger.NO_ANSWER
+        if question.goal != self.question.goal and not self._serves_goal(question):
+            return Trigger.NEW_GOAL if question.plan == self.question.plan else Trigger.NEW_PLAN
+        if self.path and _at_goal(question, question.position):
+            return None
+        if self.altered:
+            return Trigger.ALTERED
+        if not self.path:
+            return Trigger.USED_UP
+        path = (question.position, *self.path)
+        new = [obstacle for obstacle in mission.obstacles if obstacle not in self.question.mission.obstacles]
+        if any(segment_clearance(a, b, new) < mission.body_radius for a, b in pairwise(path)):
+            return Trigger.OBSTACLE
+        entered = [position for robot, position in sensed.items() if robot not in self.in_sight]
+        # Only the next step counts: a robot farther ahead will have moved by the time this one arrives.
+        if any(_distance_to_path(path[:2], position) < mission.safe_distance for position in entered):
+            return Trigger.NEIGHBOUR
+        return None
+
+    def _serves_goal(self, question: StepQuestion) -> bool:
+        """Whether the next waypoint approaches the question's goal by almost as much as any waypoint could.
+
+        Goals change often while groups meet, and many lie in the same direction: the robot asks once they diverge.
+        """
+        if not self.path:
+            return False
+        before = math.dist(question.position, question.goal)
+        gained = before - math.dist(self.path[0], question.goal)
+        return gained >= SAME_DIRECTION * min(before, question.mission.max_step)
+
+
+def _at_goal(question: StepQuestion, position: Point) -> bool:
+    return math.dist(position, question.goal) <= AT_GOAL * question.mission.spacing
+
+
+def _distance_to_path(path: tuple[Point, ...], point: Point) -> float:
+    """Distance of a point from a path of two or more points [units]."""
+    return min(math.dist(point, nearest_on_segment(point, a, b)) for a, b in pairwise(path))

@@ -1,0 +1,124 @@
+"""The way to a goal: its next corner and its length, round obstacles and bodies that do not move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from llm_flock.arrays import Point, moved
+from llm_flock.metrics import AT_GOAL
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.protocol._planning import StepQuestion
+from llm_flock.protocol._verification.plans import ROUNDING
+from llm_flock.protocol._verification.steps import blocked
+
+if TYPE_CHECKING:
+    from llm_flock.roadmap import Roadmap  # only missions with obstacles or still bodies need it
+
+SLOWEST = 0.4
+"""Smallest average gain of a usable planner, as a share of the largest possible gain: at this pace it takes 2.5 times
+the rounds of a straight flight, and a team should form in three times the lower bound."""
+
+
+class Pace:
+    """Average gain of a planner's waypoints towards the goal, each as a share of the largest possible gain.
+
+    Waypoints at the goal, and of a robot whose straight path is blocked, do not count. A round that the robot holds
+    because the planner was refused counts as no gain. A goal that travels and is within one step has to be reached:
+    whoever always closes a share of the gap trails behind it for ever.
+    """
+
+    def __init__(self) -> None:
+        self._average = 1.0
+
+    def too_slow(self, question: StepQuestion, waypoint: Point) -> str | None:
+        """Count a waypoint that passed its checks. Returns the reason to refuse it, or None."""
+        mission, goal = question.mission, question.goal
+        before, after = math.dist(question.position, goal), math.dist(waypoint, goal)
+        if min(before, after) <= ROUNDING * mission.spacing or blocked(question):
+            return None
+        gain = (before - after) / min(mission.max_step, before)
+        if mission.velocity is not None and before <= mission.max_step:
+            gain = float(after <= AT_GOAL * mission.spacing)
+        self._count(min(gain, 1.0))
+        if self._average >= SLOWEST:
+            return None
+        return (
+            f"on average, the last positions led {100 * self._average:.0f} % of a step nearer to the goal, "
+            f"at least {100 * SLOWEST:.0f} % is required."
+        )
+
+    def held(self) -> None:
+        """Count a round in which the planner's answer was refused and nothing replaced it."""
+        self._count(0.0)
+
+    def _count(self, gain: float) -> None:
+        weight = 0.25  # of the newest waypoint
+        self._average += weight * (gain - self._average)
+
+
+STEP = 0.25
+"""With uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs."""
+
+
+class Leg(msgspec.Struct, frozen=True, kw_only=True):
+    """The way to a goal.
+
+    Attributes:
+        goal: where it ends [units; frame of the mission].
+        stop: its next corner, or the goal [units; frame of the mission].
+        left: its length [units].
+    """
+
+    goal: Point
+    stop: Point
+    left: float
+
+
+def leg_to(
+    mission: Mission,
+    position: Point,
+    goal: Point,
+    drift: Point = (),
+    ahead: Point = (),
+    still: Sequence[Point] = (),
+    noise: float = 0.0,
+) -> Leg:
+    """The way from a position [units; world frame] to a goal of the mission's frame, round the obstacles of the world.
+
+    The frame is displaced by `drift` now, and by `ahead` at the end of the round; empty if the mission stands still.
+    `still` are bodies that do not move [units; world frame].
+    """
+    roadmap = map_of(mission, position, still, noise)
+    if roadmap is None:
+        return Leg(goal=goal, stop=goal, left=math.dist(moved(position, drift, -1.0), goal))
+    there = moved(goal, ahead)
+    stop = roadmap.next_stop(position, there)
+    left = roadmap.length(position, moved(goal, drift))
+    return Leg(goal=goal, stop=goal if stop == there else moved(stop, ahead, -1.0), left=left)
+
+
+def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: float = 0.0) -> Roadmap | None:
+    """The map of a mission's obstacles and of bodies that do not move; None where there is neither.
+
+    With positions known to within `noise` [units], ways lie farther away from them.
+    """
+    if not mission.obstacles and not still:
+        return None
+    from llm_flock.roadmap import roadmap_of
+
+    radius = mission.body_radius
+    if noise > 0.0:
+        radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
+    if not still:
+        return roadmap_of(mission.arena, mission.obstacles, radius) if mission.obstacles else None
+    # To build a map takes a while: it has at most 40 bodies, and noise must not change it in every round.
+    near = sorted(still, key=lambda body: math.dist(body, position))[:40]
+    # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
+    spots = sorted(tuple(round(x, 1) for x in body) for body in near)
+    discs = tuple(Obstacle(center=spot, radius=mission.body_radius) for spot in spots)
+    return roadmap_of(mission.arena, (*mission.obstacles, *discs), radius)

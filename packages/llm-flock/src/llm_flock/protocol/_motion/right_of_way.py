@@ -1,0 +1,289 @@
+"""Right of way: a robot that others block says where it has to go, and robots in that way step aside.
+
+Priority inheritance, as in PIBT: Okumura, Machida, Défago, Tamura: Priority inheritance with backtracking for iterative
+multi-agent path finding (Artificial Intelligence 310, 2022), here in continuous space and from messages only. A robot
+that bodies keep from its way sends its *course* with its rank. A robot of lower rank in that way goes to a refuge, and
+sends the course there with the rank of the first one, so that those in its own way step aside too. One that is not in
+the way does not enter it. Ranks rise with waiting, and with them the width of the way that is given, so no robot
+waits for good. Where a robot holds its place, it steps aside all the same, and comes back.
+
+Courses only ask. What keeps robots apart is the cell of the shield, whatever is claimed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from itertools import pairwise
+from typing import TypeAlias
+
+import msgspec
+import numpy as np
+
+from llm_flock.arrays import Point, Points, Vector
+from llm_flock.message import HIGHEST, Course
+from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
+from llm_flock.roadmap import Roadmap
+
+AHEAD = 3.0
+"""Length of a course, in steps."""
+
+SLOWED = 0.5
+"""A robot is blocked if bodies leave it less than this share of its step."""
+
+STALLED = 3
+"""Rounds without progress towards the goal after which a robot that bodies block asks for its way."""
+
+GAIN = 0.05
+"""Coming nearer by this share of a step, or of what is left, counts as progress: beside another robot a place is
+approached by halves."""
+
+KEPT = 2
+"""Rounds for which a robot that was blocked keeps its course."""
+
+RISES = 8
+"""Rounds of waiting for the first rank above the lowest; each further one takes twice as long."""
+
+WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5
+"""Half the width of a way of the lowest rank, what each rank adds, and the most, in safe distances."""
+
+HEEDED_ROUNDS = 32
+"""Rounds in a mission for which a robot gives way to one that asks; for twice as long it then heeds no course of it."""
+
+BETWEEN = 4
+"""Most rounds between two in which a robot asks that count like those: one that gives way may lose sight of it."""
+
+SHARES = (0.75, 0.5, 0.25, 0.125)
+"""Shares of a step that are tried where the whole one leads into a way that another has."""
+
+Rank: TypeAlias = tuple[int, int, bool, int]
+"""Level, then the lower id of whose right it is, then that robot itself before those that make way for it."""
+
+
+def rank(sender: int, level: int, of: int) -> Rank:
+    """The rank of a robot that asks in the name of `of`; higher ones compare greater."""
+    return level, -of, sender == of, -sender
+
+
+class Way(msgspec.Struct, frozen=True, kw_only=True):
+    """A way that a robot has to be given.
+
+    Attributes:
+        rank: its rank.
+        robot: who asks for it.
+        line: its corners from where that robot is, shape (k, d) [units; world frame].
+        width: half its width [units].
+    """
+
+    rank: Rank
+    robot: int
+    line: Points
+    width: float
+
+    def distances(self, points: Points) -> Vector:
+        """The distance of each of some points, shape (m, d), from the middle of the way, shape (m,) [units]."""
+        legs = [_distances(points, a, b) for a, b in zip(self.line, self.line[1:], strict=False)]
+        return np.min(legs, axis=0)
+
+    def covers(self, point: Point) -> bool:
+        """Whether a body at a point is in the way."""
+        return float(self.distances(np.array([point]))[0]) < self.width - 1e-6
+
+
+class RightOfWay:
+    """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
+
+    Attributes:
+        apart: distance at which bodies pass each other, the safe distance where that is enough [units].
+        course: what it asks for; None if nothing is in its way.
+    """
+
+    def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
+        self.course: Course | None = None
+        self._robot, self._limits = robot, limits
+        self.apart = limits.safe_distance if apart is None else apart
+        self._period: int | None = None
+        self._counts = True
+        self._waited = self._kept = self._idle = 0
+        self._nearest: tuple[Point, float] = (), math.inf
+        self._round = 0
+        # By who asks: rounds, next pause, and the last round, or the first one after a pause.
+        self._asked: dict[int, tuple[int, int, int]] = {}
+
+    @property
+    def waited(self) -> int:
+        """Rounds without progress since the robot was at its goal, or had none."""
+        return self._waited
+
+    @property
+    def stalled(self) -> bool:
+        """Whether the robot has come no nearer to its goal for some rounds."""
+        return self._idle >= STALLED
+
+    @property
+    def _level(self) -> int:
+        return min((self._waited // RISES).bit_length(), HIGHEST)
+
+    def count(self, goal: Point, left: float, within: float, period: int | None = None) -> None:
+        """Begin a round, with the length of the way to a goal that counts as reached within a distance [units].
+
+        Of the rounds within one heartbeat `period` the first one counts: without it, robots that a body stops after
+        a moment would wait, and lose patience, faster than those that fly.
+        """
+        self._counts, self._period = period is None or period != self._period, period
+        at_goal = left <= within
+        before, nearest = self._nearest
+        nearer = left <= nearest - GAIN * min(self._limits.max_step, left)
+        if at_goal or goal != before or nearer:
+            self._nearest, self._idle = (goal, left), 0
+        else:
+            self._idle += self._counts
+        self._waited = 0 if at_goal else self._waited + (self._counts and self._idle > 0)
+        self.course = None
+        self._round += self._counts
+
+    def ways(self, sensed: Mapping[int, Point], courses: Mapping[int, Course]) -> list[Way]:
+        """The ways that this robot has to give, to robots in sight, the highest rank first.
+
+        A robot that has asked for `HEEDED_ROUNDS` in all is not heeded for twice as long, then for four times, and so
+        on, wherever it is and whatever it asks for: otherwise a liar that moves would keep others away for good.
+        """
+        own, found = rank(self._robot, self._level, self._robot), list[Way]()
+        for j, course in courses.items():
+            if j not in sensed or (theirs := rank(j, course.level, course.of)) <= own:
+                continue
+            width = self.apart * min(WIDEST, WIDTH + WIDER * course.level)
+            line = np.array([sensed[j], *course.path])
+            found.append(Way(rank=theirs, robot=j, line=line, width=width))
+        heeded = [way for way in found if self._heeds(way.robot)]
+        return sorted(heeded, key=lambda way: way.rank, reverse=True)
+
+    def _heeds(self, robot: int) -> bool:
+        """Whether a robot that asks in this round is heeded; counts those rounds, and short times between them."""
+        asked, pause, last = self._asked.get(robot, (0, 2 * HEEDED_ROUNDS, self._round - 1))
+        if self._round < last:
+            return False
+        asked += min(self._round - last, BETWEEN)
+        if asked <= HEEDED_ROUNDS:
+            self._asked[robot] = asked, pause, self._round
+            return True
+        self._asked[robot] = 1, 2 * pause, self._round + pause
+        return False
+
+    def begin_mission(self) -> None:
+        """Heed everybody again: a mission has been given."""
+        self._asked.clear()
+
+    def ask(self, path: Sequence[Point]) -> None:
+        """Ask for the way along a path [units; world frame] by the own right: bodies block it."""
+        self._kept = KEPT
+        self._ask(path, self._level, self._robot)
+
+    def go_on_asking(self, path: Sequence[Point]) -> None:
+        """Keep asking for a while after the way has become free, so that nobody closes it again at once."""
+        self._kept = max(0, self._kept - self._counts)
+        if self._kept:
+            self._ask(path, self._level, self._robot)
+
+    def pass_on(self, path: Sequence[Point], way: Way) -> None:
+        """Ask for the own way, or that to a refuge, by the right of the robot for which this one makes way."""
+        self._ask(path, way.rank[0], -way.rank[1])
+
+    def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
+        self.course = Course(level=level, of=of, path=tuple(path)) if path else None
+
+    def leads_out(self, here: Point, path: Sequence[Point], goal: Point, ways: Sequence[Way]) -> bool:
+        """Whether flying on leads a robot out of these ways, and past nobody who comes.
+
+        Its goal, and the next stops on the path there, are in the world frame [units].
+        """
+        if any(way.covers(goal) for way in ways):
+            return False
+        return all(self._leads_away(a, b, ways) for a, b in pairwise((here, *path)))
+
+    def refuge(
+        self, here: Point, goal: Point, ways: Sequence[Way], pressing: Sequence[Way], others: Iterable[Point]
+    ) -> Point | None:
+        """Where to wait until those that come have passed [units; world frame]; None if there is no such place.
+
+        It is outside all ways if possible, otherwise at least outside those that the robot is in (`pressing`), or the
+        one of highest rank, and the nearest of those on the way to the goal. `others` are the bodies in sight.
+        """
+        for avoided in (ways, pressing, pressing[:1]):
+            found = self._nearest_refuge(here, goal, avoided, np.array([*others]))
+            if found is not None:
+                return found
+        return None
+
+    def _nearest_refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Points) -> Point | None:
+        limits, margin = self._limits, 0.05 * self.apart  # a refuge is farther from a way than it has to be
+        too_near_cost = 6.0  # for each unit of distance that another body lacks
+        spots = np.array(here) + limits.max_step * _around(len(here))
+        low, high = np.array(limits.arena)
+        free = ((spots >= low) & (spots <= high)).all(axis=1)
+        for way in ways:
+            free &= way.distances(spots) >= way.width + margin
+        spots = spots[free]
+        roadmap = limits.roadmap
+        if roadmap is not None:
+            spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
+        to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
+        crowd = np.maximum(0.0, self.apart - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
+        cost = 2.0 * to + on + too_near_cost * crowd
+        for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
+            spot = tuple(spots[k].tolist())
+            stop = spot if roadmap is None else roadmap.next_stop(here, spot)
+            if self._leads_away(here, stop, ways):
+                return spot
+        return None
+
+    def _leads_away(self, here: Point, stop: Point, ways: Sequence[Way]) -> bool:
+        """Whether a straight flight to a stop leads past none of the robots that come."""
+        start, end = np.array(here), np.array(stop)
+        for way in ways:
+            comes = way.line[:1]
+            room = min(float(np.linalg.norm(start - comes[0])), self.apart)
+            if float(_distances(comes, start, end)[0]) < room - 1e-6:
+                return False
+        return True
+
+
+def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:
+    """Whether a step leads no deeper into any way."""
+    return all(
+        float(after) >= min(way.width, float(before)) - 1e-6
+        for way in ways
+        for before, after in [way.distances(np.array([here, there]))]
+    )
+
+
+@lru_cache
+def _around(dim: int) -> Points:
+    """Where a refuge is looked for: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
+    count = 24 if dim == 2 else 40
+    k = np.arange(count)
+    rings = np.array((0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0))  # the farthest is beyond the end of any course
+    if dim == 2:
+        turn = 2.0 * math.pi * k / count
+        directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    else:
+        height, turn = 1.0 - (2.0 * k + 1.0) / count, math.pi * (1.0 + math.sqrt(5.0)) * (k + 0.5)
+        flat = np.sqrt(1.0 - height * height)
+        directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    return (rings[:, None, None] * directions).reshape(-1, dim)
+
+
+def _distances(points: Points, start: Vector, end: Vector) -> Vector:
+    """The distance of each point, shape (m, d), from a segment, shape (m,) [units]."""
+    along = end - start
+    share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)
+    return np.linalg.norm(points - (start + share[:, None] * along), axis=1)
+
+
+def _lengths(roadmap: Roadmap | None, starts: Points, goal: Point) -> Vector:
+    """Lengths of the ways from each of some points, shape (m, d), to a goal, shape (m,) [units]."""
+    if roadmap is None:
+        return np.linalg.norm(starts - np.array(goal), axis=1)
+    return roadmap.lengths_to(starts, goal)

@@ -1,0 +1,209 @@
+"""One robot's safe motion in lockstep: shielded steps, separation of crowds, and right of way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+
+from llm_flock import shield
+from llm_flock.arrays import Point, moved
+from llm_flock.events import Note, Origin
+from llm_flock.message import MOST_STOPS, Course
+from llm_flock.mission import Mission
+from llm_flock.protocol._motion.leg import STEP, Leg, map_of
+from llm_flock.protocol._motion.projection import static_half_spaces
+from llm_flock.protocol._motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
+from llm_flock.protocol._parts import Observation, SafeStep, Safety
+
+
+class ShieldedSafety(Safety):
+    """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
+
+    Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
+    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units].
+    """
+
+    def __init__(self, robot: int, limits: Mission, noise_bound: float, apart: float | None = None) -> None:
+        self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
+        # With uncertain positions the sides of cells move inwards: bodies need more room to pass each other.
+        margin = 2.0 * noise_bound * (1.0 + 4.0 * STEP * limits.max_step / limits.safe_distance)
+        self._right = RightOfWay(robot, limits, (limits.safe_distance if apart is None else apart) + margin)
+        self._gave_way: int | None = None
+        self._asked = False
+
+    @property
+    def course(self) -> Course | None:
+        """Where this robot has to go, for others to leave free; None if nothing is in its way."""
+        return self._right.course
+
+    def begin_mission(self) -> None:
+        """Heed everybody who asks for a way again: a mission has been given."""
+        self._right.begin_mission()
+
+    def stay(self, scene: Observation) -> SafeStep:
+        """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
+        here = scene.position
+        self._right.count(here, 0.0, 0.0, scene.period)
+        separating = self._separate(scene)
+        if separating is not None:
+            return separating
+        ways = self._right.ways(scene.sensed, scene.courses)
+        pressing = [way for way in ways if way.covers(here)]
+        aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
+        return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
+
+    def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
+        """The safe waypoint for the planner's waypoint `wish` [units; world frame].
+
+        The goal of the leg counts as reached within `tolerance` [units].
+        """
+        right, here, within = self._right, scene.position, tolerance + self._noise_bound
+        right.count(leg.goal, leg.left, within, scene.period)
+        separating = self._separate(scene)
+        if separating is not None:
+            return separating
+        goal, stop = moved(leg.goal, scene.drift), moved(leg.stop, scene.drift)
+        ways = right.ways(scene.sensed, scene.courses)
+        pressing = [way for way in ways if way.covers(here)]
+        if pressing and not right.leads_out(here, self._path(here, stop, goal, scene.still), goal, pressing):
+            aside = self._aside(scene, goal, ways, pressing, scene.still)
+            if aside is not None:
+                return aside
+        safe = self._on_its_way(scene, stop, wish, self._project(here, wish, scene.others))
+        free = [way for way in ways if not way.covers(here)]
+        if not outside(free, here, safe):
+            return self._wait(scene, wish, free)
+        self._gave_way = None
+        notes: tuple[Note, ...] = ()
+        if pressing:
+            right.pass_on(self._path(here, stop, goal, scene.still), pressing[0])
+        elif right.stalled and self._is_blocked(scene, stop, safe):
+            right.ask(self._path(here, stop, goal, scene.still))
+            if not self._asked:
+                notes = (Note("deadlock", {"goal_distance": math.dist(scene.here, leg.goal), "rounds": right.waited}),)
+            self._asked = True
+        else:
+            self._asked = False
+            right.go_on_asking(() if leg.left <= within else self._path(here, stop, goal, scene.still))
+        if safe == wish:
+            return SafeStep(waypoint=wish, origin=Origin.MODEL, notes=notes)
+        note = Note("shielded", {"proposed": wish, "flown": safe})
+        return SafeStep(waypoint=safe, origin=Origin.SHIELD, notes=(*notes, note))
+
+    def _aside(
+        self, scene: Observation, goal: Point, ways: Sequence[Way], pressing: Sequence[Way], still: Sequence[Point]
+    ) -> SafeStep | None:
+        """A step out of the ways that this robot is in (`pressing`), None if it has nowhere to go."""
+        here = scene.position
+        refuge = self._right.refuge(here, goal, ways, pressing, scene.others)
+        if refuge is None:
+            return None
+        path = self._path(here, self._next_stop(here, refuge, still), refuge, still)
+        self._right.pass_on(path, pressing[0])
+        to = self._project(here, _towards(here, path[0], self._limits.max_step), scene.others)
+        return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(pressing[0]))
+
+    def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
+        """As much of a step as leads into no way that another has."""
+        here = scene.position
+        tried = (self._project(here, _between(here, wish, share), scene.others) for share in SHARES)
+        to = next((safe for safe in tried if outside(ways, here, safe)), here)
+        return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
+
+    def _note_way(self, way: Way) -> tuple[Note, ...]:
+        """A note when this robot begins to give way to another."""
+        before, self._gave_way = self._gave_way, way.robot
+        return () if before == way.robot else (Note("gives_way", {"to": way.robot}),)
+
+    def _is_blocked(self, scene: Observation, stop: Point, safe: Point) -> bool:
+        """Whether bodies keep the robot from half of what its planner or obstacles would let it gain."""
+        here, others, apart = scene.position, scene.others, self._right.apart
+        straight, far = _towards(here, stop, self._limits.max_step), math.dist(here, stop)
+        alone = far - math.dist(self._project(here, straight, ()), stop)
+        if apart > self._limits.safe_distance:
+            safe = self._project(here, safe, others, apart)
+        gained = max(far - math.dist(to, stop) for to in (safe, self._project(here, straight, others, apart)))
+        return gained < SLOWED * alone
+
+    def _path(self, here: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
+        """The next corners of the way, first `stop`, as far as a course reaches [units; world frame]."""
+        path, left = list[Point](), AHEAD * self._limits.max_step
+        while left > 0.0 and len(path) < MOST_STOPS and (here != goal or not path):
+            path.append(_towards(here, stop, left))
+            left -= math.dist(here, stop)
+            here, stop = stop, self._next_stop(stop, goal, still)
+        return path
+
+    def _next_stop(self, here: Point, goal: Point, still: Sequence[Point]) -> Point:
+        roadmap = map_of(self._limits, here, still, self._noise_bound)
+        return goal if roadmap is None else roadmap.next_stop(here, goal)
+
+    def _on_its_way(self, scene: Observation, stop: Point, wish: Point, safe: Point) -> Point:
+        """The safe waypoint, or a shorter step of the wish if that slides off the way between two obstacles.
+
+        From where it slides to, the robot would be sent back to the last corner again and again.
+        """
+        here = scene.position
+        roadmap = map_of(self._limits, here, (), self._noise_bound)
+        if roadmap is None or safe == wish or roadmap.straight(safe, stop):
+            return safe
+        for shorter in (_between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
+            if roadmap.straight(shorter, stop) and self._project(here, shorter, scene.others) == shorter:
+                return shorter
+        return safe
+
+    def _project(self, position: Point, wish: Point, others: tuple[Point, ...], distance: float | None = None) -> Point:
+        """The point of the cell nearest to a wish, with bodies kept at the safe distance or at another one."""
+        limits, noise = self._limits, self._noise_bound
+        return shield.project(
+            position,
+            wish,
+            others,
+            safe_distance=limits.safe_distance if distance is None else distance,
+            max_step=limits.max_step,
+            noise_bound=noise,
+            also=lambda longest: static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
+        )
+
+    def _separate(self, scene: Observation) -> SafeStep | None:
+        """A step away from the middle of a crowd that is too close, None without one nearby.
+
+        Robots near such a crowd make way: those inside cannot leave while others stand around them.
+        """
+        limits, position, sensed = self._limits, scene.position, scene.sensed
+        limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
+        reach = limits.safe_distance + limits.max_step
+        near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
+        crowd = _crowd({self._robot: position, **near}, limit)
+        if not crowd:
+            return None
+        apart = shield.spread_coincident(self._robot, position, sensed)
+        members = [apart.get(j, position) for j in sorted(crowd)]
+        middle = tuple(sum(axis) / len(members) for axis in zip(*members, strict=True))
+        away = math.dist(position, middle)
+        share = limits.max_step / away if away > 0.0 else 0.0
+        wish = tuple(x + share * (x - c) for x, c in zip(position, middle, strict=True))
+        flown = self._project(position, wish, tuple(apart.values()))
+        nearest = min(math.dist(x, position) for x in near.values())
+        note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
+        return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
+
+
+def _towards(here: Point, there: Point, longest: float) -> Point:
+    """A point at most this far on the way to another [units]."""
+    far = math.dist(here, there)
+    if far <= longest:
+        return there
+    return moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
+
+
+def _between(here: Point, there: Point, share: float) -> Point:
+    """The point at this share of the way to another [units]."""
+    return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
+
+
+def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:
+    """All robots of pairs nearer than `limit`."""
+    pairs = combinations(positions.items(), 2)
+    return frozenset(robot for (i, x), (j, y) in pairs if math.dist(x, y) < limit for robot in (i, j))

@@ -1,0 +1,120 @@
+"""The two questions of a robot's decision process, and their answers. Any planner may answer them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Protocol, TypeAlias
+
+from llm_flock.arrays import Point
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanQuestion:
+    """Propose a whole formation and your own place in it.
+
+    Attributes:
+        mission: the mission as it stands at the end of this round, with as many places as the plan should have.
+        robot: own id, from 0.
+        round: motion round of the question.
+        position: own believed position [units; world frame].
+        neighbors: believed positions of observed robots, in ascending order of their ids [units; world frame].
+        still: positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
+        probe: whether the planner gets one try only, because its last answers could not be used.
+    """
+
+    mission: Mission
+    robot: int
+    round: int
+    position: Point
+    neighbors: tuple[Point, ...]
+    still: tuple[Point, ...] = ()
+    probe: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepQuestion:
+    """Choose the next waypoint, or several. Fields as in PlanQuestion, and further ones.
+
+    Attributes:
+        plan: the plan that is followed, as it stands at the end of this round.
+        slot: own slot in it; None for a spare robot, which goes to wait at `target`.
+        target: where to go instead of the own place, for example on a search; None otherwise [units; world frame].
+        corner: the next corner of the way there, where obstacles are in between; None otherwise [units; world frame].
+        horizon: largest number of waypoints in the answer, one for each round; 1 is the paper's question.
+    """
+
+    mission: Mission
+    robot: int
+    round: int
+    position: Point
+    neighbors: tuple[Point, ...]
+    plan: Plan
+    slot: int | None
+    target: Point | None = None
+    corner: Point | None = None
+    horizon: int = 1
+    probe: bool = False
+
+    @property
+    def goal(self) -> Point:
+        """Where to go: the own place, or `target`, or the next `corner` on the way [units; world frame]."""
+        if self.corner is not None:
+            return self.corner
+        if self.target is not None:
+            return self.target
+        assert self.slot is not None, "a robot without a place is told where to wait"
+        return self.plan.points[self.slot]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanAnswer:
+    """A usable plan, the slot that the planner chose for its own robot, and whether geometry made it for the model."""
+
+    plan: Plan
+    slot: int
+    by: Literal["model", "geometry"] = "model"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StepAnswer:
+    """A usable waypoint, and the `path` after it, a waypoint for each round [units; world frame].
+
+    `by` says whether geometry computed it because there was nothing to ask the model.
+    """
+
+    waypoint: Point
+    path: tuple[Point, ...] = ()
+    by: Literal["model", "geometry"] = "model"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoAnswer:
+    """The planner could not answer this time.
+
+    Attributes:
+        cause: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
+        reason: the full reason in words, for the record.
+        waypoint: the last waypoint that could be read but was rejected [units; world frame]; None without one.
+    """
+
+    cause: str
+    reason: str
+    waypoint: Point | None = None
+
+
+Question: TypeAlias = PlanQuestion | StepQuestion
+Answer: TypeAlias = PlanAnswer | StepAnswer | NoAnswer
+
+
+class Planner(Protocol):
+    """Answers one robot's questions: a language model, or plain geometry."""
+
+    async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
+        """Propose a formation."""
+        ...
+
+    async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """Propose a waypoint, or up to `question.horizon` of them."""
+        ...

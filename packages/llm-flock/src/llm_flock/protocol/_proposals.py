@@ -1,0 +1,105 @@
+"""From question to proposal: a robot asks its model for a plan, checks the answer, and proposes it to the team."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+from llm_flock.arrays import moved
+from llm_flock.events import AskPlan, Note, RoundBegan
+from llm_flock.message import MissionStamp
+from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.agreement import Agreement
+from llm_flock.protocol._breaker import BreakerState, CircuitBreaker, Fallback, fallback_notes
+from llm_flock.protocol._parts import Parts
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
+
+
+class Proposals:
+    """The plans that one robot proposes. Call `ask` once a round, and `take` with the answer.
+
+    Args:
+        robot: own id.
+        agreement: takes the proposals.
+        parts: its membership knows how many places a plan is to have, its verifier checks plans.
+        fallback: what to do without a usable answer.
+    """
+
+    def __init__(self, robot: int, agreement: Agreement, parts: Parts, fallback: Fallback) -> None:
+        self.breaker = CircuitBreaker("plan", enabled=fallback != "hold")
+        self._robot = robot
+        self._agreement, self._membership, self._verifier = agreement, parts.membership, parts.verifier
+        self._fallback: Fallback = fallback
+        self._asked: PlanQuestion | None = None
+        self._asked_about: tuple[MissionStamp, Plan | None] | None = None
+
+    @property
+    def hopeless(self) -> NoAnswer | None:
+        """Why the model's last plan was refused, for a robot without a plan whose model is not asked for one."""
+        breaker = self.breaker
+        return breaker.reason if self._agreement.plan is None and breaker.is_open and breaker.refusals else None
+
+    def ask(self, event: RoundBegan) -> list[AskPlan | Note]:
+        """The question for this round, last; without one if no plan is needed, or geometry's stands in for it."""
+        agreement, mission = self._agreement, self._agreement.mission
+        places = self._membership.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
+        if places is None or not agreement.may_propose(places):
+            return []
+        self._asked = PlanQuestion(
+            mission=mission.at(event.round).resized(places),
+            robot=self._robot,
+            round=event.round,
+            position=event.position,
+            neighbors=event.observed,
+            still=agreement.bodies,
+        )
+        self._asked_about = self._topic
+        if not self.breaker.asks(event.round):
+            failure = self.breaker.reason
+            assert failure is not None, "an open breaker has seen a refusal"
+            return [*self._plan_by_geometry(self._asked, failure)]
+        if self.breaker.state is BreakerState.HALF_OPEN:
+            self._asked = replace(self._asked, probe=True)
+        return [AskPlan(self._asked)]
+
+    def take(self, answer: PlanAnswer | NoAnswer) -> list[Note]:
+        """Propose the model's answer, or say why there is none."""
+        assert self._asked is not None, "only a robot that asked is answered"
+        if self._topic != self._asked_about:
+            return [Note("stale_answer", {"about": "plan"})]
+        answer = self._verifier.plan(self._asked, answer)
+        if isinstance(answer, PlanAnswer):
+            return [*self.breaker.usable(), *self._propose(self._asked, answer, answer.by)]
+        notes = [self._agreement.lack_plan(answer), *self.breaker.refused(self._asked.round, answer)]
+        return [*notes, *self._plan_by_geometry(self._asked, answer)]
+
+    @property
+    def _topic(self) -> tuple[MissionStamp, Plan | None]:
+        """What a question is about: its answer is useful as long as this stays the same."""
+        return self._agreement.stamp, self._agreement.plan
+
+    def _plan_by_geometry(self, question: PlanQuestion, failure: NoAnswer) -> list[Note]:
+        """Propose geometry's plan in place of the model's, where geometry stands in for whole plans."""
+        if self._fallback != "geometry":
+            return []
+        from llm_flock.protocol._geometry import geometric_plan
+
+        answer = self._verifier.plan(question, geometric_plan(question))
+        if isinstance(answer, NoAnswer):
+            return []
+        notes = fallback_notes("plan", "geometry", failure)
+        return [*notes, *self._propose(question, answer, "geometry")]
+
+    def _propose(self, question: PlanQuestion, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
+        """Propose a plan that passed its checks, with room for everybody at its places."""
+        roomy = self._verifier.with_room(question, answer)
+        enlarged = [] if roomy is answer else [Note("enlarged", {"asked": answer.plan.digest})]
+        return [*enlarged, *self._agreement.propose(self._in_frame(question, roomy), by)]
+
+    def _in_frame(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
+        """A plan of the world frame in the frame of the mission."""
+        mission = self._agreement.mission
+        if mission.velocity is None:
+            return answer
+        ahead = mission.drift(question.round)
+        return replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))

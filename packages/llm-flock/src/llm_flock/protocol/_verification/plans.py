@@ -1,0 +1,271 @@
+"""Checks of plans: reasons in words for the model that proposed a plan, and a class for the order of plans.
+
+All checks are pure functions of mission and plan, so every receiver comes to the same verdict by itself. Tolerances
+are shares of the mission's lengths: they accept coordinates that a model has rounded, and are tighter than the
+definition of a formed team.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import lru_cache
+
+import numpy as np
+import scipy
+from numpy.typing import NDArray
+
+from llm_flock import metrics
+from llm_flock.arrays import Point, Points
+from llm_flock.correspondence import quick_error
+from llm_flock.mission import CENTER_TOLERANCE, Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.plan import DECIMALS, Plan
+
+RESIDUAL_LIMIT = 0.05
+"""Largest mean distance of places from the ideal shape, as a share of the spacing: half of a formed team's limit."""
+
+EXACT_RESIDUAL = 0.01
+"""Mean distance up to which a plan counts as exact, as a share of the spacing. Two decimals suffice from spacing 1."""
+
+ROUNDING = 0.02
+"""Share of the spacing by which two rounded coordinates may change a distance."""
+
+PLACES_APART = 10.0 ** (1 - DECIMALS)
+"""What is left between two places of an enlarged plan beyond the safe distance, so that rounding does not use it up
+[units]."""
+
+LENGTH_TOLERANCE = 0.01
+"""Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
+
+
+class PlanClass(IntEnum):
+    """Quality of a plan. In the order of plans, a higher class counts before the proposer's influence."""
+
+    REFUSED = 0
+    ACCEPTABLE = 1
+    EXACT = 2
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Expected:
+    """The reference for a mission's plans; `near` and `far` bound a place's distance from its nearest other place."""
+
+    target: metrics.ShapeTarget | None
+    points: Points | None
+    near: float
+    far: float
+
+
+def check_plan(mission: Mission, plan: Plan) -> str | None:
+    """The reason to refuse a plan, as a sentence for the model, or None. Call before a plan is adopted or forwarded.
+
+    The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
+    mean at the centre; all half the safe distance away from obstacles, and in one region, so that robots can get from
+    each to each; no pair nearer than the safe distance; every place about as far from its nearest one as in the shape;
+    and, if the ideal is known, close to it after the best rotation and correspondence. A formation that travels passes
+    obstacles: where they are does not matter for its plan.
+    """
+    return _fault_of_size(mission, plan) or _verdict(mission, plan)[1]
+
+
+def blocked_within(mission: Mission) -> float:
+    """No robot can reach a place if a body that does not move is nearer to it than this [units]."""
+    return mission.safe_distance - metrics.AT_GOAL * mission.spacing
+
+
+def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], position: Point) -> str | None:
+    """As `check_plan`, for a plan that a robot at `position` proposes itself.
+
+    No body that stands `still` may block a place, and the robot must be able to get there.
+    """
+    reason = check_plan(mission, plan)
+    if reason is not None:
+        return reason
+    if mission.velocity is None and len(mission.regions_of((position, plan.points[0]))) > 1:
+        return f"there is no way from {at_text(position)}, where you are, to its points: obstacles are in between."
+    for body in still:
+        for i, point in enumerate(plan.points):
+            if math.dist(point, body) < blocked_within(mission):
+                return (
+                    f"point {i} is {number_text(math.dist(point, body))} from the robot that stands still at "
+                    f"{at_text(body)}, at least {number_text(mission.safe_distance)} is required."
+                )
+    return None
+
+
+def enlarged(mission: Mission, plan: Plan) -> Plan:
+    """The plan, or if places are nearer to each other than the safe distance, a larger one in which they are not.
+
+    Where the spacing is the safe distance, rounded coordinates put some places too near each other. Then robots keep
+    others from theirs: between two that are 0.2 % too near to a place on either side, a robot gets to 6 % of the
+    spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
+    """
+    if len(plan) == 1:
+        return plan
+    nearest = float(_nearest(plan.array)[0].min())
+    if nearest >= mission.safe_distance:
+        return plan
+    mean = plan.array.mean(axis=0)
+    share = (mission.safe_distance + PLACES_APART) / nearest
+    return Plan.of((mean + share * (plan.array - mean)).tolist())
+
+
+def plan_class(mission: Mission, plan: Plan) -> PlanClass:
+    """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
+    return PlanClass.REFUSED if _fault_of_size(mission, plan) else _verdict(mission, plan)[0]
+
+
+@lru_cache(maxsize=1024)
+def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
+    """Class and reason of a plan of the right size.
+
+    Cached, so that a plan is checked once even if many robots of a process receive it.
+    """
+    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
+        reason = fault(mission, plan)
+        if reason is not None:
+            return PlanClass.REFUSED, reason
+    residual = _residual(mission, plan)
+    if residual is None:
+        return PlanClass.ACCEPTABLE, None
+    if residual > RESIDUAL_LIMIT * mission.spacing:
+        return PlanClass.REFUSED, (
+            f"its points are {number_text(residual)} off the shape on average, "
+            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {mission.shape}."
+        )
+    exact = residual <= EXACT_RESIDUAL * mission.spacing
+    return PlanClass.EXACT if exact else PlanClass.ACCEPTABLE, None
+
+
+@lru_cache(maxsize=16)
+def _expected(mission: Mission) -> _Expected:
+    if mission.ideal is None or mission.n_places == 1:
+        points, distances = None, np.array([mission.spacing])
+    else:
+        points = np.array(mission.ideal)
+        distances = _nearest(points)[0]
+    tolerance = 0.1  # share by which the distance of a place from its nearest other place may differ from the shape's
+    return _Expected(
+        target=None if points is None else metrics.ShapeTarget(points),
+        points=points,
+        near=float(distances.min()) * (1 - tolerance),
+        far=float(distances.max()) * (1 + tolerance),
+    )
+
+
+def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """For each of n >= 2 points, distance and index of its nearest other point, shape (n,) each."""
+    found = scipy.spatial.KDTree(points).query(points, k=2)
+    distance, index = np.asarray(found[0]), np.asarray(found[1])
+    rows = np.arange(len(points))
+    # For two points at one position, the tree may return the other one first.
+    other = np.where(index[:, 0] == rows, index[:, 1], index[:, 0])
+    return distance[:, 1], other
+
+
+def _fault_of_size(mission: Mission, plan: Plan) -> str | None:
+    """Plans of another size are not worth remembering, however many come."""
+    if len(plan) != mission.n_places:
+        return f"the plan holds {len(plan)} points, {mission.n_places} are required."
+    return None
+
+
+def _fault_of_form(mission: Mission, plan: Plan) -> str | None:
+    for i, point in enumerate(plan.points):
+        if len(point) != mission.dim:
+            return f"point {i} has {len(point)} numbers, {mission.dim} are required."
+        if not all(map(math.isfinite, point)):
+            return f"point {i} is {at_text(point)}; every coordinate must be a finite number."
+    return None
+
+
+def _fault_of_place(mission: Mission, plan: Plan) -> str | None:
+    low, high = (np.array(corner) for corner in mission.arena)
+    out = np.maximum(low - plan.array, plan.array - high).max(axis=1) > ROUNDING * mission.spacing
+    if out.any():
+        i = int(out.argmax())
+        corners = " to ".join(map(at_text, mission.arena))
+        return f"point {i} is at {at_text(plan.points[i])}, outside the arena from {corners}."
+    mean = tuple(float(x) for x in plan.array.mean(axis=0))
+    off = round(math.dist(mean, mission.center), DECIMALS)
+    if off > CENTER_TOLERANCE * mission.spacing:
+        center = at_text(mission.center)
+        return f"the mean of its points is {at_text(mean)}, {number_text(off)} away from {center}, where it must be."
+    return None
+
+
+def _fault_of_world(mission: Mission, plan: Plan) -> str | None:
+    """A place at an obstacle, or one that is cut off from another."""
+    if not mission.obstacles or mission.velocity is not None:
+        return None
+    # Robots keep the whole distance: they end as near to a place as the rounding of coordinates, and so at their goal.
+    least = mission.body_radius - ROUNDING * mission.spacing
+    for i, point in enumerate(plan.points):
+        gap, obstacle = min(((o.distance(point), o) for o in mission.obstacles), key=lambda found: found[0])
+        if gap < least:
+            where = f"inside {_obstacle_text(obstacle)}" if gap < 0 else f"{number_text(gap)} from "
+            where += "" if gap < 0 else _obstacle_text(obstacle)
+            return f"point {i} is {where}, at least {number_text(mission.body_radius)} is required."
+    cut_off = (i for i, x in enumerate(plan.points) if len(mission.regions_of((plan.points[0], x))) > 1)
+    lonely = next(cut_off, None)
+    if lonely is not None:
+        return f"there is no way from point 0 to point {lonely}: obstacles are in between."
+    return None
+
+
+def _obstacle_text(obstacle: Obstacle) -> str:
+    if obstacle.polygon is not None:
+        return f"the polygon with a corner at {at_text(obstacle.polygon[0])}"
+    return f"the {'disc' if obstacle.dim == 2 else 'ball'} around {at_text(obstacle.center or ())}"
+
+
+def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
+    if len(plan) == 1:
+        return None
+    distances, others = _nearest(plan.array)
+    distances = distances.round(DECIMALS)
+    closest = int(distances.argmin())
+    # If the spacing equals the safe distance, rounded coordinates cannot keep it to the last digit.
+    if distances[closest] < min(mission.safe_distance, (1 - ROUNDING) * mission.spacing):
+        i, j = sorted((closest, int(others[closest])))
+        least = number_text(mission.safe_distance)
+        return f"points {i} and {j} are {number_text(distances[closest])} apart, at least {least} is required."
+    expected = _expected(mission)
+    for i, (distance, j) in enumerate(zip(distances.tolist(), others.tolist(), strict=True)):
+        if not expected.near <= distance <= expected.far:
+            return (
+                f"the point nearest to point {i} is point {j}, {number_text(distance)} away; "
+                f"from {number_text(expected.near)} to {number_text(expected.far)} is required."
+            )
+    return None
+
+
+def _residual(mission: Mission, plan: Plan) -> float | None:
+    """Mean distance from the ideal shape [units], rounded so that the verdict does not depend on the machine."""
+    expected = _expected(mission)
+    if expected.target is None or expected.points is None:
+        return None
+    exact = EXACT_RESIDUAL * mission.spacing
+    quick = quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
+    if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
+        quick = expected.target.error(plan.array).mean
+    return round(quick, DECIMALS)
+
+
+def outside(mission: Mission, point: Point) -> float:
+    """Largest distance of a point beyond a wall, along any axis [units]; zero inside the arena."""
+    low, high = mission.arena
+    return max(0.0, *(max(a - x, x - b) for a, x, b in zip(low, point, high, strict=True)))
+
+
+def number_text(value: float) -> str:
+    """A number with four significant digits, for a sentence."""
+    return f"{value:.4g}"
+
+
+def at_text(point: Point) -> str:
+    """A point for a sentence."""
+    return "[" + ", ".join(map(number_text, point)) + "]"

@@ -1,0 +1,71 @@
+"""One robot's checks: of plans before it follows or forwards them, and of waypoints before its shield sees them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from llm_flock.errors import InputError
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.protocol._parts import Checker
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol._verification.plans import check_plan, check_proposal, enlarged, plan_class
+from llm_flock.protocol._verification.steps import Verdict, judge
+
+
+class Validator(Checker):
+    """Checks plans and steps.
+
+    With `shield_on` the shield takes care of waypoints that only lack separation. With `any_size` a plan may have fewer
+    places than the mission, as plans for a smaller team do.
+    """
+
+    verify: bool = True
+
+    def __init__(self, *, shield_on: bool, any_size: bool = False) -> None:
+        super().__init__(any_size=any_size)
+        self._shield_on = shield_on
+
+    def objection(self, mission: Mission, plan: Plan | None) -> str | None:
+        """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
+        return check_plan(self._standard(mission, plan), plan) if plan is not None else None
+
+    def plan_class(self, mission: Mission, plan: Plan | None) -> int:
+        """The plan's class in the total order of plans."""
+        if plan is None:
+            return 0
+        return int(plan_class(self._standard(mission, plan), plan))
+
+    def _standard(self, mission: Mission, plan: Plan) -> Mission:
+        """The mission against which a plan is checked: unchanged, or resized for a smaller team."""
+        smaller = self.any_size and len(plan) < mission.n_places
+        return (resized(mission, len(plan)) if smaller else None) or mission
+
+    def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
+        """The planner's answer, or a failure with the reason to refuse its plan. Call with every answer."""
+        if not isinstance(answer, PlanAnswer):
+            return answer
+        objection = check_proposal(question.mission, answer.plan, question.still, question.position)
+        return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
+
+    def with_room(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
+        """An answer that passed `plan`, enlarged where rounding put places too near each other and all else allows it.
+
+        Call before it is proposed.
+        """
+        plan = enlarged(question.mission, answer.plan)
+        if plan is answer.plan or check_proposal(question.mission, plan, question.still, question.position) is not None:
+            return answer
+        return replace(answer, plan=plan)
+
+    def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
+        """What the checks make of the planner's answer."""
+        return judge(question, answer, shield_on=self._shield_on)
+
+
+def resized(mission: Mission, places: int) -> Mission | None:
+    """The mission for a plan of another size; None if its shape does not exist in that size."""
+    try:
+        return mission.resized(places)
+    except InputError:
+        return None

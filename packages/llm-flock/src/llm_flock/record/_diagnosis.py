@@ -1,0 +1,465 @@
+"""Who or what kept a team from its formation, by its record: models, deaths, links, obstacles, rules.
+
+Pages, reports, notebooks and the command line all say what stands here. Needs no numerical library: the first page
+waits for it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from itertools import combinations
+from typing import Any, NamedTuple, cast
+
+from llm_flock.record._history import CallCounts, RunHistory
+from llm_flock.record._schema import DEAD, SILENT, LlmEntry
+from llm_flock.record._words import MOST_PLACES, begun, counted, robots_text, sentence
+
+AT_GOAL, IN_SHAPE = 0.05, 0.1
+"""As shares of the spacing, as in `llm_flock.metrics`, whose libraries load too slowly for a first page."""
+
+MOST_TOLD = 3
+"""Most groups of robots, plans, and causes that are told."""
+
+SETTLING = ("provenance", "auction")
+"""The rules by which a team in radio contact comes to one plan, and to a place for each robot."""
+
+
+class Cause(NamedTuple):
+    """Something that kept a team from its formation.
+
+    Attributes:
+        text: what happened, in sentences.
+        robots: whom it is about.
+        round: when; None where it was not at any one time.
+        calls: the model call behind it and its retries; empty where no model was called.
+    """
+
+    text: str
+    robots: tuple[int, ...] = ()
+    round: int | None = None
+    calls: tuple[LlmEntry, ...] = ()
+
+
+class Diagnosis(NamedTuple):
+    """Why a team did not form; empty where nothing was flown.
+
+    Attributes:
+        causes: the most important ones, the first one first.
+        robots: those that are the cause, also of causes that are not told.
+        look: a robot that is worth a look, and why, where no robot is the cause.
+    """
+
+    causes: tuple[Cause, ...] = ()
+    robots: tuple[int, ...] = ()
+    look: tuple[int, str] | None = None
+
+    @property
+    def why(self) -> str:
+        """All causes as one text."""
+        return " ".join(cause.text for cause in self.causes)
+
+
+def diagnose(run: RunHistory) -> Diagnosis:
+    """Who or what kept a team from its last mission, by the record up to its last round. Call it for a failed run."""
+    if run.rounds < 1:
+        return Diagnosis()
+    end = _LastRound(run)
+    found: list[Cause] = []
+    for find in _CAUSES:
+        cause = find(run, end, frozenset(robot for one in found for robot in one.robots))
+        if cause is not None:
+            found.append(cause)
+    fact, look = end.fact()
+    settles = _settles(run)
+    if not found and fact is not None and not settles:
+        return Diagnosis((Cause(f"No robot is to blame: {_rules_failed(run, end)} {fact.text}"),), (), look)
+    if not found:
+        only = fact or Cause("By the record, nothing was wrong in the last round.", round=run.rounds)
+        return Diagnosis((only,), only.robots, look)
+    robots = tuple(dict.fromkeys(robot for cause in found for robot in cause.robots))
+    told = found[:MOST_TOLD]
+    if not settles and end.quarrel(robots):
+        others = "The other robots did not agree either" if robots else "The robots did not agree"
+        told.append(Cause(f"{others}, {_rules_alone(run)}.", round=run.rounds))
+    elif fact is not None and len(told) < MOST_TOLD and not (fact.robots and {*fact.robots} <= {*robots}):
+        told.append(fact)
+    return Diagnosis(tuple(told), robots, look)
+
+
+def deaths_text(run: RunHistory) -> str:
+    """Who is dead in the last round, and when they died; empty if all are alive."""
+    dead = _dead_robots(run)
+    rounds = sorted({run.died[robot] for robot in dead if robot in run.died})
+    when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MOST_PLACES]))}" if rounds else ""
+    return f"{robots_text(dead)} died{when}" if dead else ""
+
+
+def _dead_robots(run: RunHistory) -> list[int]:
+    return [robot for robot, phase in enumerate(run.states[run.rounds].phases) if phase == DEAD]
+
+
+def _settles(run: RunHistory) -> bool:
+    """Whether rules bring a team in radio contact together; True for those of which the record says nothing."""
+    return run.rules == SETTLING or not all(run.rules)
+
+
+class _LastRound:
+    """The team in the last round: plans, claims, ways to the places, and parts out of radio range."""
+
+    def __init__(self, run: RunHistory) -> None:
+        self.run, self.state = run, run.states[run.rounds]
+        state, self.mission = self.state, run.mission_at(run.rounds).mission
+        self.spacing = float(self.mission["spacing"])
+        self.awake = [robot for robot, phase in enumerate(state.phases) if phase not in SILENT]
+        self.without = [robot for robot in self.awake if state.plan_ids[robot] is None]
+        owners = Counter((state.plan_ids[robot], state.slots[robot]) for robot in self.awake)
+        self.shared = [
+            robot
+            for robot in self.awake
+            if state.slots[robot] is not None and owners[state.plan_ids[robot], state.slots[robot]] > 1
+        ]
+        self.away = [robot for robot in self.awake if self.far(robot) > AT_GOAL * self.spacing]
+        held: defaultdict[str, list[int]] = defaultdict(list)
+        for robot in self.awake:
+            if state.plan_ids[robot] is not None:
+                held[run.plan_name(state.plan_ids[robot])].append(robot)
+        self.groups = sorted(held.items(), key=lambda one: (-len(one[1]), one[0]))
+        largest = self.groups[0][1] if self.groups else []
+        # Where no plan has most of the robots, none of them stands apart from the team.
+        self.most = 2 * len(largest) > len(self.awake) - len(self.without)
+        others = self.groups[1 if self.most else 0 :] if len(self.groups) > 1 else []
+        self.alone = run.rules[0] == "none"
+        self.strays = sorted(robot for _, members in others for robot in members)
+
+    def far(self, robot: int) -> float:
+        """Distance of a robot from its goal; 0 without one [units]."""
+        goal = self.state.goals[robot]
+        return 0.0 if goal is None else math.dist(self.state.positions[robot], goal)
+
+    def quarrel(self, robots: Sequence[int]) -> bool:
+        """Whether the team without some robots, and without their plans, has several plans or claims a place twice."""
+        others = [robot for robot in self.awake if robot not in robots]
+        owned = {plan for plan, info in self.run.plans.items() if info.proposer in robots}
+        claims = [(self.state.plan_ids[robot], self.state.slots[robot]) for robot in others]
+        claims = [claim for claim in claims if claim[0] is not None and claim[0] not in owned]
+        return len({plan for plan, _ in claims}) > 1 or len(set(claims)) < len(claims)
+
+    def fact(self) -> tuple[Cause | None, tuple[int, str] | None]:
+        """What was wrong in the last round, and who is worth a look; None where nothing was."""
+        text, robots, look, kind = self._wrong()
+        if look is None:
+            return None, None
+        asked, when = look[0], self.run.rounds
+        plan = self.run.plans.get(self.state.plan_ids[asked] or "")
+        if len(self.groups) > 1 and plan is not None:
+            asked, when = plan.proposer, plan.round
+        return Cause(text, tuple(robots), self.run.rounds, self.run.last_calls(asked, kind, when)), look
+
+    def _wrong(self) -> tuple[str, Sequence[int], tuple[int, str] | None, str]:
+        """The fact in words, whom it is about, who is worth a look, and the kind of question that led to it."""
+        if self.without:
+            text = f"{begun(robots_text(self.without))} got no plan."
+            return text, self.without, (self.without[0], "it has no plan"), "plan"
+        if len(self.groups) > 1 and self.alone:
+            text = f"{len(self.groups)} plans were in use at the end."
+            return text, (), (self.groups[-1][1][0], "it kept a plan of its own"), "plan"
+        if len(self.groups) > 1:
+            told = [f"{robots_text(held)} had plan {name}" for name, held in self.groups[:MOST_TOLD]]
+            held = f"{robots_text(self.strays)} held another than most" if self.most else "; ".join(told)
+            more = "" if self.most or len(self.groups) <= MOST_TOLD else "; and so on"
+            text = f"The team did not agree: {len(self.groups)} plans were in use at the end; {held}{more}."
+            why = "it holds another plan than most" if self.most else "few others hold its plan"
+            return text, self.strays if self.most else (), (self.groups[-1][1][0], why), "plan"
+        if self.shared:
+            one = len({(self.state.plan_ids[robot], self.state.slots[robot]) for robot in self.shared}) == 1
+            claimed = "claimed the same place" if one else "claimed places that others claimed too"
+            text = f"{begun(robots_text(self.shared))} {claimed}."
+            return text, self.shared, (self.shared[0], "another robot claims its place too"), "plan"
+        if self.away:
+            places = "its place" if len(self.away) == 1 else "their places"
+            text = f"{begun(robots_text(self.away))} had not reached {places}."
+            return text, self.away, (max(self.away, key=self.far), "it has not reached its place"), "step"
+        return "", (), None, ""
+
+    def parts(self) -> list[list[int]]:
+        """The robots that hear one another, directly or through others; the largest part first."""
+        reach, positions = float(self.mission["comm_range"]), self.state.positions
+        left, parts = set(self.awake), list[list[int]]()
+        while left:
+            part, new = set[int](), {min(left)}
+            while new:
+                part |= new
+                left -= new
+                new = {other for other in left if any(math.dist(positions[k], positions[other]) <= reach for k in new)}
+            parts.append(sorted(part))
+        return sorted(parts, key=lambda part: (-len(part), part))
+
+    def met(self, robot: int) -> bool:
+        """Whether a robot was in radio range of any other in any round; not looked at in a very large run."""
+        most_distances = 20_000
+        reach, states = float(self.mission["comm_range"]), self.run.states[: self.run.rounds + 1]
+        others = [other for other in range(self.run.n_robots) if other != robot]
+        return len(states) * len(others) > most_distances or any(
+            math.dist(state.positions[robot], state.positions[other]) <= reach for state in states for other in others
+        )
+
+
+def _accused(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    if not run.accused:
+        return None
+    told = [
+        f"Robot {robot} was accused of sending what no honest robot sends: {run.accused[robot]}"
+        for robot in sorted(run.accused)
+    ]
+    return Cause(". ".join(told[:MOST_TOLD]) + ".", tuple(sorted(run.accused)))
+
+
+def _answers(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """Models of which at least half of the answers were of no use, or that are no longer asked."""
+    hopeless = 0.5
+    tallies = {robot: run.tallies.get(robot, CallCounts()) for robot in end.awake}
+    poor = [robot for robot in end.awake if 0 < tallies[robot].unusable >= hopeless * tallies[robot].asked]
+    breakers = end.state.open_breakers or [[]] * len(end.state.phases)
+    hit = {*end.without, *end.strays, *end.shared, *end.away}
+    # Where one of them went wrong, models whose robots had help are not to blame.
+    robots = [robot for robot in end.awake if robot in hit and (robot in poor or breakers[robot])] or poor
+    if not robots:
+        return None
+    unusable, asked = sum(tallies[k].unusable for k in robots), sum(tallies[k].asked for k in robots)
+    last = next((tallies[k].last for k in reversed(robots) if tallies[k].last), "").strip()
+    quoted = f" The last reason: {sentence(last, 160)}" if last else ""
+    calls = f"{unusable} of {counted(asked, 'call')}"
+    said = f"{begun(robots_text(robots))}: {_models(run, robots)} gave no usable answer in {calls}.{quoted}"
+    refused = [
+        entry
+        for k in robots
+        for kind in ("plan", "step")
+        for entry in run.last_calls(k, kind, run.rounds)
+        if entry.error is not None or entry.rejected is not None
+    ]
+    shown = run.last_calls(refused[-1].robot, refused[-1].kind, refused[-1].round) if refused else ()
+    return Cause(said, tuple(robots), shown[-1].round if shown else None, shown)
+
+
+def _plans(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """Plans in use that are not the shape, by whoever proposed them."""
+    most_points = 250  # the work grows with the square of a plan's places
+    ideal = run.mission_at(run.rounds).ideal
+    if not ideal or len(ideal) > most_points:
+        return None
+    wanted = _apart(ideal)
+    told: list[str] = []
+    robots: dict[int, None] = {}
+    shown: Cause | None = None
+    for plan_id in dict.fromkeys(plan for robot in end.awake if (plan := end.state.plan_ids[robot]) is not None):
+        plan = run.plans.get(plan_id)
+        if plan is None or len(plan.points) != len(ideal) or len(told) == MOST_TOLD:
+            continue
+        off = sum(abs(a - b) for a, b in zip(_apart(plan.points), wanted, strict=True)) / max(1, len(wanted))
+        if off <= IN_SHAPE * end.spacing:
+            continue
+        robots[plan.proposer] = None
+        held = [robot for robot in end.awake if end.state.plan_ids[robot] == plan_id]
+        who = "all flew it" if len(held) == len(end.awake) else f"{robots_text(held)} flew it"
+        whose = "geometry" if run.made_by_geometry(plan_id) else _models(run, [plan.proposer])
+        told.append(
+            f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape (distances between its places by "
+            f"{off:.2g} units on average), and {who}."
+        )
+        shown = shown or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
+    return None if shown is None else shown._replace(text=" ".join(told), robots=tuple(robots))
+
+
+def _apart(points: Sequence[Sequence[float]]) -> list[float]:
+    """Distances of all pairs in order of size: the same for a shape wherever it stands and however it is turned."""
+    return sorted(math.dist(one, other) for one, other in combinations(points, 2))
+
+
+def _steps(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """Models that led their robots away from their goals in many of the last steps."""
+    judged_rounds, least, share = 20, 5, 0.4
+    told: list[str] = []
+    robots: list[int] = []
+    first = max(1, run.mission_at(run.rounds).round, run.rounds - judged_rounds + 1)
+    for robot in end.away:
+        judged = [away for k in range(first, run.rounds + 1) if (away := _led_away(run, robot, k)) is not None]
+        astray = sum(judged)
+        if astray >= least and astray >= share * len(judged):
+            robots.append(robot)
+            model = _models(run, [robot])
+            told.append(
+                f"Robot {robot}: {model} led it away from its goal in {astray} of its last {len(judged)} steps."
+            )
+    if not robots:
+        return None
+    calls = run.last_calls(robots[0], "step", run.rounds)
+    return Cause(" ".join(told[:MOST_TOLD]), tuple(robots), run.rounds, calls)
+
+
+def _led_away(run: RunHistory, robot: int, number: int) -> bool | None:
+    """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
+    state, before = run.states[number], run.states[number - 1]
+    to, at = state.waypoints[robot], before.positions[robot]
+    # A goal may change after the question: a step towards the one or the other is no mistake.
+    goals = [goal for goal in (state.goals[robot], before.goals[robot]) if goal is not None]
+    if to is None or not goals or state.origins[robot] not in ("model", "clipped"):
+        return None
+    near = AT_GOAL * float(run.mission_at(number).mission["spacing"])
+    return all(math.dist(to, goal) > max(near, math.dist(at, goal) - 1e-3) for goal in goals)
+
+
+def _dead(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    dead = _dead_robots(run)
+    if not dead:
+        return None
+    others = "and the others did not fill the formation" if end.awake else "and no robot was left"
+    when = max((run.died[robot] for robot in dead if robot in run.died), default=None)
+    return Cause(f"{begun(deaths_text(run))}, {others}.", tuple(dead), when)
+
+
+def _ended(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """Runs that ended before they could form."""
+    stopped = (run.result or {}).get("stopped")
+    if stopped in ("budget", "interrupted"):
+        what = "The budget was used up" if stopped == "budget" else "The run was ended"
+        return Cause(f"{what} in round {run.rounds}.", round=run.rounds)
+    step = end.mission.get("max_step")
+    if stopped != "rounds" or end.alone or not isinstance(step, int | float):
+        return None
+    coming = [
+        robot
+        for robot in end.away
+        if robot not in named and end.far(robot) > step and all(_nearer(run, robot, k) > step / 2 for k in (0, 1))
+    ]
+    if not coming:
+        return None
+    far = f"{max(map(end.far, coming)):.0f} units from"
+    one = len(coming) == 1
+    were = f"was still on its way, {far} its place" if one else f"were still on their way, up to {far} their places"
+    return Cause(f"{begun(robots_text(coming))} {were}, when the rounds were used up.", round=run.rounds)
+
+
+def _nearer(run: RunHistory, robot: int, ago: int) -> float:
+    """By how much a robot came nearer to its last goal in the last round, or the one before [units]."""
+    goal, states = run.states[run.rounds].goals[robot], run.states
+    if goal is None or run.rounds <= ago:
+        return 0.0
+    after, before = states[run.rounds - ago].positions[robot], states[run.rounds - ago - 1].positions[robot]
+    return math.dist(before, goal) - math.dist(after, goal)
+
+
+def _links(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """Robots that could not hear the others, and messages that were lost."""
+    told: list[str] = []
+    robots: list[int] = []
+    parts = end.parts()
+    apart = sorted(robot for part in parts[1:] for robot in part)
+    last = next((k for k in range(run.rounds, -1, -1) if run.rows[k].connected), None)
+    if not _settles(run):
+        # With rules that bring no team together, robots that have met part because of these.
+        robots = [robot for robot in apart if not end.alone and robot not in named and not end.met(robot)]
+        if robots:
+            told.append(f"{_robots_were(robots)} out of radio range of all others in every round.")
+    elif not {*apart} <= named:  # a robot that was named before is apart for that reason
+        once = "never were all robots in contact" if last is None else f"all were in contact up to round {last}"
+        if len(parts) == len(end.awake):
+            told.append("At the end no robot was in radio range of another one.")
+        elif 2 * len(parts[0]) > len(end.awake):
+            robots = apart
+            told.append(f"{_robots_were(robots)} out of radio range of the others at the end; {once}.")
+        else:
+            some = "; ".join(robots_text(part) for part in parts[:MOST_TOLD])
+            more = "; and so on" if len(parts) > MOST_TOLD else ""
+            told.append(f"The team was in {len(parts)} parts out of radio range of one another: {some}{more}.")
+    many = 0.3
+    if run.loss >= many:
+        told.append(f"{100 * run.loss:.0f} % of the messages were lost.")
+    return Cause(" ".join(told), tuple(robots)) if told else None
+
+
+def _robots_were(robots: Sequence[int]) -> str:
+    return f"{begun(robots_text(robots))} {'was' if len(robots) == 1 else 'were'}"
+
+
+def _blocked(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """Robots that agreed with all others, and were kept from their places by what was in the way."""
+    if end.without or len(end.groups) > 1 or end.shared:
+        return None
+    told: list[str] = []
+    robots: list[int] = []
+    for robot in end.away:
+        goal = end.state.goals[robot]
+        way = (end.state.positions[robot], goal or end.state.positions[robot])
+        recent = [event for k in range(max(1, run.rounds - 9), run.rounds + 1) for event in run.events.get(k, ())]
+        waits = [event for event in recent if event.robot == robot and event.kind in ("deadlock", "gives_way")]
+        if any(crosses(way, obstacle) for obstacle in end.mission.get("obstacles", ())):
+            why = "an obstacle stood in its way"
+        elif waits:
+            why = "other robots were in its way"
+        else:
+            continue
+        robots.append(robot)
+        told.append(f"Robot {robot} had not reached its place: {why}.")
+    return Cause(" ".join(told[:MOST_TOLD]), tuple(robots), run.rounds) if told else None
+
+
+def crosses(way: tuple[Sequence[float], Sequence[float]], obstacle: Mapping[str, Any]) -> bool:
+    """Whether a straight way meets an obstacle: a disc, a ball, or, seen from above, a polygon."""
+    start, goal = way
+    if obstacle.get("polygon") is not None:
+        corners = cast("Sequence[Sequence[float]]", obstacle["polygon"])
+        sides = zip(corners, [*corners[1:], corners[0]], strict=True)
+        return any(_cross(start, goal, one, other) for one, other in sides)
+    middle = cast("Sequence[float]", obstacle["center"])
+    along = [b - a for a, b in zip(start, goal, strict=True)]
+    long = sum(part * part for part in along) or 1.0
+    share = sum((m - a) * part for m, a, part in zip(middle, start, along, strict=False)) / long
+    nearest = [a + min(1.0, max(0.0, share)) * part for a, part in zip(start, along, strict=True)]
+    return math.dist(nearest[: len(middle)], middle[: len(nearest)]) < float(obstacle["radius"])
+
+
+def _cross(a: Sequence[float], b: Sequence[float], c: Sequence[float], d: Sequence[float]) -> bool:
+    """Whether two lines, each from a point to another, cross."""
+
+    def side(p: Sequence[float], q: Sequence[float], r: Sequence[float]) -> float:
+        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
+
+    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0
+
+
+def _shape(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
+    """All are at their places, and these are not those of the shape."""
+    steps = run.provenance(end.awake[0], run.rounds) if end.awake else []
+    error = run.rows[run.rounds].procrustes_mean
+    if end.fact()[0] or not steps or error is None or error <= IN_SHAPE * end.spacing:
+        return None
+    robot, when = steps[0].robot, steps[0].round
+    text = f"Robot {robot} proposed a plan that is {error:.2g} units off the shape, and all flew it."
+    return Cause(text, (robot,), when, run.last_calls(robot, "plan", when))
+
+
+_CAUSES = (_accused, _answers, _plans, _steps, _dead, _ended, _links, _blocked, _shape)
+"""Causes in the order in which they are told."""
+
+
+def _rules_failed(run: RunHistory, end: _LastRound) -> str:
+    if run.rules[0] == "none":
+        own = "each robot kept its own plan" if len(end.groups) == len(end.awake) else "robots kept plans of their own"
+        return f"this protocol has no consensus, so {own}."
+    rules = f"this protocol's rules ({', '.join(run.rules)})"
+    return f"{rules} did not bring the team to one plan and each robot to a place of its own."
+
+
+def _rules_alone(run: RunHistory) -> str:
+    if run.rules[0] == "none":
+        return "for this protocol has no consensus"
+    return f"by this protocol's rules ({', '.join(run.rules)})"
+
+
+def _models(run: RunHistory, robots: Sequence[int]) -> str:
+    """The models of some robots, by their names where the record has them."""
+    names = dict.fromkeys(run.tallies[robot].model for robot in robots if robot in run.tallies)
+    some = ", ".join([name for name in names if name][:MOST_TOLD])
+    return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"

@@ -1,0 +1,265 @@
+"""Reads whole records, also those whose end is missing because the run was killed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock import plugins
+from llm_flock.errors import RecordError
+from llm_flock.extras import ExtraMissing
+from llm_flock.record import RECORD_NAME
+from llm_flock.record._diagnosis import Diagnosis, diagnose
+from llm_flock.record._history import RunHistory
+from llm_flock.record._schema import (
+    CHANNELS,
+    BodySample,
+    Entry,
+    FlightEvent,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    ProtocolEvent,
+    RoundEnd,
+    RunInfo,
+    State,
+    SummaryMessage,
+)
+from llm_flock.record._stream import ROS_BAG, RawMessage, RecordStream
+from llm_flock.record._tables import TableName, to_pandas, to_polars
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingTypeStubs]
+    import polars
+
+E = TypeVar("E", bound=Entry)
+
+BAG_INDEX = "metadata.yaml"
+"""A folder with this file is a bag of ROS 2."""
+
+NO_START = "the run ended before its start was recorded; there is nothing to show"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class RunRecord:
+    """One run, read into memory: its complete rounds, and the summary of a clean end.
+
+    Attributes:
+        missions: every mission, oldest first.
+        plans: every plan, in the order in which they were first seen.
+        states: the team after each round; the first is the start.
+        bodies: of a real flight, every drone about ten times a second, measured and commanded [m].
+        result: the run's summary; None when it did not end cleanly.
+        positions: true positions, shape (rounds + 1, n, d) [units; world frame].
+    """
+
+    path: Path
+    run: RunInfo
+    missions: tuple[MissionInfo, ...]
+    plans: tuple[PlanInfo, ...]
+    states: tuple[State, ...]
+    events: tuple[ProtocolEvent, ...] = field(repr=False)
+    llm: tuple[LlmEntry, ...] = field(repr=False)
+    metrics: tuple[MetricsRow, ...] = field(repr=False)
+    bodies: tuple[BodySample, ...] = field(repr=False)
+    flight: tuple[FlightEvent, ...] = field(repr=False)
+    result: dict[str, Any] | None
+    positions: NDArray[np.float64] = field(repr=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run came to a clean end; False after a fault, a crash or a kill."""
+        return _is_complete(self.result)
+
+    @property
+    def mission(self) -> MissionInfo:
+        """The last mission."""
+        return self.missions[-1]
+
+    @property
+    def rounds(self) -> int:
+        """Complete motion rounds, the start not counted."""
+        return len(self.states) - 1
+
+    @property
+    def errors(self) -> NDArray[np.float64]:
+        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN where it is not known."""
+        means = [row.procrustes_mean for row in self.metrics]
+        return np.array([np.nan if mean is None else mean for mean in means], dtype=np.float64)
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """The models that were called, each once, in the order of their first calls."""
+        return tuple(dict.fromkeys(entry.model for entry in self.llm))
+
+    def diagnosis(self) -> Diagnosis:
+        """Who or what kept the team from its last mission; empty for a run that formed, or has no round."""
+        if (self.result or {}).get("formed"):
+            return Diagnosis()
+        end = () if self.result is None else (SummaryMessage(result=self.result),)
+        seen = (self.run, *self.missions, *self.plans, *self.states, *self.metrics, *self.events, *self.llm)
+        return diagnose(RunHistory.of((*seen, RoundEnd(round=self.rounds), *end)))
+
+    def animate(self, *, fps: int = 12) -> Any:
+        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round.
+
+        Raises:
+            InputError: a rate below 1.
+            ExtraMissing: the extra `figures` is not installed.
+        """
+        if "animation" not in plugins.entries("views"):
+            raise ExtraMissing("animate()", "figures")
+        return plugins.load("views", "animation")(self, fps=fps)
+
+    def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
+        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
+
+        Raises:
+            InputError: there is no such table.
+        """
+        return to_polars(self, table)
+
+    def to_pandas(self, table: TableName = "rounds") -> pandas.DataFrame:
+        """As `to_polars`, for pandas.
+
+        Raises:
+            InputError: there is no such table, or pandas is not installed.
+        """
+        return to_pandas(self, table)
+
+    def __repr__(self) -> str:
+        state = "complete" if self.complete else "ends early"
+        return f"RunRecord({self.path}, {self.positions.shape[1]} robots, {self.rounds} rounds, {state})"
+
+    def html(self) -> str | None:
+        """The picture and the table that a notebook shows; None where nothing is installed that draws them."""
+        return plugins.load("views", "html")(self) if "html" in plugins.entries("views") else None
+
+    def _repr_html_(self) -> str | None:
+        return self.html()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordEnd:
+    """How far a record goes; see `RunRecord` for `complete` and `rounds`."""
+
+    path: Path
+    complete: bool
+    rounds: int
+
+
+def read_end(path: str | Path) -> RecordEnd:
+    """How far a record goes, read message by message. Call where the record may not fit into memory.
+
+    Raises:
+        RecordError: there is no such file, it is no record, or ends before round 0 did, or is damaged elsewhere.
+    """
+    path = record_file(path)
+    ends, result = 0, None
+    for entry in _open(path).entries():
+        ends += isinstance(entry, RoundEnd)
+        result = entry.result if isinstance(entry, SummaryMessage) else result
+    if not ends:
+        raise RecordError(f"{path}: {NO_START}")
+    return RecordEnd(path=path, complete=_is_complete(result), rounds=ends - 1)
+
+
+def _is_complete(result: Mapping[str, Any] | None) -> bool:
+    return result is not None and result.get("stopped") != "failed"
+
+
+def iter_messages(path: str | Path) -> Iterator[RawMessage]:
+    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off.
+
+    Call it for records that do not fit into memory, or to see messages as they stand in the file.
+
+    Raises:
+        RecordError: there is no such file, it is no MCAP file, or it is damaged other than at its end.
+    """
+    yield from _open(record_file(path)).messages()
+
+
+def record_file(path: str | Path) -> Path:
+    """The file of a record, given by its own name or its folder's.
+
+    Raises:
+        RecordError: no path at all.
+    """
+    try:
+        given = Path(path).expanduser()
+    except (TypeError, RuntimeError):
+        raise RecordError(f"{path!r}: a record is given by the path of its file or folder") from None
+    return given / RECORD_NAME if given.is_dir() else given
+
+
+def read_record(path: str | Path) -> RunRecord:
+    """Read a record, the file or the folder that holds its `run.mcap`, up to its last complete round.
+
+    Raises:
+        RecordError: the file is missing, empty, not a record, of a newer format, damaged, or ends before round 0 did.
+    """
+    path = record_file(path)
+    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
+    kept = dict.fromkeys(found, 0)
+    for entry in _open(path).entries():
+        found[type(entry)].append(entry)
+        if isinstance(entry, RoundEnd | SummaryMessage):
+            # Everything up to here belongs to complete rounds, or to a run that ended cleanly within one.
+            kept = {kind: len(entries) for kind, entries in found.items()}
+    return gather_record(path, [entry for kind, entries in found.items() for entry in entries[: kept[kind]]])
+
+
+def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
+    """A record of entries, those of each kind in the order of writing; `path` is only named.
+
+    Raises:
+        RecordError: a round, the run or the mission is missing.
+    """
+    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
+    for entry in entries:
+        found[type(entry)].append(entry)
+
+    def all_of(model: type[E]) -> tuple[E, ...]:
+        return tuple(entry for entry in found[model] if isinstance(entry, model))
+
+    runs, missions, rounds = all_of(RunInfo), all_of(MissionInfo), len(all_of(RoundEnd))
+    if not rounds:
+        raise RecordError(f"{path}: {NO_START}")
+    states, metrics = all_of(State)[:rounds], all_of(MetricsRow)[:rounds]
+    if not runs or not missions or len(states) != rounds:
+        raise RecordError(f"{path}: not a record of a run (/run, /mission or /state is missing)")
+    results = all_of(SummaryMessage)
+    return RunRecord(
+        path=path,
+        run=runs[0],
+        missions=missions,
+        plans=all_of(PlanInfo),
+        states=states,
+        events=all_of(ProtocolEvent),
+        llm=all_of(LlmEntry),
+        metrics=metrics,
+        bodies=all_of(BodySample),
+        flight=all_of(FlightEvent),
+        result=results[-1].result if results else None,
+        positions=np.array([state.positions for state in states], dtype=np.float64),
+    )
+
+
+def _open(path: Path) -> RecordStream:
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        if path.name == RECORD_NAME and (path.parent / BAG_INDEX).is_file():
+            raise RecordError(f"{path.parent}: {ROS_BAG}") from None
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValueError as error:  # NUL in the name
+        raise RecordError(f"{path}: cannot be read ({error})") from None
+    if size == 0:
+        raise RecordError(f"{path}: empty file")
+    return RecordStream(path)

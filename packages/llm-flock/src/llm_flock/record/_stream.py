@@ -1,0 +1,270 @@
+"""Reads a record message by message, also while it is being written. Needs no numpy: a first page waits for it."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from io import BufferedReader
+from pathlib import Path
+from typing import Any, cast
+
+import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
+import zstandard
+from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
+from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from pydantic import ValidationError
+
+from llm_flock.errors import FlockError, RecordError
+from llm_flock.record import MAGIC
+from llm_flock.record._schema import (
+    CHANNELS,
+    FORMAT_VERSION,
+    ROUND_NS,
+    Entry,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    PlanInfo,
+    ProtocolEvent,
+    RoundEnd,
+    RunInfo,
+    State,
+)
+
+DAMAGED = (
+    McapError,
+    zstandard.ZstdError,
+    struct.error,
+    ArithmeticError,
+    AssertionError,
+    LookupError,
+    RuntimeError,
+    ValueError,
+)
+"""What the libraries raise on bytes that are no MCAP file."""
+
+ROS_PROFILE = "ros2"
+"""Profile of an MCAP file that is a bag of ROS 2."""
+
+ROS_BAG = "a bag of ROS 2, not a record of a run; `ros2 bag info` and Foxglove read it"
+
+MOST_UNPACKED, RATIO = 16 << 20, 50
+"""Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RawMessage:
+    """One message as it stands in the file: its channel, the round at which it was logged, and its JSON."""
+
+    topic: str
+    round: int
+    data: bytes
+
+    def decoded(self) -> dict[str, Any]:
+        """The message as plain values.
+
+        Raises:
+            RecordError: it is no JSON object.
+        """
+        try:
+            value: object = json.loads(self.data)
+        except (ValueError, RecursionError) as error:
+            raise RecordError(f"{self.topic} of round {self.round} is no JSON ({error})") from None
+        if not isinstance(value, dict):
+            raise RecordError(f"{self.topic} of round {self.round} is no JSON object")
+        return cast("dict[str, Any]", value)
+
+
+class _Team:
+    """What entries of one record have in common: the robots, the dimension of space, and the order of rounds."""
+
+    def __init__(self) -> None:
+        self._n: int | None = None
+        self._dim: int | None = None
+        self.begun = False
+        self._states = self._rows = self._ends = 0
+        self._first: int | None = None
+
+    def objection(self, entry: Entry) -> str | None:
+        """Why an entry does not belong to a record with those before it; None if it does."""
+        if not self.begun:
+            self.begun = isinstance(entry, RunInfo)
+            return None if self.begun else "not a record of a run: /run comes first"
+        match entry:
+            case MissionInfo(mission=fields):
+                self._first = entry.round if self._first is None else min(self._first, entry.round)
+                return self._differs(fields["n_robots"], *map(len, (*fields["arena"], *(entry.ideal or ()))))
+            case PlanInfo(points=points):
+                return self._differs(None, *map(len, points))
+            case State():
+                found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
+                self._states += 1
+                if self._first is None or self._first > entry.round:
+                    return "a state before the first mission"
+                return found or self._out_of_turn(entry.round, self._states)
+            case MetricsRow():
+                self._rows += 1
+                return self._out_of_turn(entry.round, self._rows)
+            case RoundEnd():
+                self._ends += 1
+                missing = (
+                    None
+                    if self._ends == self._states == self._rows
+                    else "not a record of a run: a round without /state or /metrics"
+                )
+                return missing or self._out_of_turn(entry.round, self._ends)
+            case ProtocolEvent(robot=robot) | LlmEntry(robot=robot) if self._n is not None and robot >= self._n:
+                return f"robot {robot} in a team of {self._n}"
+            case _:
+                return None
+
+    def _differs(self, n: int | None, *dims: int) -> str | None:
+        self._n = n if self._n is None else self._n
+        self._dim = dims[0] if self._dim is None and dims else self._dim
+        if n is not None and n != self._n:
+            return f"{n} robots, not {self._n} as before"
+        return "positions of different numbers of coordinates" if {*dims} - {self._dim} else None
+
+    def _out_of_turn(self, number: int, count: int) -> str | None:
+        return None if number == count - 1 else f"round {number} where round {count - 1} was due"
+
+
+class RecordStream:
+    """Reads a record from its start; `messages` and `entries` go on where the last call stopped.
+
+    The file may be created later, and may still grow.
+
+    Attributes:
+        ended: whether the file's proper end was reached, so that no more will come.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.ended = False
+        self._position = 0
+        self._topics: dict[int, str] = {}
+        self._team = _Team()
+
+    def entries(self) -> Iterator[Entry]:
+        """Every new entry, in the order of writing; `/scene` and unknown channels are skipped.
+
+        Raises:
+            RecordError: as `messages`; or an entry is not valid, or of a newer format.
+        """
+        for message in self.messages():
+            model = CHANNELS.get(message.topic)
+            if model is None:
+                if not self._team.begun:
+                    raise RecordError(f"{self.path}: not a record of a run: {message.topic} comes before /run")
+                continue
+            try:
+                if model is RunInfo and (version := message.decoded().get("format_version")) != FORMAT_VERSION:
+                    raise RecordError(f"format version {version!r:.40}; this release reads version {FORMAT_VERSION}")
+                entry = model.model_validate_json(message.data)
+            except ValidationError as error:
+                first = error.errors(include_url=False)[0]
+                where = ".".join(str(part) for part in first["loc"])
+                says = f"{message.topic} of round {message.round} is not valid ({where}: {first['msg']})"
+                raise RecordError(f"{self.path}: {says}") from None
+            except FlockError as error:
+                raise RecordError(f"{self.path}: {error}") from None
+            objection = self._team.objection(entry)
+            if objection is not None:
+                raise RecordError(f"{self.path}: {message.topic} of round {message.round} is not valid ({objection})")
+            yield entry
+
+    def messages(self) -> Iterator[RawMessage]:
+        """Every message that was completed since the last call; none while there is no file.
+
+        Raises:
+            RecordError: the file cannot be read, or is damaged other than at its end.
+        """
+        try:
+            size = self.path.stat().st_size
+            if self.ended or size <= self._position:
+                return
+            with self.path.open("rb") as file:
+                if not MAGIC.startswith(file.read(len(MAGIC))):
+                    raise RecordError(f"{self.path}: not a readable MCAP file (it does not begin like one)")
+                file.seek(self._position)
+                # No record is longer than the file; without the limit, memory for a broken length would be requested.
+                stream = StreamReader(
+                    _WholeReads(file, size),  # pyright: ignore[reportArgumentType]
+                    skip_magic=self._position > 0,
+                    emit_chunks=True,
+                    record_size_limit=size,
+                )
+                for record in self._unpacked(stream.records, size):
+                    self._position = file.tell()
+                    if isinstance(record, Header) and record.profile == ROS_PROFILE:
+                        raise RecordError(f"{self.path}: {ROS_BAG}")
+                    if isinstance(record, Channel):
+                        self._topics[record.id] = record.topic
+                    elif isinstance(record, Message):
+                        topic = self._topics[record.channel_id]
+                        yield RawMessage(topic=topic, round=record.log_time // ROUND_NS, data=record.data)
+                    elif isinstance(record, Footer):
+                        self.ended = True
+                        return
+        except (EndOfFile, RecordLengthLimitExceeded, FileNotFoundError):
+            return  # the rest of this record was not written (yet); what came before is whole
+        except OSError as error:
+            raise RecordError(f"{self.path}: cannot be read ({error.strerror})") from None
+        except (
+            McapError,
+            LookupError,
+            ValueError,
+            ArithmeticError,
+            AssertionError,
+            RuntimeError,
+            struct.error,
+            zstandard.ZstdError,
+        ) as error:
+            raise RecordError(f"{self.path}: not a readable MCAP file ({error})") from error
+
+    def _unpacked(self, records: Iterable[McapRecord], size: int) -> Iterator[McapRecord]:
+        """The records with those in chunks, which other programs write; a few bytes must not unpack to gigabytes."""
+        left = MOST_UNPACKED + RATIO * size
+        for record in records:
+            if not isinstance(record, Chunk):
+                yield record
+                continue
+            data = _unpack(record, min(left, record.uncompressed_size))
+            left -= len(data)
+            yield from breakup_chunk(replace(record, compression="", data=data))
+
+
+def _unpack(chunk: Chunk, most: int) -> bytes:
+    """The bytes of a chunk; `McapError` if they are not as many as it says, or more than `most`."""
+    match chunk.compression:
+        case "":
+            data = chunk.data
+        case "lz4":
+            unpacker: Any = lz4.frame.LZ4FrameDecompressor()
+            data = cast(bytes, unpacker.decompress(chunk.data, max_length=most + 1))
+        case "zstd":
+            with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
+                data = reader.read(most + 1)
+        case _:
+            raise McapError(f"unknown compression {chunk.compression!r:.20}")
+    if len(data) != chunk.uncompressed_size:
+        raise McapError("a chunk of another size than it says")
+    return data
+
+
+class _WholeReads:
+    """Reads exactly as many bytes as asked for, or reports the end of the file: half a record is not a short record."""
+
+    def __init__(self, file: BufferedReader, size: int) -> None:
+        self._file, self._size = file, size
+
+    def read(self, length: int) -> bytes:
+        if length > self._size - self._file.tell():  # first: memory for a broken length would be requested
+            raise EndOfFile
+        data = self._file.read(length)
+        if len(data) < length:
+            raise EndOfFile
+        return data

@@ -1,0 +1,141 @@
+"""How a run, its protocol, and the answers of its models are called in words: the same in figures, pages and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+from llm_flock.printable import one_line
+from llm_flock.protocol._agreement import PRESET_RULES
+
+if TYPE_CHECKING:
+    from llm_flock.record._schema import LlmEntry
+
+MOST_PLACES = 12
+"""Number of places of a plan that are listed."""
+
+
+def protocol_text(config: Mapping[str, Any]) -> str:
+    """The protocol of a run by its name, and what differs from it, such as: flock with index assignment.
+
+    Without a name, its rules; empty where the configuration does not say.
+    """
+    fields = cast("Mapping[str, Any]", config.get("protocol") or {})
+    name, given = str(fields.get("protocol") or ""), [fields.get("consensus"), fields.get("assignment")]
+    if name not in PRESET_RULES:
+        return name or " + ".join(str(rule) for rule in given if rule)
+    *usual, shield = PRESET_RULES[name]
+    words = zip(("consensus", "assignment"), given, usual, strict=True)
+    other = [f"{'no' if rule == 'none' else rule} {word}" for word, rule, own in words if rule and rule != own]
+    if isinstance(fields.get("shield"), bool) and fields["shield"] != shield:
+        other.append("no shield" if shield else "a shield")
+    return f"{name} with {', '.join(other)}" if other else name
+
+
+def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | None) -> str:
+    """Rules in words, after the name of the protocol that they are, where they are one: flock (provenance + ...)."""
+    rules = f"{consensus} + {assignment}, shield {'on' if shield else 'off'}"
+    name = next((name for name, usual in PRESET_RULES.items() if usual == (consensus, assignment, shield)), "")
+    return f"{name} ({rules})" if name else rules
+
+
+def formed_in(result: Mapping[str, Any]) -> int | None:
+    """The round of the run in which its last mission was formed, by its result; None if it was not.
+
+    `rounds_to_formed` of a result counts from when the last mission was given.
+    """
+    if not result.get("formed"):
+        return None
+    missions = result.get("missions")
+    last = cast("list[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
+    told = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
+    found = told if isinstance(told, int) else result.get("rounds_to_formed")
+    return found if isinstance(found, int) else None
+
+
+def verdict(entry: LlmEntry) -> str:
+    """Whether an answer was used, refused, or never came, and why."""
+    if entry.error is not None:
+        return f"no answer: {entry.error}"
+    if entry.rejected is not None:
+        return f"refused: {entry.rejected}"
+    how = "used" if entry.clipped is None else f"used after clipping ({entry.clipped.rstrip('.')})"
+    return f"{how}: {understood(entry.parsed or {})}"
+
+
+def work_text(result: Mapping[str, Any]) -> str:
+    """Who supplied the plan in force at the end of a run, and its waypoints; empty for records that do not say."""
+    parts: list[str] = []
+    if result.get("plan_robot") is not None:
+        parts.append(f"plan by robot {result['plan_robot']} ({result.get('plan_by') or 'unknown'})")
+    shares = cast("Mapping[str, float]", result.get("waypoint_shares") or {})
+    flown = sorted(((share, who) for who, share in shares.items() if share > 0.0), reverse=True)
+    if flown:
+        parts.append("waypoints by " + ", ".join(f"{who} {100.0 * share:.0f} %" for share, who in flown))
+    opened = cast("list[int]", result.get("breakers_opened") or [])
+    if opened:
+        parts.append("circuit breakers opened for " + robots_text(opened))
+    return " · ".join(parts)
+
+
+def robots_text(robots: Sequence[int]) -> str:
+    """Some robots by their ids, twelve at most."""
+    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", …" if len(robots) > MOST_PLACES else "")
+    return f"robot{'s' if len(robots) > 1 else ''} {some}"
+
+
+def letters(number: int) -> str:
+    """The name of a run's plan, from 0 in the order in which plans were first seen: A .. Z, AA, AB, ..."""
+    name = ""
+    number += 1
+    while number:
+        number, rest = divmod(number - 1, 26)
+        name = chr(ord("A") + rest) + name
+    return name
+
+
+def begun(text: str) -> str:
+    """A text with a capital letter first."""
+    return text[:1].upper() + text[1:]
+
+
+def sentence(text: str, most: int) -> str:
+    """A text of at most `most` letters in one line, with one sign at its end."""
+    text = one_line(text, most).rstrip()
+    return text if text.endswith((".", "!", "?", "…")) else f"{text}."
+
+
+def counted(count: object, what: str) -> str:
+    """A number of things: 1 round, 2 rounds."""
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def understood(parsed: Mapping[str, Any]) -> str:
+    """The parsed answer in words: the next waypoint and path, or the plan and the slot."""
+    words: list[str] = []
+    for name, value in parsed.items():
+        rows = cast("list[object]", value) if isinstance(value, list) else None
+        if name == "waypoint" and rows is not None:
+            words.append(f"next waypoint {_place(rows)}")
+        elif name == "path" and rows is not None:
+            words.append("path " + " → ".join(_place(at) for at in rows))
+        elif name == "plan" and rows is not None:
+            more = f" and {len(rows) - MOST_PLACES} more" if len(rows) > MOST_PLACES else ""
+            places = " ".join(_place(at) for at in rows[:MOST_PLACES])
+            words.append(f"a plan of {len(rows)} places: {places}{more}")
+        elif name == "slot":
+            words.append("no own place" if value is None else f"own place {value}")
+        else:
+            words.append(f"{name} {value}")
+    return "; ".join(words)
+
+
+def _place(at: object) -> str:
+    """A point as people write it; anything else unchanged, since a record may come from anywhere."""
+    if not isinstance(at, list):
+        return str(at)
+    parts = cast("list[Any]", at)
+    try:
+        return f"({', '.join(f'{round(part, 2):g}' for part in parts)})"
+    except (TypeError, OverflowError):  # no number, or a whole number of hundreds of digits
+        return str(parts)

@@ -1,0 +1,197 @@
+"""Writes a record while the run happens.
+
+The file is unchunked: every message is a record of its own, so whatever reached the disk can be read. Each complete
+round is handed to the operating system, so a killed process loses no complete round. A machine that loses power may.
+The file is locked while it is written, so that nobody deletes the record of a run that still flies.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from mcap.writer import IndexType, Writer
+
+from llm_flock.errors import InputError, RecordError
+from llm_flock.record._schema import (
+    CHANNELS,
+    ROUND_NS,
+    SCENE_TOPIC,
+    TOPICS,
+    Entry,
+    FlightEvent,
+    MissionInfo,
+    PlanInfo,
+    RecordSink,
+    RoundEnd,
+    State,
+    SummaryMessage,
+    channel_schema,
+)
+
+if TYPE_CHECKING:
+    from llm_flock.record._scene import SceneDrawer
+
+LIBRARY = "llm-flock"
+BUFFER_BYTES = 1 << 20
+"""Larger than most rounds, so that the file usually grows by whole rounds [bytes]."""
+
+
+class Tee:
+    """A sink that passes everything on to two others, the first one first."""
+
+    def __init__(self, first: RecordSink, second: RecordSink) -> None:
+        self._both = (first, second)
+
+    def write(self, entry: Entry) -> None:
+        """Write an entry to both."""
+        for sink in self._both:
+            sink.write(entry)
+
+
+class GivenUp:
+    """A sink that gives another one up at its first error, which it hands to `on_failure`: for what must go on."""
+
+    def __init__(self, sink: RecordSink, on_failure: Callable[[RecordError], None]) -> None:
+        self._sink: RecordSink | None = sink
+        self._on_failure = on_failure
+
+    def write(self, entry: Entry) -> None:
+        """Pass an entry on, unless the other one was given up."""
+        if self._sink is not None:
+            try:
+                self._sink.write(entry)
+            except RecordError as error:
+                self._sink = None
+                self._on_failure(error)
+
+
+def both(first: RecordSink | None, second: RecordSink | None) -> RecordSink | None:
+    """One sink for two, each of which may be missing."""
+    return second if first is None else first if second is None else Tee(first, second)
+
+
+def check_new(path: Path) -> None:
+    """Refuse a place where no record can be written. Call it before others do what the record is to hold.
+
+    Missing folders are made.
+
+    Raises:
+        InputError: the file exists, or cannot be made.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        allowed = os.access(path.parent, os.W_OK | os.X_OK)
+    except OSError as error:
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    if os.path.lexists(path):
+        raise InputError("out", str(path), "a place without a record: none is ever overwritten")
+    if not allowed:
+        raise InputError("out", str(path), "a place that can be written to (Permission denied)")
+
+
+@cache
+def _schemas() -> tuple[tuple[str, str, bytes], ...]:
+    """Topic, name and JSON schema of every channel: the same in each record of a process."""
+    from llm_flock.record._scene import scene_schema
+
+    ours = [(topic, "llm_flock.", channel_schema(model)) for topic, model in CHANNELS.items()]
+    return tuple(
+        (topic, package + schema["title"], json.dumps(schema, separators=(",", ":")).encode())
+        for topic, package, schema in (*ours, (SCENE_TOPIC, "", scene_schema()))
+    )
+
+
+class RecordWriter:
+    """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
+
+    Raises:
+        InputError: the file exists, or cannot be made.
+        RecordError: by every method, when the disk does not take what is written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("xb", buffering=BUFFER_BYTES)
+        except OSError as error:
+            if os.path.lexists(path):  # says no where the system does not take the name at all
+                raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
+            raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+        from llm_flock.file_lock import lock_file
+
+        lock_file(self._file.fileno())
+        self._mcap = Writer(
+            self._file, use_chunking=False, index_types=IndexType.NONE, use_summary_offsets=False, enable_crcs=True
+        )
+        self._mcap.start(library=LIBRARY)
+        self._sequence: Counter[str] = Counter()
+        self._channels: dict[str, int] = {}
+        for topic, name, text in _schemas():
+            number = self._mcap.register_schema(name, "jsonschema", text)
+            self._channels[topic] = self._mcap.register_channel(topic, "json", number)
+        self._scene: SceneDrawer | None = None
+        self._last_round = 0
+        self._broken = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self.close()
+
+    def write(self, entry: Entry) -> None:
+        """Write an entry to its channel; a state is drawn as a scene as well.
+
+        The end of a round, the summary, and every event of a flight are handed to the operating system at once, with
+        all that came before them.
+
+        Raises:
+            RecordError: a state comes before the first mission.
+        """
+        if self._scene is None and isinstance(entry, State):
+            raise RecordError(f"{self.path}: a state comes before the mission")
+        number: int = getattr(entry, "round", self._last_round)
+        try:
+            self._put(TOPICS[type(entry)], entry.encoded(), number)
+            if self._scene is not None and isinstance(entry, State):
+                self._put(SCENE_TOPIC, self._scene.draw(entry), number)
+            elif isinstance(entry, RoundEnd | SummaryMessage | FlightEvent):
+                self._last_round = number
+                self._file.flush()
+        except OSError as error:
+            raise self._failure(error) from error
+        if isinstance(entry, MissionInfo):
+            # Plans keep their colours in the next mission; sizes and ranges never change.
+            from llm_flock.record._scene import SceneDrawer
+
+            self._scene = self._scene or SceneDrawer(entry)
+        elif isinstance(entry, PlanInfo) and self._scene is not None:
+            self._scene.know([entry.plan_id])
+
+    def close(self) -> None:
+        """Write the end of the file and close it; a file that could not be written gets none. May be called twice."""
+        if self._file.closed:
+            return
+        try:
+            with self._file:
+                if not self._broken:  # a message may have been written in part
+                    self._mcap.finish()
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _put(self, topic: str, data: bytes, number: int) -> None:
+        time = number * ROUND_NS
+        self._mcap.add_message(self._channels[topic], time, data, time, self._sequence[topic])
+        self._sequence[topic] += 1
+
+    def _failure(self, error: OSError) -> RecordError:
+        self._broken = True
+        return RecordError(f"{self.path}: cannot be written ({error.strerror})")

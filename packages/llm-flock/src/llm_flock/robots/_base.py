@@ -1,0 +1,230 @@
+"""The interface of a robot's driver: the state of a body, and the few commands that a flight needs.
+
+All positions are [m; world frame of the localisation system, z up], all times [s]. A driver enforces its limits and
+returns what it really sent. Every driver must pass the conformance checks of `llm_flock.testing._robots`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from llm_flock.errors import FlockError, InputError
+
+Position: TypeAlias = tuple[float, float, float]
+
+PEAK_SPEED = 2.1875
+"""Highest over mean speed on a segment flown from rest to rest by a polynomial of degree 7 whose first three
+derivatives vanish at both ends, s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: its derivative at u = 1/2."""
+
+
+class RobotError(FlockError):
+    """The robot `name` cannot follow a command, or did not confirm it; `what` says it in words."""
+
+    def __init__(self, name: str, what: str) -> None:
+        self.name = name
+        self.what = what
+        super().__init__(f"{name}: {what}")
+
+
+class TakenOver(RobotError):
+    """A pilot, or a failsafe of its own, flies the robot: it is out of this program's hands."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriverCheck:
+    """One check of a robot by its driver, for the preflight: the finding, and what is required (empty if obvious)."""
+
+    name: str
+    passed: bool
+    found: str
+    asked: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Equipment:
+    """What a driver learned about its robot on connecting. None: it was not told.
+
+    Attributes:
+        controller: name of the controller that makes the robot follow its set-point.
+        estimator: name of the estimator of its position.
+        lag_s: how far the robot is behind a moving set-point with that controller [s]: distance over speed.
+        max_speed_m_s: above this speed of a set-point the controller falls behind without bound [m/s].
+        complaints: what keeps it from flying until it is changed, in words.
+        unwatched: what the robot does not report, in words.
+    """
+
+    controller: str | None = None
+    estimator: str | None = None
+    lag_s: float | None = None
+    max_speed_m_s: float | None = None
+    complaints: tuple[str, ...] = ()
+    unwatched: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RobotState:
+    """The newest state of a robot that its driver knows.
+
+    Attributes:
+        position: the estimate that the robot itself flies by [m].
+        stamp_s: arrival of that estimate, on this process's `time.monotonic`; stands still when estimates stop coming.
+        battery_v: [V]; None if the robot does not report it.
+        link: share of packets acknowledged, in [0, 1]; None if the link does not report it.
+        link_lost: the driver gave the link up and sends no more commands; stays True until `connect`.
+        heard_s: arrival of the last packet of any kind, on the same clock; None if the driver does not tell.
+        armed: motors may turn.
+        flying: in the air, as far as the driver knows.
+        settled: the robot's estimator has converged.
+        taken_over: why the robot obeys no more, in words: a pilot or a failsafe of its own flies it now, and the driver
+            does not fight them. None as long as it obeys; stays set until `connect`.
+        fault: why it cannot fly now, in words, such as "locked: restart it"; None if it can, or does not tell.
+        equipment: what the driver learned on connecting.
+    """
+
+    position: Position
+    stamp_s: float
+    battery_v: float | None = None
+    link: float | None = None
+    link_lost: bool = False
+    heard_s: float | None = None
+    armed: bool = False
+    flying: bool = False
+    settled: bool = True
+    taken_over: str | None = None
+    fault: str | None = None
+    equipment: Equipment = Equipment()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Commanded:
+    """A set-point as really sent, within the driver's limits [m], and the time from rest to rest [s]."""
+
+    target: Position
+    duration_s: float
+
+
+class Robot(Protocol):
+    """Drives one robot. Commands return when they are sent, not when they are flown.
+
+    Every command raises `RobotError` if the robot is not connected, the link is lost, or the robot refuses.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name in reports and errors."""
+        ...
+
+    async def connect(self, timeout_s: float) -> None:
+        """Open the link and wait for the first estimate.
+
+        Raises:
+            RobotError: not done within `timeout_s`, whatever the link's own library does.
+        """
+        ...
+
+    def state(self) -> RobotState:
+        """The newest state; never blocks, and still answers when the link is lost.
+
+        Raises:
+            RobotError: never connected.
+        """
+        ...
+
+    async def arm(self) -> None:
+        """Allow the motors to turn; returns once the robot reports that it is armed."""
+        ...
+
+    async def take_off(self, height_m: float, duration_s: float) -> Commanded:
+        """Rise straight up to `height_m` (a z of the world frame) within `duration_s`."""
+        ...
+
+    async def go_to(self, target: Position, duration_s: float) -> Commanded:
+        """Fly the straight segment from the last set-point to `target`, arriving at rest after `duration_s`.
+
+        A target outside the driver's limits is brought nearer along the segment, never aside and never later: the
+        shield's guarantee for the whole segment holds for any part of it.
+        """
+        ...
+
+    async def hold(self) -> None:
+        """Stop where the robot is, and stay there."""
+        ...
+
+    async def land(self, height_m: float, duration_s: float) -> None:
+        """Land straight down to `height_m` within `duration_s`; the motors stop there."""
+        ...
+
+    async def stop_motors(self) -> bool:
+        """Emergency stop: cut the motors now, in any state; the robot falls. Returns whether the robot confirmed it."""
+        ...
+
+    async def close(self) -> None:
+        """Close the link. Sends nothing to the robot; harmless when called twice or never connected."""
+        ...
+
+
+@runtime_checkable
+class SelfChecked(Protocol):
+    """A robot whose driver has checks of its own for the preflight. Optional."""
+
+    def checks(self) -> Sequence[DriverCheck]:
+        """The checks, once it is connected."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MotionLimits:
+    """Limits that a driver never exceeds.
+
+    Attributes:
+        low: lowest corner of the geofence box [m].
+        high: highest corner of it [m].
+        max_speed_m_s: highest speed anywhere on a segment [m/s], the peak in its middle included.
+    """
+
+    low: Position = (-100.0, -100.0, -1.0)
+    high: Position = (100.0, 100.0, 100.0)
+    max_speed_m_s: float = 2.0
+
+    def __post_init__(self) -> None:
+        if any(low > high for low, high in zip(self.low, self.high, strict=True)):
+            raise InputError("low", self.low, f"a corner below {self.high}")
+        if not self.max_speed_m_s > 0.0:
+            raise InputError("max_speed_m_s", self.max_speed_m_s, "a positive number")
+
+    def contains(self, position: Position) -> bool:
+        """Whether the position is within the box."""
+        return all(a <= x <= b for a, x, b in zip(self.low, position, self.high, strict=True))
+
+    def clip(self, start: Position, target: Position, duration_s: float) -> Commanded:
+        """The farthest point towards `target` within the box and the speed limit, in the same duration.
+
+        From a start outside the box the target is first clamped axis by axis: returning matters more than the line.
+
+        Raises:
+            InputError: a duration that is not positive.
+        """
+        if not duration_s > 0.0:
+            raise InputError("duration_s", duration_s, "a positive time")
+        if not self.contains(start):
+            x, y, z = (min(max(x, a), b) for a, x, b in zip(self.low, target, self.high, strict=True))
+            target = (x, y, z)
+        step = tuple(b - a for a, b in zip(start, target, strict=True))
+        length = sum(d * d for d in step) ** 0.5
+        share = 1.0
+        if length > 0.0:
+            share = min(1.0, self.max_speed_m_s * duration_s / (PEAK_SPEED * length))
+        for x, d, low, high in zip(start, step, self.low, self.high, strict=True):
+            if x + d > high >= x:
+                share = min(share, (high - x) / d)
+            elif x + d < low <= x:
+                share = min(share, (low - x) / d)
+        if share >= 1.0:
+            return Commanded(target=target, duration_s=duration_s)
+        # Rounding may put the point outside by one last digit: the box is closed.
+        x, y, z = (start[k] + share * step[k] for k in range(3))
+        if self.contains(start):
+            x, y, z = (min(max(v, a), b) for a, v, b in zip(self.low, (x, y, z), self.high, strict=True))
+        return Commanded(target=(x, y, z), duration_s=duration_s)

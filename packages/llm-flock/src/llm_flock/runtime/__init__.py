@@ -1,0 +1,5 @@
+"""Drives minds, bodies, models and messages through a mission."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

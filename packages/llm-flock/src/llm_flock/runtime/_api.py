@@ -1,0 +1,350 @@
+"""The Python entry point: flies one mission and returns its result."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import os
+import sys
+import threading
+from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast
+
+from llm_flock.errors import FieldError, FlockError, InputError, RecordError
+from llm_flock.llm._port import FrameName
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.protocol._agreement.assignment import AssignmentRule
+from llm_flock.protocol._agreement.consensus import ConsensusRule
+from llm_flock.protocol._breaker import Fallback
+from llm_flock.record._schema import NullWriter, RecordSink
+from llm_flock.runtime._config import RECORD_NAME, RunConfig, warn_of_mission
+from llm_flock.runtime._journal import Journal, run_info
+from llm_flock.runtime._planners import TeamPlanners
+from llm_flock.runtime._result import RunResult
+from llm_flock.runtime._rules import assignment_rule, consensus_rule, own_rules
+from llm_flock.runtime._schedule import Change, Stream, stream
+from llm_flock.runtime._trial import Steer, Trial, TrialProgress
+from llm_flock.simulate import InstantBodies, Readings, start_positions
+
+if TYPE_CHECKING:
+    from llm_flock.llm._own import ModelChoice, OwnModel
+    from llm_flock.llm._sharing import CallLane
+
+T = TypeVar("T")
+
+
+def wait_for(main: Coroutine[Any, Any, T]) -> T:
+    """Run a coroutine to its end, and return its result or raise its error.
+
+    Where an event loop runs in this thread, which cannot run another one, the coroutine gets a thread of its own. The
+    caller waits all the same, so that loop stands still until the end.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, after the coroutine was cancelled and has ended.
+    """
+    try:
+        asyncio.get_running_loop()
+    except RuntimeError:
+        return asyncio.run(main)
+    done: Future[T] = Future()
+    begun = threading.Event()
+    running: list[tuple[asyncio.AbstractEventLoop, asyncio.Task[T]]] = []
+
+    async def outer() -> T:
+        task = asyncio.ensure_future(main)
+        running.append((asyncio.get_running_loop(), task))
+        begun.set()
+        return await task
+
+    def work() -> None:
+        try:
+            done.set_result(asyncio.run(outer()))
+        except BaseException as error:  # noqa: BLE001 - it is raised in the thread that waits
+            done.set_exception(error)
+
+    thread = threading.Thread(target=contextvars.copy_context().run, args=(work,), name="llm-flock run")
+    thread.start()
+    try:
+        return done.result()
+    except BaseException:
+        if not done.done():  # Ctrl-C: end the run as it would end in a script
+            begun.wait()
+            loop, task = running[0]
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(task.cancel)
+        raise
+    finally:
+        thread.join()
+
+
+Row: TypeAlias = Sequence[float]
+"""Coordinates of a point [units]."""
+
+FILES = ("out", "record_llm", "prompts")
+"""Fields that name files or folders: paths are taken too."""
+
+
+class Parameters(TypedDict, total=False):
+    """What `run` takes besides a mission. The default of a field stands in the configuration; None means not given."""
+
+    # The run as a whole, and its surroundings.
+    config: RunConfig | None
+    on_round: Callable[[TrialProgress], None] | None
+    progress: bool
+    trace: bool
+    sink: RecordSink | None
+    lane: CallLane | None
+    steer: Steer | None
+    # The mission.
+    shape: str
+    n_robots: int
+    places: int | None
+    center: Row
+    velocity: Row | None
+    since: int
+    spacing: float
+    safe_distance: float
+    max_step: float
+    comm_range: float
+    sense_range: float | None
+    arena: Sequence[Row]
+    points: Sequence[Row] | None
+    obstacles: Sequence[Obstacle | Mapping[str, Any]]
+    # The protocol.
+    protocol: Literal["flock", "paper", "baseline"]
+    consensus: str | ConsensusRule | None
+    assignment: str | AssignmentRule | None
+    shield: bool | None
+    verify: bool | None
+    fallback: Fallback | None
+    comm_rounds: int | None
+    gaps: Literal["report", "replan"]
+    time_out: int
+    # Language models.
+    model: ModelChoice
+    base_url: str | None
+    answers: Literal["text", "json"]
+    history: str
+    decide: Literal["every-round", "on-event"]
+    observe: Literal["in-range", "all"]
+    max_retries: int
+    prompts: str | Path | None
+    wish: str | None
+    frame: FrameName | None
+    temperature: str | float | None
+    reasoning_effort: str | None
+    model_seed: str | int | None
+    record_llm: str | Path | None
+    # Limits and budget.
+    max_concurrent: int
+    timeout_s: float
+    max_tries: int
+    max_answer_tokens: int | None
+    max_calls: int | None
+    max_tokens: int | None
+    max_cost: float | None
+    # Links.
+    loss: float
+    delay: int
+    duplicate: float
+    reorder: float
+    # The trial.
+    rounds: int | None
+    stop_when_formed: bool
+    seed: int
+    start: Literal["separated", "uniform", "connected"]
+    start_positions: Sequence[Row] | None
+    start_area: Sequence[Row] | None
+    kill: str | None
+    join: str | None
+    kill_random: int
+    join_random: int
+    changes: Sequence[Change | Mapping[str, Any]]
+    noise: float
+    out: str | Path | None
+
+
+def plain(field: str, value: Any) -> Any:
+    """A value as the configuration takes it: paths as text, NumPy's arrays and numbers as Python's."""
+    if field in FILES and isinstance(value, os.PathLike):
+        return os.fspath(cast("os.PathLike[str]", value))
+    to_list = getattr(value, "tolist", None)
+    return value if to_list is None else to_list()
+
+
+__all__ = ["RECORD_NAME", "open_outputs", "run", "run_async"]
+
+CHECKS: dict[str, Callable[[Any], Any]] = {"consensus": consensus_rule, "assignment": assignment_rule}
+"""Fields that take objects, also beside a whole configuration."""
+
+
+def run(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
+    """Fly one mission, and wait for its end; works in scripts, notebooks and threads.
+
+    Where an event loop is running already, as in a notebook, the run gets a thread of its own. There,
+    `await run_async(...)` leaves the loop free.
+
+    Args:
+        mission: the team's task; the paper's circle of ten if left out.
+        config: a whole configuration (`RunConfig`), instead of a mission and fields.
+        on_round: called after each round, in the thread that flies.
+        progress: shows a line of progress in notebooks, when the run takes longer than half a second.
+        trace: keeps what the result needs to draw itself and to give frames; a few hundred bytes a robot and round.
+        sink: takes every message of a record, whether a record is written or not.
+        lane: access to what this run shares with others: a budget, rates of providers, connections.
+        steer: awaited before each round, and free to change the schedule, the links and the planners.
+        consensus: name of a rule, or a rule object.
+        assignment: name of a rule, or a rule object.
+        model: `provider:model` or another name for all robots or by id (`0-4=A,5-9=B`); an object with
+            `async def ask(self, call)`, which all robots share; or a list with a name or an object for each robot.
+        given: every other parameter is a field of the configuration (`docs/reference/configuration.md`). Those of the
+            mission override the fields of `mission`. None means not given.
+
+    Returns:
+        Arrays and figures of the trial. With `out`, the record is written to `out/run.mcap` as it happens.
+
+    Raises:
+        InputError: a value is not allowed; nothing has been written then.
+        ReplayDrift: a replayed conversation differs from the recorded one.
+        KeyboardInterrupt: after the record was brought to a readable end.
+    """
+    return wait_for(_fly(mission, **given))
+
+
+async def run_async(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
+    """Fly one mission: as `run`, within the running event loop.
+
+    Raises:
+        asyncio.CancelledError: after the record was brought to a readable end.
+    """
+    return await _fly(mission, **given)
+
+
+async def _fly(
+    mission: Mission | None,
+    *,
+    config: RunConfig | None = None,
+    on_round: Callable[[TrialProgress], None] | None = None,
+    progress: bool = True,
+    trace: bool = True,
+    sink: RecordSink | None = None,
+    lane: CallLane | None = None,
+    steer: Steer | None = None,
+    **fields: Any,
+) -> RunResult:
+    fields = {field: value for field, value in fields.items() if value is not None}
+    if config is not None and (mission is not None or fields.keys() - CHECKS.keys()):
+        raise FieldError("config", says="give either config, or mission and options, not both")
+    if config is not None and not isinstance(cast(object, config), RunConfig):
+        raise InputError("config", config, "a RunConfig; load_config reads one from a file")
+    rules = {field: fields.pop(field) for field in CHECKS.keys() & fields.keys()}
+    objects = {field: CHECKS[field](rule) for field, rule in rules.items() if not isinstance(rule, str)}
+    choice: ModelChoice = fields.pop("model", "")
+    own: Mapping[int, OwnModel] = {}
+    if not isinstance(choice, str):
+        from llm_flock.llm._own import split_choice
+
+        choice, own = split_choice(choice)
+    if config is None:
+        if mission is not None and not isinstance(cast(object, mission), Mission):
+            raise InputError("mission", mission, "a Mission; fields are given by their names, such as shape='circle'")
+        names = rules | {field: rule.name for field, rule in objects.items()}
+        base = {} if mission is None else {"mission": mission.model_dump(exclude_none=True)}
+        plain_fields = {field: plain(field, value) for field, value in fields.items()}
+        config = RunConfig.build(base, model=choice or None, **names, **plain_fields)
+        rules = objects  # names are in the configuration now, old ones under their current name
+    protocol = config.protocol
+    consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""))
+    assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""))
+
+    # Build every part, and so refuse whatever is wrong; only then open files, and fly.
+    warn_of_mission(config.mission)
+    given = config.trial
+    rng = stream(given.seed, Stream.START)
+    start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
+    bodies = InstantBodies(Readings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE)))
+    planners = TeamPlanners(config, lane, own)
+    code = own_rules((consensus, assignment))
+    with ExitStack() as stack:
+        outputs = open_outputs(config, planners, sink, trace=trace, unrepeatable=code)
+        journal, record = stack.enter_context(outputs)
+        if progress and "IPython" in sys.modules:
+            from llm_flock.runtime._notebook import notebook_progress
+
+            on_round = stack.enter_context(notebook_progress(config.mission.shape, on_round))
+        trial = Trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
+        try:
+            await trial.run()
+        except BaseException:
+            with suppress(FlockError):  # trouble with the record must not hide the first error
+                trial.finish(record)
+            raise
+        finally:
+            await planners.close()
+        return trial.finish(record)
+
+
+@contextmanager
+def open_outputs(
+    config: RunConfig,
+    planners: TeamPlanners,
+    sink: RecordSink | None = None,
+    *,
+    trace: bool = False,
+    unrepeatable: Sequence[str] = (),
+    on_broken: Callable[[RecordError], None] | None = None,
+) -> Generator[tuple[Journal, str | None]]:
+    """Open the files that a run writes: its journal, which keeps a trace or not, and the path of its record.
+
+    `unrepeatable` says what the configuration cannot repeat, besides the models. With `on_broken`, a record that cannot
+    be written any more is given up, and `on_broken` gets the error; without, whoever writes gets it.
+
+    Raises:
+        InputError: a file exists already, or cannot be made.
+    """
+    with ExitStack() as stack:
+        path, cassette = config.record, config.model.record_llm
+        if cassette is not None:
+            from llm_flock.llm._replay import CassetteWriter
+
+            planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
+        try:
+            writer: RecordSink = NullWriter()
+            if path is not None:
+                from llm_flock.record._writer import RecordWriter
+
+                writer = stack.enter_context(RecordWriter(path))
+        except InputError:
+            if cassette is not None:
+                Path(cassette).unlink()  # created just now, and still empty
+            raise
+        if on_broken is not None and path is not None:
+            from llm_flock.record._writer import GivenUp
+
+            writer = GivenUp(writer, on_broken)
+        taker = writer
+        if sink is not None:
+            from llm_flock.record._writer import Tee
+
+            taker = Tee(writer, sink)
+        journal = Journal(
+            config.mission,
+            taker,
+            replans=config.protocol.gaps == "replan",
+            trace=trace,
+        )
+        journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
+        planners.listen(journal.attempt)
+        if path is not None:  # only a record needs it, and asking git takes longer than many rounds
+            about = run_info(
+                config,
+                simulated=planners.simulated,
+                weights=planners.weights,
+                unrepeatable=journal.unrepeatable,
+            )
+            writer.write(about)
+        yield journal, None if path is None else str(path)

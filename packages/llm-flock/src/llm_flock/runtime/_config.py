@@ -1,0 +1,327 @@
+"""The configuration of a run: one validated object, from a file, with flags that override it by field name."""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, cast
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+
+from llm_flock import graph
+from llm_flock.bounds import TIME_OUT
+from llm_flock.errors import FieldError, InputError, unknown
+from llm_flock.links import LinkFaults
+from llm_flock.llm._port import FrameName
+from llm_flock.metrics import deadline
+from llm_flock.mission import Mission
+from llm_flock.protocol._breaker import Fallback
+from llm_flock.record import RECORD_NAME
+from llm_flock.runtime._rules import PRESETS, Rules, assignment_rule, consensus_rule
+from llm_flock.runtime._schedule import MOST_ROUNDS, Schedule, TrialConfig, build_schedule, load_points
+from llm_flock.validation import fields_of, input_error, unknown_section
+
+logger = logging.getLogger(__name__)
+
+Count = Annotated[int, Field(ge=1, le=2**53)]
+PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
+"""One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are accepted too."""
+
+MOST_COMM_ROUNDS = 1_000
+"""Most communication rounds within a motion round."""
+
+_NO_NAME = re.compile("[\0\ud800-\udfff]")
+"""What neither the names of files nor the texts of a record can hold."""
+
+DEEPEST = 32
+"""Deepest nesting of values in a configuration file; fields need a third of it."""
+
+LONGEST_SHOWN = 256
+"""Longest whole number that an error shows [bits]."""
+
+
+class ConfigSection(BaseModel):
+    """A part of the configuration: immutable, and without unknown fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+
+def seconds(default: float, description: str, *, most: float | None = None) -> Any:
+    """A field for a positive time [s]."""
+    return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [s]")
+
+
+def metres(default: float, description: str) -> Any:
+    """A field for a positive length [m]."""
+    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
+
+
+class ProtocolConfig(ConfigSection):
+    """Rules by which the robots agree on one plan and on distinct places."""
+
+    protocol: Literal["flock", "paper", "baseline"] = Field(
+        default="flock", description="Preset for the rules, checks and fallback"
+    )
+    consensus: str | None = Field(
+        default=None, description="Plan consensus: none, influence, provenance, or package.module:Class [preset's]"
+    )
+    assignment: str | None = Field(
+        default=None,
+        description="Goal assignment: index, nearest, nearest-free, auction, or package.module:Class [preset's]",
+    )
+    shield: bool | None = Field(default=None, description="Buffered Voronoi safety shield [preset's]")
+    verify: bool | None = Field(
+        default=None, description="Check plans and steps before use, also plans received [preset's]"
+    )
+    fallback: Fallback | None = Field(
+        default=None,
+        description="If answers stay unusable: breaker (the model is asked rarely; geometry flies, but makes no plan), "
+        "geometry (computes plan and steps), or hold (no help, and no limit to asking) [preset's; hold without verify]",
+    )
+    comm_rounds: Annotated[int, Field(ge=1, le=MOST_COMM_ROUNDS)] | None = Field(
+        default=None, description="Communication rounds per motion round [preset's]"
+    )
+    gaps: Literal["report", "replan"] = Field(
+        default="report", description="If fewer robots are alive than the plan has places: report the gaps, or replan"
+    )
+    time_out: int = Field(
+        default=TIME_OUT,
+        ge=1,
+        le=MOST_ROUNDS,
+        description="Rounds without a heartbeat, direct or relayed, after which a robot counts as dead",
+    )
+
+    @model_validator(mode="after")
+    def _resolve(self) -> Self:
+        """Fill fields that were left open from the preset, so that the resolved configuration is complete."""
+        for field, value in PRESETS[self.protocol].items():
+            if getattr(self, field) is None:
+                object.__setattr__(self, field, value if field != "fallback" or self.verify else "hold")
+        if self.fallback != "hold" and not self.verify:
+            raise InputError("fallback", self.fallback, "'hold' while verify is off")
+        return self
+
+    def rules(self) -> Rules:
+        """The consensus and assignment rules by these names; `InputError` for an unknown one."""
+        return consensus_rule(self.consensus or ""), assignment_rule(self.assignment or "")
+
+
+class ModelConfig(ConfigSection):
+    """Language models that plan for the robots, and how they are asked."""
+
+    model: str = Field(
+        default="simulated:ideal",
+        description="provider:model, local:MODEL or package.module:Class for all robots, or by id: 0-4=A,5-9=B",
+    )
+    base_url: str | None = Field(default=None, description="Address of an OpenAI-compatible server")
+    answers: Literal["text", "json"] = Field(
+        default="text", description="Answer format: the paper's text, or JSON by a schema"
+    )
+    history: str = Field(default="none", description="Conversation to keep between questions: none, last:K or full")
+    decide: Literal["every-round", "on-event"] = Field(
+        default="every-round",
+        description="When to ask a model: for a step every round, or for a path, and again when something changes",
+    )
+    observe: Literal["in-range", "all"] = Field(
+        default="in-range", description="Robots whose positions the model is given"
+    )
+    max_retries: int = Field(
+        default=2, ge=0, le=20, description="Send a rejected answer back to the model up to this many times"
+    )
+    prompts: str | None = Field(
+        default=None,
+        description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
+        "[the model's: brief for local:smollm2, letters for local:smollm2+letters, full for others]",
+    )
+    wish: str | None = Field(default=None, description="What is wished of the steps, in words; with --prompts letters")
+    frame: FrameName | None = Field(
+        default=None,
+        description="Coordinates in a model's prompts: world, or own (plans around the origin in spacings, steps "
+        "from the origin in step limits) [the model's: own for local:smollm2, world for others]",
+    )
+    temperature: PerRobot = Field(default=None, description="Sampling temperature, for all or by id")
+    reasoning_effort: PerRobot = Field(default=None, description="Reasoning effort (minimal .. max), for all or by id")
+    model_seed: PerRobot = Field(default=None, description="Sampling seed sent to the provider, for all or by id")
+    record_llm: str | None = Field(default=None, description="Record every model call in this file, for replay:FILE")
+
+
+class LimitConfig(ConfigSection):
+    """Limits of a run's model calls, and its budget."""
+
+    max_concurrent: Count = Field(default=1000, description="Maximum number of concurrent model calls")
+    timeout_s: float = seconds(120.0, "Time-out of one try of a model call")
+    max_tries: Count = Field(default=8, description="Maximum attempts per model call if the provider fails")
+    max_answer_tokens: Count | None = Field(
+        default=None,
+        description="Maximum tokens of one answer, thoughts included; a longer one is cut off and rejected",
+    )
+    max_calls: Count | None = Field(default=None, description="Budget: model calls of the whole run")
+    max_tokens: Count | None = Field(default=None, description="Budget: tokens in and out of the whole run")
+    max_cost: float | None = Field(
+        default=None, gt=0, allow_inf_nan=False, description="Budget: cost of the whole run [US dollars]"
+    )
+
+
+class RunConfig(ConfigSection):
+    """Everything that defines a run. Field names are unique over all sections, so a flag needs no section.
+
+    Raises:
+        InputError: the fields do not fit each other.
+    """
+
+    mission: Mission = Field(default_factory=Mission)
+    protocol: ProtocolConfig = Field(default_factory=ProtocolConfig)
+    model: ModelConfig = Field(default_factory=ModelConfig, title="Language models")
+    limits: LimitConfig = Field(default_factory=LimitConfig, title="Limits and budget")
+    links: LinkFaults = Field(default_factory=LinkFaults, title="Messages")
+    trial: TrialConfig = Field(default_factory=TrialConfig, title="Run")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.protocol.shield:
+            self.mission.check_sensing()
+            most = self.mission.safe_distance / 4
+            if self.trial.noise > most:
+                allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
+                raise InputError("noise", self.trial.noise, allowed)
+        self.schedule()
+        return self
+
+    def schedule(self) -> Schedule:
+        """Deaths, joins and mission changes in flight, drawn from the seed where random; `InputError` if impossible."""
+        return build_schedule(self.mission, self.trial)
+
+    @property
+    def record(self) -> Path | None:
+        """The record to write; None without `out`."""
+        return None if self.trial.out is None else Path(self.trial.out) / RECORD_NAME
+
+    @property
+    def most_rounds(self) -> int:
+        """The largest number of rounds that a run of this configuration can take."""
+        if self.trial.rounds is not None:
+            return self.trial.rounds
+        across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
+        return self.schedule().last + deadline(across)
+
+    @classmethod
+    def section_of(cls, field: str) -> str:
+        """The section that holds a field; `InputError` if none does."""
+        for name, info in cls.model_fields.items():
+            if field in fields_of(info.annotation):
+                return name
+        known = [name for info in cls.model_fields.values() for name in fields_of(info.annotation)]
+        raise FieldError(field, says=unknown(f"field {field!r}", field, known))
+
+    @classmethod
+    def build(cls, base: Mapping[str, Any] | None = None, /, **overrides: Any) -> Self:
+        """A configuration from nested sections, with overrides by field name (None means: not given).
+
+        `shape = "points:FILE"` is resolved here: the file's points become the mission's.
+
+        Raises:
+            InputError: naming the first offending field, its value, and what is allowed.
+        """
+        data: dict[str, Any] = {}
+        check_values("config", base or {})
+        check_values("config", overrides)
+        for name, section in (base or {}).items():
+            if name not in cls.model_fields:
+                raise unknown_section(name, cls)
+            if not isinstance(section, Mapping):
+                raise InputError(name, section, f"a section: [{name}], and below it FIELD = VALUE")
+            data[name] = dict(cast("Mapping[str, Any]", section))
+        for field, value in overrides.items():
+            if value is not None:
+                data.setdefault(cls.section_of(field), {})[field] = value
+        mission = data.get("mission", {})
+        if load_points(mission):
+            points = mission["points"]
+            mission.setdefault("n_robots", len(points))
+            if points and "center" not in mission and len(points[0]) != 2:
+                allowed = f"a centre with {len(points[0])} coordinates, as the points have"
+                raise InputError("center", None, allowed)
+        try:
+            return cls(**data)
+        except ValidationError as error:
+            raise input_error(error, cls) from None
+
+    @classmethod
+    def load(cls, path: Path | None, **overrides: Any) -> Self:
+        """A configuration from a TOML file (or none), with overrides by field name.
+
+        Raises:
+            InputError: the file cannot be read or is not TOML, or a value is not allowed.
+        """
+        return cls.build(None if path is None else read_toml("config", path), **overrides)
+
+
+def read_toml(field: str, path: Path) -> dict[str, Any]:
+    """The values of a TOML file.
+
+    Raises:
+        InputError: for `field`: the file cannot be read, or is not TOML; or for a value, see `check_values`.
+    """
+    try:
+        found = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(field, str(path), f"a file that can be read ({error.strerror})") from None
+    except ValueError as error:
+        raise InputError(field, str(path), says=f"this is not TOML: {error}") from None
+    check_values(field, found)
+    return found
+
+
+def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
+    """Check that values of any fields, as a file may nest them, can be shown, compared and handed to the system.
+
+    Raises:
+        InputError: for the field that holds it: a whole number of 2^63 or more, NUL in a text, or endless nesting.
+    """
+    if isinstance(value, Mapping | list | tuple):
+        if depth == 0:
+            raise InputError(field, None, f"values in at most {DEEPEST} levels")
+        named = isinstance(value, Mapping)
+        items = cast("Mapping[str, object]", value).items() if named else [(field, v) for v in cast("list[Any]", value)]
+        for name, item in items:
+            check_values(str(name), item, depth - 1)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        allowed = f"less than {2**63}" if value > 0 else f"at least {-(2**63)}"
+        raise InputError(field, value if value.bit_length() <= LONGEST_SHOWN else None, allowed)
+    elif isinstance(value, str) and _NO_NAME.search(value) is not None:
+        raise InputError(field, value, "text without the character NUL, and without half characters")
+
+
+ROOM = 1.05
+"""Smallest spacing, in safe distances, at which robots have room to move (docs/explanation/safe-motion.md)."""
+
+
+@cache
+def warn_of_mission(mission: Mission) -> None:
+    """Log a warning, once for each mission, if it may not form: for want of radio contact, or of room to move."""
+    ideal = mission.ideal
+    if ideal is not None and not graph.is_connected(graph.distances(ideal) <= mission.comm_range):
+        logger.warning(
+            "comm_range = %g is too short for this formation: robots at its places, %g apart, are not all in radio "
+            "contact. The team may take long to agree or never form, and cannot notice a dead robot.",
+            mission.comm_range,
+            mission.spacing,
+        )
+    room = ROOM * mission.safe_distance
+    if mission.n_places > 1 and mission.spacing < room and not math.isclose(mission.spacing, room):
+        logger.warning(
+            "spacing = %g leaves robots no room to move: they keep %g apart. The team may take long to form, or never "
+            "do; a spacing of %g would do.",
+            mission.spacing,
+            mission.safe_distance,
+            room,
+        )
+
+
+build_config = RunConfig.build
+load_config = RunConfig.load

@@ -1,0 +1,395 @@
+"""Counts what happens in one run, and writes it to the record in a fixed order."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from typing import Any, TypedDict, Unpack
+
+from llm_flock import metrics
+from llm_flock.agent import Agent
+from llm_flock.arrays import Points
+from llm_flock.events import MoveTo, Note, Origin
+from llm_flock.links import Traffic
+from llm_flock.llm._port import Attempt, Usage
+from llm_flock.mission import Mission
+from llm_flock.obstacles import segment_clearance
+from llm_flock.record._schema import (
+    CallUsage,
+    ChatLine,
+    Entry,
+    LlmEntry,
+    MetricsRow,
+    MissionInfo,
+    NullWriter,
+    PlanInfo,
+    ProtocolEvent,
+    RecordSink,
+    RoundEnd,
+    RunInfo,
+    State,
+)
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._episode import Episode, blocked_places
+from llm_flock.runtime._roster import Roster
+from llm_flock.simulate import Bodies
+
+
+def run_info(
+    config: RunConfig,
+    *,
+    simulated: bool,
+    weights: Mapping[str, str] | None = None,
+    unrepeatable: Sequence[str] = (),
+) -> RunInfo:
+    """The origin of a run: configuration, versions (also of weights on board), and machine without any name or path.
+
+    `unrepeatable` says what the configuration alone cannot repeat.
+
+    Paths of the run's files are left out: the same run elsewhere leaves the same record.
+    """
+    import llm_flock.runtime._versions as versions
+
+    machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
+    return RunInfo(
+        format_version=1,
+        config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
+        versions={**versions.versions(), **(weights or {})},
+        git_revision=versions.git_revision(),
+        seed=config.trial.seed,
+        simulated=simulated,
+        unrepeatable=list(unrepeatable) or None,
+        created_at=datetime.now(UTC).isoformat(timespec="seconds"),
+        environment=machine,
+    )
+
+
+def state_entry(
+    round_number: int, positions: Points, team: Bodies, roster: Roster, flown: Mapping[int, MoveTo], idle: Origin
+) -> State:
+    """Where the robots are and what they follow; `idle` is the origin for robots without a command."""
+    robots = range(len(roster.agents))
+    agents = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
+    return State(
+        round=round_number,
+        positions=positions.tolist(),
+        goals=[None if a is None or (goal := a.goal) is None else list(goal) for a in agents],
+        slots=[None if a is None else a.claim.slot for a in agents],
+        plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in agents],
+        influence=[len(roster.hears(team, robot)) / len(agents) for robot in robots],
+        waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
+        origins=[(flown[robot].origin if robot in flown else idle).value for robot in robots],
+        open_breakers=[[] if a is None else list(a.open_breakers) for a in agents],
+        phases=[roster.phase(robot) for robot in robots],
+    )
+
+
+def mission_info(mission: Mission, version: int, first_round: int) -> MissionInfo:
+    """A mission as it is recorded; `version` counts the missions of a run from 0."""
+    ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
+    return MissionInfo(version=version, round=first_round, mission=mission.model_dump(mode="json"), ideal=ideal)
+
+
+class Totals(TypedDict):
+    """Counts from the start of a run, by their fields of `MetricsRow`."""
+
+    model_calls: int
+    tokens: int
+    cost_usd: float | None
+    messages_sent: int
+    bytes_sent: int
+    messages_rejected: dict[str, int]
+
+
+def metrics_row(
+    round_number: int,
+    *,
+    plan_ids: Sequence[str | None],
+    slots: Sequence[int | None],
+    at_goal: int,
+    error: tuple[float, float | None] | None,
+    separation: float,
+    on_segment: float | None,
+    connected: bool,
+    **totals: Unpack[Totals],
+) -> MetricsRow:
+    """The figures of one round, of robots with these plans and slots.
+
+    `error` is the mean distance to the ideal shape [units] and the mean squared one [units^2]. `separation` is the
+    smallest distance of two robots now, `on_segment` while they moved here [units].
+    """
+    mean, mean_squared = (None, None) if error is None else error
+    return MetricsRow(
+        round=round_number,
+        procrustes_mean=mean,
+        procrustes_mean_squared=mean_squared,
+        min_separation=finite(separation),
+        segment_separation=finite(on_segment),
+        plans_in_use=metrics.plans_in_use(plan_ids),
+        distinct_goals=metrics.distinct_goals(plan_ids, slots),
+        robots_at_goal=at_goal,
+        connected=connected,
+        **totals,
+    )
+
+
+def finite(value: float | None) -> float | None:
+    """None for an infinite distance (of one robot alone), which JSON cannot represent."""
+    return value if value is not None and value < math.inf else None
+
+
+def llm_entry(attempt: Attempt) -> LlmEntry:
+    """A model call as it is recorded."""
+    call, reply = attempt.call, attempt.reply
+    settings: dict[str, Any] = {} if reply is None else dict(reply.settings)
+    usage = Usage() if reply is None else reply.usage
+    return LlmEntry(
+        round=call.round,
+        robot=call.robot,
+        kind=call.kind,
+        attempt=call.attempt,
+        model=attempt.model,
+        request_hash=call.request_hash,
+        messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
+        text=None if reply is None else reply.text,
+        parsed=None if attempt.parsed is None else dict(attempt.parsed),
+        rejected=attempt.rejected,
+        clipped=attempt.clipped,
+        probe=True if call.probe else None,
+        error=None if attempt.error is None else ": ".join(attempt.error),
+        finish_reason=None if reply is None else reply.finish_reason,
+        thought=True if reply is not None and reply.thought else None,
+        settings=settings,
+        usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
+        cost_usd=None if reply is None else reply.cost_usd,
+        latency_s=attempt.latency_s,
+        faults=list(attempt.faults),
+    )
+
+
+ERROR_EVERY_ROUND_UP_TO = 300
+"""Team size up to which the shape error is measured after every round. The search takes seconds for a thousand robots,
+so a larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
+
+
+class Journal:
+    """Counts and records one run.
+
+    Model calls are held back until `flush_attempts`, and written in the order of the robots: the order in which models
+    answer must not show in the record, which is the same for the same seed.
+
+    Where the team `replans` when robots die, only such a plan counts as formed then. For a `NullWriter` no entries are
+    built. With `trace`, missions, plans, states and figures are also kept, for whoever draws the run.
+    """
+
+    def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False, trace: bool = False) -> None:
+        self.mission = mission
+        self._replans = replans
+        self.writer = writer
+        self._recording = not isinstance(writer, NullWriter)
+        self.trace: list[Entry] | None = [] if trace else None
+        self.unrepeatable: list[str] = []
+        self.calls = 0
+        self.calls_rejected = 0
+        self.calls_failed = 0
+        self.usage = Usage()
+        self.cost_usd: float | None = 0.0
+        self.latency_s = 0.0
+        self.faults: Counter[str] = Counter()
+        self.waypoints: Counter[str] = Counter()
+        self.min_separation = float("inf")
+        self.min_clearance = float("inf")
+        self.start = metrics.StartSeparation(mission.safe_distance)
+        self.positions: list[Points] = []
+        self.errors: list[tuple[float, float] | None] = []
+        self.episodes: list[Episode] = []
+        self.robot_rounds = 0
+        self.rejected_before: Counter[str] = Counter()
+        self.row: MetricsRow | None = None
+        self.silent_rounds = 0
+        self.last_failure: str | None = None
+        self._calls_before = (0, 0)
+        self.suppliers: dict[tuple[str, int], str] = {}
+        self.breakers_opened: set[int] = set()
+        self._known_plans: set[str] = set()
+        self._attempts: list[Attempt] = []
+        self._previous: Points | None = None
+
+    @property
+    def episode(self) -> Episode:
+        """The mission in force: the last one that was given."""
+        return self.episodes[-1]
+
+    def mission_given(self, mission: Mission, flown: int, positions: Points) -> None:
+        """A mission is in force from the next round on; its measurements start now."""
+        first = flown + 1 if self.episodes else 0
+        self._put(mission_info(mission, len(self.episodes), first))
+        self.episodes.append(Episode(mission, flown, positions))
+
+    def close_episode(self, roster: Roster) -> None:
+        """The mission in force is over: another one begins, or the run ends."""
+        self.episode.close(roster.awake, roster.awake_agents())
+
+    def attempt(self, attempt: Attempt) -> None:
+        """Count one model call. A call that the budget refused was never made, and is only recorded."""
+        if self._recording:
+            self._attempts.append(attempt)
+        if attempt.error is not None:
+            self.last_failure = ": ".join(attempt.error)
+            if attempt.error[0] == "budget":
+                return
+        self.calls += 1
+        self.latency_s += attempt.latency_s
+        self.faults.update(attempt.faults)
+        if attempt.reply is None:
+            self.calls_failed += 1
+        else:
+            self.calls_rejected += attempt.rejected is not None
+            self.usage += attempt.reply.usage
+            cost = attempt.reply.cost_usd
+            self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
+
+    def flush_attempts(self) -> None:
+        """Write the model calls made since the last flush, by robot and attempt."""
+        for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
+            self.writer.write(llm_entry(attempt))
+        self._attempts.clear()
+
+    def note(self, round_number: int, comm_round: int | None, robot: int, note: Note) -> None:
+        """Record something that a robot decided or met."""
+        if note.kind == "breaker" and note.detail["state"] == "open":
+            self.breakers_opened.add(robot)
+        if self._recording:
+            self.writer.write(
+                ProtocolEvent(
+                    round=round_number, comm_round=comm_round, robot=robot, kind=note.kind, detail=dict(note.detail)
+                )
+            )
+
+    def proposed(self, round_number: int, agent: Agent, by: str) -> None:
+        """A robot follows a plan of its own, made by a model of this name or by geometry: record its points once."""
+        plan = agent.plan
+        assert plan is not None, "a robot follows what it proposes"
+        self.suppliers[plan.digest, agent.robot] = by
+        if plan.digest not in self._known_plans:
+            self._known_plans.add(plan.digest)
+            points = [list(point) for point in plan.points]
+            self._put(PlanInfo(round=round_number, plan_id=plan.digest, proposer=agent.robot, points=points))
+
+    def end_round(
+        self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic
+    ) -> None:
+        """Record where the robots are, what they follow, and what was measured; then the round is complete.
+
+        Call it after every round, and once as round 0, without moves, before the first.
+        """
+        calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
+        self._calls_before = (self.calls, self.calls_failed)
+        # While a robot flies on along its path, the run goes on without answers.
+        silent = bool(calls) and calls == failed and not any(agent.on_path for agent in roster.awake_agents())
+        self.silent_rounds = self.silent_rounds + 1 if silent else 0
+        flown = dict[int, MoveTo]() if moves is None else moves
+        self.robot_rounds += len(flown)
+        self.waypoints.update(move.origin.value for move in flown.values())
+        positions = team.positions
+        if self._recording or self.trace is not None:
+            idle = Origin.START if moves is None else Origin.HOLD
+            self._put(state_entry(round_number, positions, team, roster, flown, idle))
+        self._measure(round_number, positions, team, roster, traffic)
+        self._put(RoundEnd(round=round_number))
+
+    def _put(self, entry: Entry) -> None:
+        """Write an entry that belongs to the trace too."""
+        self.writer.write(entry)
+        if self.trace is not None:
+            self.trace.append(entry)
+
+    def measure_error(self, roster: Roster) -> None:
+        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet.
+
+        A shape can only be compared with as many robots as it has places: all that are awake, or, where some of them
+        are spare, those with a slot.
+        """
+        if self.errors[-1] is not None:
+            return
+        robots = roster.awake
+        plan = self.episode.plan([roster.agents[robot] for robot in robots])
+        places = self.episode.mission.n_places if plan is None else len(plan)
+        if len(robots) > places:
+            robots = [robot for robot in robots if roster.agents[robot].claim.slot is not None]
+        if len(robots) == places:
+            shape = self.episode.error(self.positions[-1][robots])
+            self.errors[-1] = None if shape is None else (shape.mean, shape.mean_squared)
+
+    def _measure(self, round_number: int, positions: Points, team: Bodies, roster: Roster, traffic: Traffic) -> None:
+        separation, on_segment = self._measure_separation(round_number, positions)
+        agents, rows = roster.awake_agents(), positions.tolist()
+        plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
+        slots = [a.claim.slot for a in agents]
+        distances = [
+            float("inf") if (goal := a.goal) is None else math.dist(rows[robot], goal)
+            for robot, a in zip(roster.awake, agents, strict=True)
+        ]
+        episode = self.episode
+        at_goal = metrics.robots_at_goal(distances, episode.mission.spacing)
+        plan = episode.plan(agents)
+        places = episode.mission.n_places if plan is None else len(plan)
+        usable = places - len(blocked_places(agents))
+        self.errors.append(None)
+        if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or at_goal == min(usable, len(agents)):
+            self.measure_error(roster)
+        error = self.errors[-1]
+        fits = not self._replans or plan is None or episode.fits(plan, len(agents))
+        to_goals = [distance for distance, slot in zip(distances, slots, strict=True) if slot is not None]
+        if error is not None or episode.mission.ideal is None or not to_goals:
+            residual = None if error is None else error[0]
+        else:  # with gaps, the shape is measured by the places that are filled
+            residual = sum(to_goals) / len(to_goals)
+        episode.tracker.update(
+            round_number,
+            plan_ids=[p if fits and episode.follows(a) else None for p, a in zip(plan_ids, agents, strict=True)],
+            slots=slots,
+            goal_distances=distances,
+            residual=residual,
+            usable=usable,
+        )
+        self.row = metrics_row(
+            round_number,
+            plan_ids=plan_ids,
+            slots=slots,
+            at_goal=at_goal,
+            error=error,
+            separation=separation,
+            on_segment=on_segment,
+            connected=team.readings.connected(roster.awake),
+            model_calls=self.calls,
+            tokens=self.usage.total,
+            cost_usd=self.cost_usd,
+            messages_sent=traffic.sent,
+            bytes_sent=traffic.bytes,
+            messages_rejected=dict(self.rejected(roster)),
+        )
+        self._put(self.row)
+
+    def _measure_separation(self, round_number: int, positions: Points) -> tuple[float, float | None]:
+        """Smallest distance of two robots now, and while they moved here (None at the start) [units]."""
+        before = positions if self._previous is None else self._previous
+        separation = metrics.min_separation(positions)
+        on_segment = None if self._previous is None else metrics.segment_separation(before, positions)
+        if self.mission.obstacles:
+            for start, end in zip(before.tolist(), positions.tolist(), strict=True):
+                clearance = segment_clearance(tuple(start), tuple(end), self.mission.obstacles)
+                self.min_clearance = min(self.min_clearance, clearance)
+        self._previous = positions
+        self.positions.append(positions)
+        closest = separation if on_segment is None else min(separation, on_segment)
+        self.min_separation = min(self.min_separation, closest)
+        self.start.update(round_number, positions, closest)
+        return separation, on_segment
+
+    def rejected(self, roster: Roster) -> Counter[str]:
+        """Messages refused so far, by reason; includes those of robots that have restarted since."""
+        return sum((a.rejected for a in roster.agents), self.rejected_before)

@@ -1,0 +1,85 @@
+"""Orders to a run in flight: a robot is killed, or a robot is given another mission. They happen in the next round."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+from llm_flock.errors import InputError
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._schedule import Change, build_schedule
+from llm_flock.runtime._trial import Trial
+
+
+def check_shape(shape: object) -> None:
+    """Refuse a shape that is read from a file: what comes from pages and other programs names none.
+
+    Raises:
+        InputError: it is one.
+    """
+    if isinstance(shape, str) and shape.strip().startswith("points:"):
+        raise InputError("shape", shape, "a shape with a name; only the command line reads files")
+
+
+class RunOrders:
+    """Takes orders from any thread, and carries them out between two rounds.
+
+    Attributes:
+        round: the round in flight.
+    """
+
+    def __init__(self, config: RunConfig) -> None:
+        self._config = config
+        self._schedule = schedule = config.schedule()
+        # All by name: a robot that an order names must not change which others were drawn at random.
+        self._kills = [f"{robot}@{when}" for when, robots in schedule.kills.items() for robot in robots]
+        self._joins = [f"{robot}@{when}" for when, robots in schedule.joins.items() for robot in robots]
+        self._changes = list(config.trial.changes)
+        self._given: set[int] = set()
+        self._awake = [k for k in range(config.mission.n_robots) if k not in schedule.asleep]
+        self._lock = threading.Lock()
+        self.round = 0
+
+    def kill(self, robot: int) -> None:
+        """Kill a robot.
+
+        Raises:
+            InputError: there is no such robot, it is dead, or it is the last one.
+        """
+        with self._lock:
+            self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
+
+    def change(self, fields: dict[str, Any]) -> int:
+        """Change fields of the mission of one robot, and return that robot; the others hear of it from there.
+
+        Raises:
+            InputError: the mission cannot be changed like that.
+        """
+        check_shape(fields.get("shape"))
+        with self._lock:
+            when = self.round + 1
+            dead = self._schedule.kills.get(when, ())
+            taker = next(robot for robot in self._awake if robot not in dead)
+            # A second order for the next round replaces the first; the configuration's own changes stay.
+            before = [one for one in self._changes if one.round != when or when not in self._given]
+            try:
+                self._reschedule(self._kills, [*before, Change(round=when, robot=taker, set=fields)])
+            except InputError as error:
+                # Whoever gives the order knows fields of a mission, and no list of changes.
+                raise (error.__cause__ if isinstance(error.__cause__, InputError) else error) from None
+            self._given.add(when)
+            return taker
+
+    def carry_out(self, trial: Trial) -> None:
+        """Call before each round, where a run is steered."""
+        with self._lock:
+            self.round = trial.round + 1
+            self._awake = list(trial.roster.awake)
+            trial.schedule = self._schedule
+
+    def _reschedule(self, kills: list[str], changes: list[Change]) -> None:
+        """Take everything that happened and is ordered, if it is as the command line allows it."""
+        events = {"kill_random": 0, "join_random": 0, "changes": tuple(changes)}
+        lists = {"kill": ",".join(kills) or None, "join": ",".join(self._joins) or None}
+        self._schedule = build_schedule(self._config.mission, self._config.trial.model_copy(update=events | lists))
+        self._kills, self._changes = kills, changes

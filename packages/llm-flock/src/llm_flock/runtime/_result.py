@@ -1,0 +1,393 @@
+"""The result of a run, and its summary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from llm_flock import metrics
+from llm_flock.errors import InputError
+from llm_flock.events import Origin
+from llm_flock.links import Traffic
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.record._schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._journal import Journal, finite
+from llm_flock.runtime._planners import TeamPlanners
+from llm_flock.runtime._roster import Roster
+from llm_flock.runtime._schedule import Schedule
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingTypeStubs]
+    import polars
+
+    from llm_flock.record._reader import RunRecord
+    from llm_flock.record._tables import TableName
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissionOutcome:
+    """The outcome of one mission of a run."""
+
+    round: int  # at whose start it was given to a robot, 0 for the first one
+    shape: str
+    places: int  # of its formation
+    formed: int | None  # first round in which the team had formed; None if it never had
+    lower_bound_rounds: int | None  # as in `Summary`, from where the robots were when the mission was given
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FlightFigures:
+    """The figures of a flight. Distances are those of estimates, while both drones were in the air."""
+
+    ended: str  # why it ended: mission, return by the operator's order, or the kind of failure
+    reason: str | None  # the failure in words
+    ends: dict[str, str]  # how each drone ended, by name: landed, never took off, cut, out of reach, ...
+    safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut
+    air_s: float  # from the first take-off until the last drone was down
+    min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
+    tracking_rms_m: (
+        float | None
+    )  # distance of drones from their set-points `lag_s` ago at most, root of the mean square
+    tracking_max_m: float | None  # the largest of these distances
+    fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
+    poses_refused: dict[str, int] | None = None  # poses from outside that were not sent, by drone and reason
+    lag_s: float = 0.0  # longest delay of the drones behind their set-points, the same for all in a motion
+
+
+def by_origin(counts: Mapping[str, int]) -> dict[str, int]:
+    """Waypoints flown by every origin, zeros included."""
+    return {origin.value: counts.get(origin.value, 0) for origin in Origin if origin is not Origin.START}
+
+
+def waypoint_shares(counts: Mapping[str, int]) -> dict[str, float]:
+    """Waypoints by origin as shares of all; zeros where none was flown."""
+    total = max(1, sum(counts.values()))
+    return {origin: count / total for origin, count in counts.items()}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """The figures of one trial; field names are the keys of `--json`.
+
+    With several missions, `formed`, `rounds_to_formed` and `lower_bound_rounds` are about the last one, and count from
+    when it was given. Robots that are not awake count for separation only.
+
+    Attributes:
+        shape: the mission's shape.
+        n_robots: team size N.
+        seed: seed of the run.
+        consensus: rule that chose the plan.
+        assignment: rule that chose the slots.
+        shield: whether the safety shield was on.
+        models: the language models, each once.
+        simulated: whether any of them was a simulated stand-in.
+        stopped: why the run ended: formed, rounds, budget, no_plan (nobody has a plan, and all models were refused
+            until they are no longer asked), no_answers (the same, or three rounds on end without circuit breakers, and
+            every model call failed), interrupted or failed.
+        reason: the commonest or last failure, in words, where the run ended by no_plan, no_answers or failed.
+        rounds: motion rounds flown.
+        formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
+            most 0.1 spacing, held for 3 rounds. Unless `rounds` was given, the run ends 3 * lower_bound_rounds + 20
+            rounds after the last mission was given, or a robot died or joined.
+        formed_by_models: formed, with the plan of a model, without any waypoint of geometry, and with no circuit
+            breaker ever open.
+        rounds_to_formed: the first of those 3 rounds; None if it never came.
+        lower_bound_rounds: bottleneck assignment distance from the start to the agreed plan, in steps of max_step,
+            less the 0.05 spacing at which a robot counts as at its goal, rounded up; None without one plan.
+        procrustes_mean: mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
+        procrustes_mean_squared: mean squared distance [units^2] (paper, appendix C).
+        min_separation: smallest distance of any two robots over the whole run, along the segments too [units].
+        start_violations: pairs that were nearer than the safe distance at the start (min_separation has them too).
+        rounds_to_separate: first round at whose end each of these had come apart; 0 without any, None if it never came.
+        min_separation_after_start: as min_separation, each of these pairs counted from when it had come apart [units].
+        min_clearance: smallest distance of a robot's centre to an obstacle, along the segments too, negative inside
+            [units]; None without obstacles.
+        plans_in_use: different plans at the end.
+        distinct_goals: different goals at the end.
+        robots_without_plan: robots that never got a plan.
+        model_calls: answered or failed calls, retries of rejected answers included.
+        calls_rejected: answers that could not be used.
+        calls_failed: calls that got no answer.
+        faults: transport faults met on the way, by kind, retried ones included.
+        tokens: tokens in and out.
+        tokens_input: tokens in.
+        tokens_output: tokens out.
+        tokens_cached: the part of tokens_input that the provider had in its cache.
+        cost_usd: cost where the price of every call is known, else None [US dollars].
+        latency_mean_s: mean duration of a call, waits included [s]; None without calls.
+        waypoints: waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
+        waypoint_shares: the same as shares of all.
+        plan_robot: robot that proposed the plan in force at the end; None without one plan.
+        plan_by: who made that plan: a model, by its name, or `geometry`.
+        breakers_opened: robots whose circuit breaker was open at any time, so that geometry answered for their model.
+        messages_sent: broadcasts.
+        bytes_per_robot_round: bytes broadcast per robot and round.
+        messages_rejected: messages refused on receipt, by reason.
+        wall_s: duration of the run [s].
+        record: path of the record, None with the record off.
+        killed: robots that died, and in which round: `3@12`.
+        joined: robots that joined late or again, in the same form.
+        missions: every mission of the run, the first one first.
+        gaps: slots of the plan that no robot owns at the end; None without one plan.
+        spares: robots awake at the end without a slot; None without one plan.
+        flight: the figures of a flight; None in simulation.
+    """
+
+    shape: str
+    n_robots: int
+    seed: int
+    consensus: str
+    assignment: str
+    shield: bool
+    models: tuple[str, ...]
+    simulated: bool
+    stopped: str
+    reason: str | None
+    rounds: int
+    formed: bool
+    formed_by_models: bool
+    rounds_to_formed: int | None
+    lower_bound_rounds: int | None
+    procrustes_mean: float | None
+    procrustes_mean_squared: float | None
+    min_separation: float | None
+    start_violations: int
+    rounds_to_separate: int | None
+    min_separation_after_start: float | None
+    min_clearance: float | None
+    plans_in_use: int
+    distinct_goals: int
+    robots_without_plan: int
+    model_calls: int
+    calls_rejected: int
+    calls_failed: int
+    faults: dict[str, int]
+    tokens: int
+    tokens_input: int
+    tokens_output: int
+    tokens_cached: int
+    cost_usd: float | None
+    latency_mean_s: float | None
+    waypoints: dict[str, int]
+    waypoint_shares: dict[str, float]
+    plan_robot: int | None
+    plan_by: str | None
+    breakers_opened: tuple[int, ...]
+    messages_sent: int
+    bytes_per_robot_round: float
+    messages_rejected: dict[str, int]
+    wall_s: float
+    record: str | None
+    killed: tuple[str, ...] = ()
+    joined: tuple[str, ...] = ()
+    missions: tuple[MissionOutcome, ...] = ()
+    gaps: int | None = None
+    spares: int | None = None
+    flight: FlightFigures | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class RunResult:
+    """One finished trial.
+
+    Attributes:
+        mission: the mission.
+        config: everything that defined the run.
+        summary: its figures.
+        positions: true positions, shape (rounds + 1, n, d) [units; world frame]; row 0 is the start.
+        errors: mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal
+            shape, and in teams over 300 while not all were at their goals.
+        plans: each robot's plan at the end.
+        slots: each robot's slot in its plan.
+        trace: missions, plans, states and figures of every round; None if the run did not keep them.
+        unrepeatable: what the configuration alone cannot repeat, in sentences.
+
+    A notebook shows it as a picture and a table.
+    """
+
+    mission: Mission
+    config: RunConfig
+    summary: Summary
+    positions: NDArray[np.float64] = field(repr=False)
+    errors: NDArray[np.float64] = field(repr=False)
+    plans: tuple[Plan | None, ...] = field(repr=False)
+    slots: tuple[int | None, ...] = field(repr=False)
+    trace: tuple[Entry, ...] | None = field(default=None, repr=False)
+    unrepeatable: tuple[str, ...] = field(default=(), repr=False)
+
+    @property
+    def formed(self) -> bool:
+        """Whether the formation was built, as `Summary.formed` defines it."""
+        return self.summary.formed
+
+    def record(self) -> RunRecord:
+        """The run as a record in memory, for figures of one's own: without conversations, events and versions.
+
+        Raises:
+            InputError: the run has kept no trace.
+        """
+        if self.trace is None:
+            raise InputError("trace", False, "true, for a result that draws itself and gives tables")
+        return trace_record(self.config, self.trace, self.summary, self.unrepeatable)
+
+    def animate(self, *, fps: int = 12) -> Any:
+        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
+        return self.record().animate(fps=fps)
+
+    def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
+        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
+
+        Raises:
+            InputError: there is no such table, or the run has kept no trace.
+        """
+        return self.record().to_polars(table)
+
+    def to_pandas(self, table: TableName = "rounds") -> pandas.DataFrame:
+        """As `to_polars`, for pandas, which `pip install 'llm-flock[notebook]'` installs."""
+        return self.record().to_pandas(table)
+
+    def __repr__(self) -> str:
+        from llm_flock.record._words import formed_in
+
+        summary = self.summary
+        simulated = ", simulated language models" if summary.simulated else ""
+        end = f"formed in round {formed_in(summary.to_dict())}" if summary.formed else f"not formed: {summary.stopped}"
+        return f"RunResult({summary.shape}, {summary.n_robots} robots, seed {summary.seed}, {end}{simulated})"
+
+    def _repr_html_(self) -> str | None:
+        """The picture and the table that a notebook shows; None without a trace."""
+        return None if self.trace is None else self.record().html()
+
+
+def trace_record(
+    config: RunConfig, trace: Iterable[Entry], summary: Summary | None = None, unrepeatable: Sequence[str] = ()
+) -> RunRecord:
+    """A record in memory of the entries that a run has kept; without a summary, it is still under way."""
+    from llm_flock.record._reader import gather_record
+
+    about = RunInfo(
+        format_version=FORMAT_VERSION,
+        config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
+        versions={},
+        git_revision=None,
+        seed=config.trial.seed,
+        simulated=summary is not None and summary.simulated,
+        unrepeatable=list(unrepeatable) or None,
+        created_at="",
+        environment={},
+    )
+    end = () if summary is None else (SummaryMessage(result=summary.to_dict()),)
+    path = Path("" if summary is None else summary.record or "")
+    return gather_record(path, (about, *trace, *end))
+
+
+GEOMETRY = "geometry"
+"""Supplier of a plan that no model made."""
+
+
+def summarize(
+    config: RunConfig,
+    schedule: Schedule,
+    journal: Journal,
+    roster: Roster,
+    planners: TeamPlanners,
+    traffic: Traffic,
+    *,
+    rounds: int,
+    stopped: str,
+    reason: str | None,
+    wall_s: float,
+    record: str | None,
+    flight: FlightFigures | None,
+) -> Summary:
+    """The summary of a run that stopped for a reason: its duration [s], the path of its record, a flight's figures."""
+    agents, episode = roster.awake_agents(), journal.episode
+    plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
+    slots = [a.claim.slot for a in agents]
+    plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
+    origin = None if plan is None else agents[0].provenance
+    by = None if plan is None or origin is None else journal.suppliers.get((plan.digest, origin.proposer))
+    waypoints = by_origin(journal.waypoints)
+    journal.close_episode(roster)
+    error = journal.errors[-1]
+    return Summary(
+        shape=config.mission.shape,
+        n_robots=config.mission.n_robots,
+        seed=config.trial.seed,
+        consensus=config.protocol.consensus or "",
+        assignment=config.protocol.assignment or "",
+        shield=bool(config.protocol.shield),
+        models=tuple(dict.fromkeys(planners.names)),
+        simulated=planners.simulated,
+        stopped=stopped,
+        reason=reason,
+        rounds=rounds,
+        formed=episode.formed_at is not None,
+        formed_by_models=episode.formed_at is not None
+        and GEOMETRY not in (by, *planners.names)
+        and not journal.breakers_opened
+        and not journal.waypoints[Origin.GEOMETRY.value],
+        rounds_to_formed=episode.rounds_to_formed,
+        lower_bound_rounds=episode.bound,
+        procrustes_mean=None if error is None else error[0],
+        procrustes_mean_squared=None if error is None else error[1],
+        min_separation=finite(journal.min_separation),
+        start_violations=journal.start.start_violations,
+        rounds_to_separate=journal.start.separated_at,
+        min_separation_after_start=finite(journal.start.smallest),
+        min_clearance=finite(journal.min_clearance),
+        plans_in_use=metrics.plans_in_use(plan_ids),
+        distinct_goals=metrics.distinct_goals(plan_ids, slots),
+        robots_without_plan=plan_ids.count(None),
+        model_calls=journal.calls,
+        calls_rejected=journal.calls_rejected,
+        calls_failed=journal.calls_failed,
+        faults=dict(sorted(journal.faults.items())),
+        tokens=journal.usage.total,
+        tokens_input=journal.usage.input,
+        tokens_output=journal.usage.output,
+        tokens_cached=journal.usage.cached,
+        cost_usd=journal.cost_usd,
+        latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
+        waypoints=waypoints,
+        waypoint_shares=waypoint_shares(waypoints),
+        plan_robot=None if origin is None else origin.proposer,
+        plan_by=by,
+        breakers_opened=tuple(sorted(journal.breakers_opened)),
+        messages_sent=traffic.sent,
+        bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
+        messages_rejected=dict(sorted(journal.rejected(roster).items())),
+        wall_s=wall_s,
+        record=record,
+        killed=_turns(schedule.kills, rounds),
+        joined=_turns(schedule.joins, rounds),
+        missions=tuple(
+            MissionOutcome(
+                round=part.flown + 1 if part.flown else 0,
+                shape=part.mission.shape,
+                places=part.mission.n_places,
+                formed=part.formed_at,
+                lower_bound_rounds=part.bound,
+            )
+            for part in journal.episodes
+        ),
+        gaps=None if plan is None else len(plan) - len(owned),
+        spares=None if plan is None else slots.count(None),
+        flight=flight,
+    )
+
+
+def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
+    """What happened up to a round, in the notation of the command line."""
+    return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)

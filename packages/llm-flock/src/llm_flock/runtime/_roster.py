@@ -1,0 +1,133 @@
+"""The agents of a team, and which of them are awake: some have died, some have not begun yet."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable
+
+from llm_flock.agent import Agent
+from llm_flock.bounds import TIME_OUT
+from llm_flock.mission import Mission
+from llm_flock.protocol._parts import Checker, Gaps, Membership, Parts, Safety
+from llm_flock.record._schema import ASLEEP, DEAD
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._rules import Rules, are_the_papers
+from llm_flock.simulate import Bodies
+
+SOLVERS = ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial")
+"""What agents compute with. scipy imports each at its first use, which takes up to half a second."""
+
+
+def load_solvers() -> None:
+    """Import the solvers now: an agent that waits for one in flight would miss its deadlines."""
+    for name in SOLVERS:
+        importlib.import_module(name)
+
+
+def make_parts(
+    robot: int,
+    mission: Mission,
+    rules: Rules,
+    *,
+    shield: bool,
+    verify: bool,
+    membership: bool = True,
+    noise_bound: float = 0.0,
+    time_out: int = TIME_OUT,
+    gaps: Gaps = "report",
+    apart: float | None = None,
+) -> Parts:
+    """What one robot of a team without keys is made of; call once for each agent, as parts keep state.
+
+    Bodies pass each other if they are `apart` [units], the safe distance if not given. With `gaps` of "replan", plans
+    for fewer robots are accepted. Without `membership` a robot knows its neighbours only.
+    """
+    team, safety, verifier = Membership(), Safety(), Checker(any_size=gaps == "replan")
+    if membership:
+        from llm_flock.protocol._membership.team import TeamMembership
+
+        team = TeamMembership(robot, mission, time_out=time_out, gaps=gaps)
+    if shield:
+        from llm_flock.protocol._motion.safety import ShieldedSafety
+
+        safety = ShieldedSafety(robot, mission, noise_bound, apart)
+    if verify:
+        from llm_flock.protocol._verification.validator import Validator
+
+        verifier = Validator(shield_on=shield, any_size=gaps == "replan")
+    consensus, assignment = rules
+    return Parts(consensus=consensus, assignment=assignment, membership=team, safety=safety, verifier=verifier)
+
+
+def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
+    """The parts of a robot as configured. The paper's rules know of no team, so there they have no membership."""
+    protocol = config.protocol
+    return make_parts(
+        robot,
+        config.mission,
+        rules,
+        shield=bool(protocol.shield),
+        verify=bool(protocol.verify),
+        membership=protocol.gaps == "replan" or not are_the_papers(rules),
+        noise_bound=config.trial.noise,
+        time_out=protocol.time_out,
+        gaps=protocol.gaps,
+        apart=apart,
+    )
+
+
+def make_agent(config: RunConfig, robot: int, parts: Parts, *, own_clock: bool = False) -> Agent:
+    """A new agent of these parts; heartbeats come from lockstep rounds, or from its robot's `own_clock`."""
+    if own_clock:
+        load_solvers()
+    return Agent(
+        robot,
+        config.mission,
+        parts=parts,
+        fallback=config.protocol.fallback or "hold",
+        on_event=config.model.decide == "on-event",
+        noise_bound=config.trial.noise,
+        own_clock=own_clock,
+    )
+
+
+class Roster:
+    """One agent a robot, and which robots are awake: those `asleep` join later. A silent robot still has its body."""
+
+    def __init__(self, make: Callable[[int], Agent], n_robots: int, asleep: Iterable[int] = ()) -> None:
+        self._make = make
+        self._silent = dict.fromkeys(asleep, ASLEEP)
+        self.agents = [make(robot) for robot in range(n_robots)]
+        self.awake: list[int] = []
+        self._update()
+
+    def _update(self) -> None:
+        self.awake = [robot for robot in range(len(self.agents)) if robot not in self._silent]
+
+    def kill(self, robot: int) -> None:
+        """Silence a robot: from now on it neither plans, moves, sends nor receives."""
+        self._silent[robot] = DEAD
+        self._update()
+
+    def join(self, robot: int) -> Agent:
+        """Let a robot begin, with a new agent; returns its former one."""
+        del self._silent[robot]
+        before, self.agents[robot] = self.agents[robot], self._make(robot)
+        self._update()
+        return before
+
+    def awake_agents(self) -> list[Agent]:
+        """Agents of the robots that are awake, by id."""
+        return [self.agents[robot] for robot in self.awake]
+
+    def phase(self, robot: int) -> str:
+        """Phase of a robot's agent; `ASLEEP` or `DEAD` for a silent robot."""
+        return self._silent.get(robot) or self.agents[robot].phase.value
+
+    def hears(self, team: Bodies, robot: int) -> tuple[int, ...]:
+        """Awake robots within radio range of one that is awake; empty for a silent robot."""
+        if not self._silent:
+            return team.readings.in_radio_range[robot]
+        if robot in self._silent:
+            return ()
+        return tuple(other for other in team.readings.in_radio_range[robot] if other not in self._silent)

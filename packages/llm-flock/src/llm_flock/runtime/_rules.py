@@ -1,0 +1,132 @@
+"""Rules by name, and presets of rules; a plug-in adds names, and `package.module:Class` names a user's rule."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, Literal, TypeAlias
+
+from llm_flock.errors import InputError, unknown
+from llm_flock.protocol._agreement import PRESET_RULES
+from llm_flock.protocol._agreement.assignment import (
+    AssignmentRule,
+    IndexAssignment,
+    NearestAssignment,
+    NearestFreeAssignment,
+)
+from llm_flock.protocol._agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
+
+Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
+"""The two rules of an agent."""
+
+
+def _auction() -> AssignmentRule:
+    from llm_flock.protocol._agreement.auction import AuctionAssignment
+
+    return AuctionAssignment()
+
+
+CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
+    {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}
+)
+ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
+    {
+        "index": IndexAssignment,
+        "nearest": NearestAssignment,
+        "nearest-free": NearestFreeAssignment,
+        "auction": _auction,
+    }
+)
+
+
+def _rules_of(preset: str) -> dict[str, str | bool]:
+    return dict(zip(("consensus", "assignment", "shield"), PRESET_RULES[preset], strict=True))
+
+
+PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "flock": {
+            **_rules_of("flock"),
+            "verify": True,
+            "comm_rounds": 5,
+            "fallback": "breaker",
+        },
+        "paper": {
+            **_rules_of("paper"),
+            "verify": False,
+            "comm_rounds": 1,
+            "fallback": "hold",
+        },
+        "baseline": {
+            **_rules_of("baseline"),
+            "verify": False,
+            "comm_rounds": 1,
+            "fallback": "hold",
+        },
+    }
+)
+
+
+def consensus_rule(name: str | ConsensusRule) -> ConsensusRule:
+    """The consensus rule of this name, or this object itself; `InputError` for what is none."""
+    return _rule("consensus", name, CONSENSUS, ("choose",))
+
+
+def assignment_rule(name: str | AssignmentRule) -> AssignmentRule:
+    """The assignment rule of this name, or this object itself; `InputError` for what is none."""
+    return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
+
+
+def are_the_papers(rules: Rules) -> bool:
+    """Whether these rules are those of the paper or its baseline, in any of their readings."""
+    consensus, assignment = rules
+    papers = IndexAssignment | NearestAssignment | NearestFreeAssignment
+    return isinstance(consensus, NoConsensus | InfluenceConsensus) and isinstance(assignment, papers)
+
+
+def own_rules(rules: Rules) -> list[str]:
+    """Which of these rules a record cannot repeat, because they are code of the user's own, in sentences."""
+    ours = "llm_flock.protocol._agreement."
+    return [
+        f"The rule {type(rule).__module__}:{type(rule).__qualname__} is code of the user's own, of which only the name "
+        "is recorded."
+        for rule in rules
+        if not type(rule).__module__.startswith(ours)
+    ]
+
+
+def _rule(
+    field: Literal["consensus", "assignment"],
+    name: Any,
+    known: Mapping[str, Callable[[], Any]],
+    methods: tuple[str, ...],
+) -> Any:
+    if not isinstance(name, str):
+        return _checked(field, name, methods)
+    if name in known:
+        return known[name]()
+    from llm_flock import plugins
+
+    installed = plugins.entries(field)
+    if name in installed:
+        return _checked(field, plugins.load(field, name)(), methods)
+    if ":" not in name:
+        raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
+    allowed = "package.module:Class that can be imported"
+    from llm_flock.own_code import load_own
+
+    found = load_own(field, name, allowed)
+    try:
+        rule = found()
+    except (AttributeError, TypeError, ValueError) as error:
+        raise InputError(field, name, f"{allowed} ({error})") from error
+    return _checked(field, rule, methods)
+
+
+def _checked(field: str, rule: Any, methods: tuple[str, ...]) -> Any:
+    complete = isinstance(getattr(rule, "name", None), str) and all(callable(getattr(rule, m, None)) for m in methods)
+    if isinstance(rule, type) or not complete:
+        raise InputError(
+            field, rule, f"a name, or an object with a name and {' and '.join(methods)}; see llm_flock.testing"
+        )
+    return rule

@@ -1,0 +1,251 @@
+"""Events in flight: robots that die, robots that join late, missions that change."""
+
+from __future__ import annotations
+
+import itertools
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeAlias
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from llm_flock.errors import InputError
+from llm_flock.message import MISSION_FIELDS
+from llm_flock.mission import Coordinate, Mission
+
+
+class Stream(IntEnum):
+    """What a stream is for; the numbers are part of reproducibility and never change."""
+
+    START = 0
+    LINKS = 1
+    NOISE = 2
+    MODEL = 3
+    BACKOFF = 4
+    FAULTS = 5
+
+
+def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:
+    """The generator for one purpose, and one robot where each has its own."""
+    return np.random.default_rng(np.random.SeedSequence([seed, int(purpose), robot]))
+
+
+RANDOM_ROUNDS = 20
+"""Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
+
+MOST_ROUNDS = 100_000
+"""Most rounds of a run."""
+
+Turn: TypeAlias = tuple[int, int]
+"""A robot and a round."""
+
+
+class Change(BaseModel):
+    """A mission given to one robot at the start of a round; the others receive it from there."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    round: Annotated[int, Field(ge=1)]
+    robot: Annotated[int, Field(ge=0)]
+    set: dict[str, Any]
+
+
+class TrialConfig(BaseModel):
+    """One seeded run: its length, starts and faults."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    rounds: int | None = Field(
+        default=None,
+        ge=0,
+        le=MOST_ROUNDS,
+        description="Largest number of motion rounds [3 * lower bound + 20, from the last event on]",
+    )
+    stop_when_formed: bool = Field(default=True, description="End the run as soon as the formation has been held")
+    seed: int = Field(default=0, ge=0, lt=2**63, description="Seed of starts, links, noise and simulated models")
+    start: Literal["separated", "uniform", "connected"] = Field(
+        default="separated",
+        description="Random starts: at least safe_distance apart; uniform, as in the paper; or all in radio contact",
+    )
+    start_positions: tuple[tuple[Coordinate, ...], ...] | None = Field(
+        default=None, description="Start positions, instead of random ones [units]"
+    )
+    start_area: tuple[tuple[Coordinate, ...], tuple[Coordinate, ...]] | None = Field(
+        default=None, description="Two opposite corners of the area of random starts [the arena]"
+    )
+    kill: str | None = Field(
+        default=None, description="Kill these robots, each at the start of a round: ID@ROUND,ID@ROUND,..."
+    )
+    join: str | None = Field(
+        default=None, description="Let these robots join, or join again, at the start of a round: ID@ROUND,..."
+    )
+    kill_random: int = Field(default=0, ge=0, description="Kill this many more robots, drawn from the seed")
+    join_random: int = Field(default=0, ge=0, description="Let this many more robots join late, drawn from the seed")
+    changes: tuple[Change, ...] = Field(
+        default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
+    )
+    noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
+    out: str | None = Field(default=None, description="Folder for the record (run.mcap) and the figures drawn from it")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Schedule:
+    """Events at the start of rounds: by round, the robots that die or join, and who is given which mission."""
+
+    asleep: frozenset[int]  # robots that are not awake at the start of the run
+    kills: Mapping[int, tuple[int, ...]]
+    joins: Mapping[int, tuple[int, ...]]  # for the first time or again
+    missions: Mapping[int, tuple[tuple[int, Mission], ...]]  # in the order in which they are given
+
+    @property
+    def last(self) -> int:
+        """The round of the last event; 0 without any."""
+        return max((*self.kills, *self.joins, *self.missions), default=0)
+
+
+def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
+    """All events, checked as a whole.
+
+    Robots that are named in no event die or join at random, each in a round from 1 to RANDOM_ROUNDS.
+
+    Raises:
+        InputError: no such robot, no such round, a robot dies twice or joins while it is awake, no robot is left awake,
+            or a mission cannot be changed like that.
+    """
+    rounds, kill_random = MOST_ROUNDS if trial.rounds is None else trial.rounds, trial.kill_random
+    killed = _turns("kill", trial.kill, mission.n_robots, rounds)
+    joined = _turns("join", trial.join, mission.n_robots, rounds)
+    named = {robot for robot, _ in (*killed, *joined)} | {change.robot for change in trial.changes}
+    free = [robot for robot in range(mission.n_robots) if robot not in named]
+    wanted = kill_random + trial.join_random
+    if wanted > len(free) or (wanted and wanted == mission.n_robots):
+        field, value = ("kill_random", kill_random) if kill_random else ("join_random", trial.join_random)
+        most = min(len(free), mission.n_robots - 1)
+        raise InputError(field, value, f"at most {most} robots that die or join at random, of those named nowhere else")
+    if wanted:
+        rng = stream(trial.seed, Stream.FAULTS)
+        drawn = rng.permutation(free)[:wanted].tolist()
+        whens = rng.integers(1, min(RANDOM_ROUNDS, max(1, rounds)) + 1, size=wanted).tolist()
+        turns = list(zip(drawn, whens, strict=True))
+        killed, joined = killed + turns[:kill_random], joined + turns[kill_random:]
+    asleep = _asleep(mission.n_robots, killed, joined)
+    schedule = Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions={})
+    return replace(schedule, missions=_missions(mission, trial.changes, schedule, rounds))
+
+
+def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Turn]:
+    """Read `ID@ROUND,ID@ROUND,...`."""
+    turns: list[Turn] = []
+    for part in (text or "").split(","):
+        if not part.strip():
+            continue
+        robot, at, when = (piece.strip() for piece in part.partition("@"))
+        if not (at and all(x.isascii() and x.isdecimal() and len(x) <= 9 for x in (robot, when))):
+            raise InputError(field, text, "ID@ROUND with commas between them, such as 3@12,5@20")
+        turns.append((int(robot), int(when)))
+    for robot, when in turns:
+        if robot >= n_robots:
+            raise InputError(field, text, says=f"there is no robot {robot}, only robots 0 to {n_robots - 1}")
+        if not 1 <= when <= rounds:
+            raise InputError(field, text, f"rounds from 1 to {rounds}, the most that are flown; not {when}")
+    return turns
+
+
+def _by_round(turns: Sequence[Turn]) -> dict[int, tuple[int, ...]]:
+    found: defaultdict[int, list[int]] = defaultdict(list)
+    for robot, when in sorted(turns):
+        found[when].append(robot)
+    return {when: tuple(robots) for when, robots in found.items()}
+
+
+def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> frozenset[int]:
+    """Robots whose first event is to join. Checks the order of each robot's events."""
+    events: defaultdict[int, list[tuple[int, str]]] = defaultdict(list)
+    for field, turns in (("kill", killed), ("join", joined)):
+        for robot, when in turns:
+            events[robot].append((when, field))
+    steps: defaultdict[int, int] = defaultdict(int)
+    for robot, found in events.items():
+        found.sort()
+        for (when, field), (later, other) in itertools.pairwise(found):
+            if when == later or field == other:
+                said = "a robot that was killed before" if other == "join" else "a robot that is awake"
+                raise InputError(other, f"{robot}@{later}", f"{said}, in a later round than round {when}")
+        for when, field in found:
+            steps[when] += 1 if field == "join" else -1
+    asleep = frozenset(robot for robot, found in events.items() if found[0][1] == "join")
+    awake = itertools.accumulate((steps[when] for when in sorted(steps)), initial=n_robots - len(asleep))
+    if min(awake) < 1:
+        field, value = ("join", sorted(joined)) if len(asleep) == n_robots else ("kill", sorted(killed))
+        raise InputError(field, value, "at least one robot that is awake, at any time")
+    return asleep
+
+
+def _missions(
+    mission: Mission, changes: Sequence[Change], schedule: Schedule, rounds: int
+) -> dict[int, tuple[tuple[int, Mission], ...]]:
+    """The mission of each change, made from the one before as it is in that round."""
+    found: dict[int, tuple[tuple[int, Mission], ...]] = {}
+    for change in sorted(changes, key=lambda change: change.round):
+        when, robot = change.round, change.robot
+        value = change.model_dump()
+        if robot >= mission.n_robots:
+            raise InputError("changes", value, f"a robot from 0 to {mission.n_robots - 1}")
+        if when > rounds:
+            raise InputError("changes", value, f"a round from 1 to {rounds}, the most that are flown")
+        if not _awake(schedule, robot, when):
+            raise InputError("changes", value, f"a robot that is awake in round {when}")
+        fields = dict(change.set)
+        try:
+            if "since" in fields:
+                reason = "cannot be given: a changed mission counts from the round of the change"
+                raise InputError("since", fields["since"], says=reason)
+            load_points(fields)
+            new = mission.at(when).change(**fields, since=when)
+        except InputError as error:
+            raise InputError("changes", value, says=str(error)) from error
+        for field in Mission.model_fields:  # a robot's limits and surroundings are fixed
+            if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
+                allowed = f"only fields that a robot accepts by radio ({', '.join(sorted(MISSION_FIELDS - {'since'}))})"
+                raise InputError("changes", value, f"{allowed}, not {field}")
+        found[when], mission = (*found.get(when, ()), (robot, new)), new
+    return found
+
+
+def points_file(shape: str) -> Path:
+    """The file of a shape `points:FILE`.
+
+    Raises:
+        InputError: it has no name.
+    """
+    name = shape.partition(":")[2].strip()
+    if not name:
+        raise InputError("shape", shape, "points:FILE, with the name of a file")
+    return Path(name)
+
+
+def load_points(fields: dict[str, Any]) -> bool:
+    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    shape = fields.get("shape")
+    if not isinstance(shape, str) or not shape.startswith("points:"):
+        return False
+    from llm_flock.shapes import load_points as read_points
+
+    fields.update(shape="points", points=read_points(points_file(shape), "shape"))
+    return True
+
+
+def _awake(schedule: Schedule, robot: int, when: int) -> bool:
+    kills = [number for number, robots in schedule.kills.items() if robot in robots and number <= when]
+    joins = [number for number, robots in schedule.joins.items() if robot in robots and number <= when]
+    if not kills and not joins:
+        return robot not in schedule.asleep
+    return max(joins, default=0) > max(kills, default=0)

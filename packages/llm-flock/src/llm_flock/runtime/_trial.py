@@ -1,0 +1,379 @@
+"""One trial in one process: motion rounds in lockstep, in which all robots ask their models at the same time."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+import time
+from collections import Counter
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self, TypeAlias, TypeVar
+
+import msgspec
+import numpy as np
+
+from llm_flock import events
+from llm_flock.arrays import Points
+from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
+from llm_flock.links import MemoryTransport
+from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.record._schema import MetricsRow, SummaryMessage
+from llm_flock.runtime._config import RunConfig
+from llm_flock.runtime._journal import Journal
+from llm_flock.runtime._planners import TeamPlanners
+from llm_flock.runtime._result import FlightFigures, RunResult, summarize
+from llm_flock.runtime._roster import Roster, make_agent, parts_of
+from llm_flock.runtime._rules import Rules
+from llm_flock.runtime._schedule import Stream, stream
+from llm_flock.simulate import Bodies
+
+T = TypeVar("T")
+
+ROUNDS_TO_LOOK = 10
+"""Rounds that a run continues after the time-out of the last robot that died."""
+
+SILENT_ROUNDS = 3
+"""Rounds in a row in which every model call fails, after which a run without circuit breakers ends."""
+
+UNUSABLE = frozenset({"answer", "unverified", "slow"})
+"""Causes of a failure in which the model did answer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrialProgress:
+    """The figures that a live display shows after each round."""
+
+    round: int
+    rounds: int
+    at_goal: int
+    n_robots: int
+    plans_in_use: int
+    distinct_goals: int
+    error: float | None
+    model_calls: int
+    tokens: int
+    cost_usd: float | None
+
+    @classmethod
+    def of(cls, row: MetricsRow, *, rounds: int, n_robots: int) -> Self:
+        """The figures of a round, in a team of this many robots that flies at most so many `rounds`, 0 if not known."""
+        return cls(
+            round=row.round,
+            rounds=rounds,
+            at_goal=row.robots_at_goal,
+            n_robots=n_robots,
+            plans_in_use=row.plans_in_use,
+            distinct_goals=row.distinct_goals,
+            error=row.procrustes_mean,
+            model_calls=row.model_calls,
+            tokens=row.tokens,
+            cost_usd=row.cost_usd,
+        )
+
+
+class Trial:
+    """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
+
+    After each round `on_round` is called, for a live display. Before each round `steer` is awaited: whoever steers may
+    change the schedule, the links and the planners by then.
+    """
+
+    def __init__(
+        self,
+        config: RunConfig,
+        rules: Rules,
+        planners: TeamPlanners,
+        bodies: Bodies,
+        journal: Journal,
+        start: Points,
+        on_round: Callable[[TrialProgress], None] | None = None,
+        steer: Steer | None = None,
+    ) -> None:
+        n_robots = config.mission.n_robots
+        self.config = config
+        self.schedule = config.schedule()
+        self.roster = Roster(
+            lambda robot: make_agent(config, robot, parts_of(config, rules, robot)), n_robots, self.schedule.asleep
+        )
+        self.planners = planners
+        self.bodies = bodies
+        self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
+        self.journal = journal
+        journal.mission_given(config.mission, 0, start)
+        self.round = 0
+        self.stopped = "rounds"
+        self.reason: str | None = None
+        self._on_round = on_round
+        self._steer = steer
+        self._moves: dict[int, MoveTo] = {}
+        self._began = time.perf_counter()
+
+    @property
+    def rounds(self) -> int:
+        """The last round of this run as things stand: as configured, or else the team's deadline."""
+        if self.config.trial.rounds is not None:
+            return self.config.trial.rounds
+        after = self._noticed if self.schedule.last <= self.round else self.schedule.last
+        return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
+
+    async def run(self) -> None:
+        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more.
+
+        Raises:
+            asyncio.CancelledError: after the record was brought to a readable end by `finish`.
+        """
+        self.begin()
+        try:
+            while self.round < self.rounds:
+                if self._steer is not None:
+                    await self._steer(self)
+                await self._fly_round(self.round + 1)
+                self._report()
+                if self.find_end():
+                    break
+        except asyncio.CancelledError:
+            self.stopped = "interrupted"
+            raise
+        except Exception as error:
+            from llm_flock.own_code import shown
+
+            self.stopped, self.reason = "failed", shown(error)
+            raise
+        finally:
+            for agent in self.roster.agents:
+                agent.handle(events.Stopped())
+
+    def begin(self) -> None:
+        """Record the start positions. Call before the first round; further calls do nothing."""
+        if not self.journal.positions:
+            self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
+
+    def find_end(self) -> bool:
+        """Whether the run is over before its last round: formed, out of budget, or of no hope. Call after a round."""
+        if self._done:
+            self.stopped = "formed"
+        elif self.planners.exhausted:
+            self.stopped = "budget"
+        else:
+            return self._find_hopeless()
+        return True
+
+    def _find_hopeless(self) -> bool:
+        """Whether the run cannot succeed any more, and why: nobody has a plan, and no model gives one."""
+        if self.config.protocol.fallback == "hold":
+            silent = self.journal.silent_rounds >= SILENT_ROUNDS
+            if silent:
+                self.stopped, self.reason = "no_answers", self.journal.last_failure
+            return silent
+        failures = [agent.hopeless for agent in self.roster.awake_agents()]
+        found = [failure for failure in failures if failure is not None]
+        if self.schedule.last > self.round or len(found) < len(failures) or not found:
+            return False
+        self.stopped = "no_plan" if any(failure.cause in UNUSABLE for failure in found) else "no_answers"
+        count, reason = commonest([failure.reason for failure in found])
+        self.reason = f"{count} of {len(found)} robots: {reason}"
+        return True
+
+    @property
+    def _noticed(self) -> int:
+        """The round by which the other robots have noticed the last death, and searched for the missing robot."""
+        kills = self.schedule.kills
+        if not kills:
+            return 0
+        from llm_flock.protocol._membership.liveness import patience
+
+        time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
+        return max(kills) + time_out + ROUNDS_TO_LOOK
+
+    @property
+    def _done(self) -> bool:
+        """Whether the formation is held, and the schedule has nothing left for it."""
+        tracker, schedule = self.journal.episode.tracker, self.schedule
+        if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
+            return False
+        return tracker.in_order and self.round >= self._noticed
+
+    def _let_happen(self, number: int) -> None:
+        """Carry out the schedule of this round: deaths, then joins, then other missions."""
+        journal, roster, schedule = self.journal, self.roster, self.schedule
+        killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
+        for robot in killed:
+            roster.kill(robot)
+            journal.note(number, None, robot, Note("killed", {}))
+        for robot in joined:
+            journal.rejected_before += roster.join(robot).rejected
+            journal.note(number, None, robot, Note("joined", {}))
+        if killed or joined:
+            journal.episode.disturb(number - 1)
+        given = schedule.missions.get(number, ())
+        if not given:
+            return
+        from llm_flock.message import order_time
+
+        for count, (robot, mission) in enumerate(given):
+            journal.close_episode(roster)
+            journal.mission_given(mission, number - 1, self.bodies.positions)
+            self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
+
+    async def _fly_round(self, number: int) -> None:
+        questions = self.plan_questions(number)
+        plans = await _all({robot: self.planners[robot].plan(asked) for robot, asked in questions.items()})
+        self.journal.flush_attempts()
+        self.take_plans(plans)
+        asking = self.step_questions()
+        steps = await _all({robot: self.planners[robot].step(asked) for robot, asked in asking.items()})
+        self.journal.flush_attempts()
+        moves = self.take_steps(steps)
+        for robot, move in moves.items():
+            if move.origin is Origin.MODEL and self.planners.model_of(robot) == "geometry":
+                moves[robot] = msgspec.structs.replace(move, origin=Origin.GEOMETRY)
+        await self.bodies.fly(self.displacements(moves))
+        self.end_round(number, moves)
+
+    def plan_questions(self, number: int) -> dict[int, PlanQuestion]:
+        """Begin a round: its schedule happens, all robots sense, and those without a plan ask for one."""
+        self._let_happen(number)
+        asking: dict[int, PlanQuestion] = {}
+        everybody = self.config.model.observe == "all"
+        for robot in self.roster.awake:
+            seen = self.bodies.readings.sense(robot)
+            observed = self.bodies.readings.others(robot) if everybody else tuple(seen.sensed.values())
+            began = events.RoundBegan(
+                round=number,
+                position=seen.position,
+                degree=len(self.roster.hears(self.bodies, robot)),
+                sensed=seen.sensed,
+                observed=observed,
+            )
+            for effect in self._tell(robot, began):
+                if isinstance(effect, AskPlan):
+                    asking[robot] = effect.question
+        return asking
+
+    def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:
+        """Give the robots that asked their answers; then all robots exchange messages."""
+        for robot, answer in answers.items():
+            self._tell(robot, events.Planned(answer))
+        for comm_round in range(self.config.protocol.comm_rounds or 1):
+            self._exchange(comm_round)
+
+    def _exchange(self, comm_round: int) -> None:
+        """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
+        awake, listening = self.roster.awake, set(self.roster.awake)
+        for robot in awake:
+            for effect in self._tell(robot, events.CommRoundBegan(), comm_round):
+                if isinstance(effect, Broadcast):
+                    self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
+        for robot, payload in self.transport.deliver():
+            if robot in listening:  # a message may arrive after its receiver has died
+                self._tell(robot, events.Received(payload), comm_round)
+        for robot in awake:
+            self._tell(robot, events.CommRoundEnded(), comm_round)
+
+    def step_questions(self) -> dict[int, StepQuestion]:
+        """End the exchange: robots with a goal ask for a waypoint, those that need none decide by themselves."""
+        asking: dict[int, StepQuestion] = {}
+        self._moves.clear()
+        for robot in self.roster.awake:
+            for effect in self._tell(robot, events.AgreementEnded()):
+                if isinstance(effect, AskStep):
+                    asking[robot] = effect.question
+                elif isinstance(effect, MoveTo):
+                    self._moves[robot] = effect
+        return asking
+
+    def take_steps(self, answers: Mapping[int, StepAnswer | NoAnswer]) -> dict[int, MoveTo]:
+        """Give the robots that asked their answers; returns the move of each robot that is awake."""
+        for robot, answer in answers.items():
+            for effect in self._tell(robot, events.Decided(answer)):
+                if isinstance(effect, MoveTo):
+                    self._moves[robot] = effect
+        return dict(sorted(self._moves.items()))
+
+    def displacements(self, moves: Mapping[int, MoveTo]) -> Points:
+        """How each body moves, shape (n, d) [units]: from where its robot believed it was; silent robots stay."""
+        displacements: Points = np.zeros_like(self.bodies.positions)
+        believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
+        displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
+        return displacements
+
+    def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:
+        """Tell the robots that they have arrived, and record the round. Call when the bodies have moved."""
+        for robot in self.roster.awake:
+            self._tell(robot, events.Arrived())
+        self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
+        self.round = number
+
+    def _tell(self, robot: int, event: Event, comm_round: int | None = None) -> list[Effect]:
+        """Give a robot's mind an event of the next round; record the notes among its effects, and return the rest."""
+        effects = self.roster.agents[robot].handle(event)
+        if not effects:
+            return effects
+        for effect in effects:
+            if isinstance(effect, Note):
+                self.journal.note(self.round + 1, comm_round, robot, effect)
+                if effect.kind == "proposed":
+                    by = self.planners.model_of(robot) if effect.detail["by"] == "model" else "geometry"
+                    self.journal.proposed(self.round + 1, self.roster.agents[robot], by)
+        return [effect for effect in effects if not isinstance(effect, Note)]
+
+    def _report(self) -> None:
+        if self._on_round is not None and self.journal.row is not None:
+            robots = len(self.roster.awake)
+            self._on_round(TrialProgress.of(self.journal.row, rounds=self.rounds, n_robots=robots))
+
+    def finish(self, record: str | None, flight: FlightFigures | None = None) -> RunResult:
+        """The result so far, which is also written to the record. Call once, also after a cancelled `run`."""
+        self.journal.flush_attempts()
+        if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
+            self.journal.measure_error(self.roster)
+        summary = summarize(
+            self.config,
+            self.schedule,
+            self.journal,
+            self.roster,
+            self.planners,
+            self.transport.traffic,
+            rounds=self.round,
+            stopped=self.stopped,
+            reason=self.reason,
+            wall_s=time.perf_counter() - self._began,
+            record=record,
+            flight=flight,
+        )
+        self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
+        return RunResult(
+            mission=self.config.mission,
+            config=self.config,
+            summary=summary,
+            positions=np.array(self.journal.positions),
+            errors=np.array([np.nan if e is None else e[0] for e in self.journal.errors]),
+            plans=tuple(a.plan for a in self.roster.agents),
+            slots=tuple(a.claim.slot for a in self.roster.agents),
+            trace=None if self.journal.trace is None else tuple(self.journal.trace),
+            unrepeatable=tuple(self.journal.unrepeatable),
+        )
+
+
+def commonest(reasons: Sequence[str]) -> tuple[int, str]:
+    """How often the commonest of these reasons was given, and its first wording; numbers make no difference."""
+    kinds = [re.sub(r"[0-9.]+", "0", reason) for reason in reasons]
+    kind, count = Counter(kinds).most_common(1)[0]
+    return count, reasons[kinds.index(kind)]
+
+
+async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
+    """Await everybody's answer at once, by robot. The first error of a planner is raised, and cancels the others."""
+    if not asking:
+        return {}
+    try:
+        async with asyncio.TaskGroup() as group:
+            tasks = {robot: group.create_task(question) for robot, question in asking.items()}
+    except ExceptionGroup as errors:
+        raise errors.exceptions[0] from None
+    return {robot: task.result() for robot, task in tasks.items()}
+
+
+Steer: TypeAlias = Callable[[Trial], Awaitable[None]]
+"""Steers a trial in flight: awaited before each round, which is number `trial.round + 1`."""

@@ -1,0 +1,118 @@
+"""Buffered Voronoi shield: the safe waypoint nearest to the planner's.
+
+Zhou, Wang, Bandyopadhyay, Schwager: Fast, on-line collision avoidance for dynamic vehicles using buffered Voronoi
+cells (IEEE RA-L 2017). Each robot stays on its own side of the bisector with every neighbour, shrunk by half the safe
+distance. If all robots do so from one snapshot and move in step along straight segments, no pair is ever nearer than
+the safe distance, not even on the way: along the line of sight each robot uses at most half of the room between them,
+so their distance along it never falls below `safe_distance`. For bodies that do not move in step, use
+`llm_flock.protocol._motion.shield_async`.
+
+For a pair that is already too close, the sides ask both robots to move back. As long as each moves back at least a
+little, and not forward, their distance never falls, so starts that violate the limit recover.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from llm_flock.arrays import Point
+from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, relaxed_move
+
+Sides = Callable[[float], Sequence[HalfSpace]]
+"""Further sides of a cell for a given longest step [units]: walls and obstacles."""
+
+
+def separation_half_spaces(
+    position: Point,
+    neighbors: Iterable[Point],
+    *,
+    safe_distance: float,
+    max_step: float,
+    noise_bound: float = 0.0,
+) -> list[HalfSpace]:
+    """The sides of the buffered Voronoi cell within one step, as limits on the displacement.
+
+    With positions known to within `noise_bound` e [units], each side moves inwards by e for the distance d and by
+    4 e max_step / d for the direction: two estimated positions turn the line of sight by at most 4 e / d, so the end
+    of a step of length max_step is off by at most 4 e max_step / d. Arguments as for `project`.
+    """
+    sides: list[HalfSpace] = []
+    for other in neighbors:
+        gap = math.dist(position, other)
+        if gap < TOLERANCE:
+            continue  # no line of sight: see `spread_coincident`
+        margin = noise_bound * (1.0 + 4.0 * max_step / gap)
+        room = (gap - safe_distance) / 2.0 - margin
+        if room < max_step:
+            normal = tuple((b - a) / gap for a, b in zip(position, other, strict=True))
+            sides.append(HalfSpace(normal, max(-max_step, room), gap < safe_distance - 2.0 * noise_bound))
+    return sides
+
+
+def spread_coincident(robot: int, position: Point, sensed: Mapping[int, Point]) -> dict[int, Point]:
+    """Sensed positions, with bodies at the robot's own position spread around it. Call before separating a crowd.
+
+    All robots at one position assume the same tiny regular polygon, with ids in ascending order from angle 0. So each
+    has a different direction in which to leave, and any two agree on the line between them.
+    """
+    here = sorted([robot, *(j for j, x in sensed.items() if math.dist(x, position) < TOLERANCE)])
+    if len(here) == 1:
+        return dict(sensed)
+    angles = {j: 2.0 * math.pi * k / len(here) for k, j in enumerate(here)}
+    own, radius = angles.pop(robot), 1e-6  # only the directions matter
+    apart = dict(sensed)
+    for j, angle in angles.items():
+        x, y = math.cos(angle) - math.cos(own), math.sin(angle) - math.sin(own)
+        apart[j] = (position[0] + radius * x, position[1] + radius * y, *position[2:])
+    return apart
+
+
+def project(
+    position: Point,
+    waypoint: Point,
+    neighbors: Iterable[Point],
+    *,
+    safe_distance: float,
+    max_step: float,
+    noise_bound: float = 0.0,
+    also: Sides | None = None,
+) -> Point:
+    """The point of the robot's buffered Voronoi cell, within `max_step`, nearest to `waypoint`.
+
+    Call once in each round, in every robot, with positions of one moment.
+
+    Args:
+        position: the robot's believed position, d coordinates [units].
+        waypoint: the wanted position [units].
+        neighbors: believed positions of all robots within sensing range [units].
+        safe_distance: smallest allowed distance between two robots [units].
+        max_step: longest allowed move [units].
+        noise_bound: largest error of each believed position [units].
+        also: further sides of the cell for a given longest step, from walls and obstacles.
+
+    Returns:
+        The waypoint to fly to; `position` itself if the cell is empty (then standing still is safest).
+    """
+    others = tuple(neighbors)
+
+    def within(longest: float) -> Point:
+        sides = separation_half_spaces(
+            position, others, safe_distance=safe_distance, max_step=longest, noise_bound=noise_bound
+        )
+        if also is not None:
+            sides.extend(also(longest))
+        return _within(position, waypoint, sides, longest)
+
+    if noise_bound == 0.0:
+        return within(max_step)
+    # The margin for the direction grows with the step, so a shorter step may lead farther through a narrow gap.
+    shares = (1.0, 0.5, 0.25, 0.125)
+    return min((within(max_step * share) for share in shares), key=lambda target: math.dist(target, waypoint))
+
+
+def _within(position: Point, waypoint: Point, sides: Sequence[HalfSpace], longest: float) -> Point:
+    wish = tuple(w - p for w, p in zip(waypoint, position, strict=True))
+    move = relaxed_move(wish, sides, longest)
+    # An unchanged waypoint is returned as given, without the rounding of position + (waypoint - position).
+    return waypoint if move is wish else tuple(p + u for p, u in zip(position, move, strict=True))

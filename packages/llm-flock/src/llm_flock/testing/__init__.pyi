@@ -1,0 +1,9 @@
+from ._comparison import check_model as check_model
+from ._comparison import check_prompts as check_prompts
+from ._comparison import check_shape as check_shape
+from ._robots import check_emergency_stop as check_emergency_stop
+from ._robots import check_robot as check_robot
+from ._rules import check_assignment_rule as check_assignment_rule
+from ._rules import check_consensus_rule as check_consensus_rule
+from ._rules import random_message as random_message
+from ._rules import random_plan as random_plan

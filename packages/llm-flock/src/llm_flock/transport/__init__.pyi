@@ -1,0 +1,2 @@
+from ._radio import Radio as Radio
+from ._radio import Seen as Seen

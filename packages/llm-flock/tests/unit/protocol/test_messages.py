@@ -1,0 +1,216 @@
+"""Messages from the radio are accepted exactly, or refused with a stable reason."""
+
+import math
+from typing import Any
+
+import msgspec.structs
+import pytest
+from tables import told
+
+from llm_flock.errors import MessageError
+from llm_flock.message import (
+    BLOCKED,
+    LAST_ROUND,
+    LATEST,
+    MOST_STOPS,
+    UNSAID,
+    WIRE_VERSION,
+    Course,
+    Message,
+    MissionStamp,
+    Offer,
+    Provenance,
+    decode,
+    encode,
+    max_payload_bytes,
+)
+from llm_flock.plan import Plan
+
+PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
+ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, degree=1, proposer=1, sequence=0)
+TABLE = ((0, -1.5, 1), UNSAID)
+FULL = Message(
+    sender=1,
+    sequence=3,
+    degree=1,
+    mission_text='{"shape": "circle"}',
+    plan=PLAN,
+    provenance=ORIGIN,
+    slot=0,
+    **told(TABLE),
+    offer=Offer(to=0, give=0, take=1, give_version=0, take_version=3, bid=-2.5),
+    course=Course(level=3, of=0, path=((1.5, 2.0), (4.0, -3.25))),
+    beats=(7, 3),
+    positions={0: (0, (1.0, 2.0), ()), 1: (9, (3.5, 4.25), (3.0, 4.0))},
+)
+FIELDS = list(Message.__struct_fields__)
+ORIGIN_FIELDS = Provenance.__struct_fields__
+OFFER = [0, 0, 1, 0, 3, -2.5]
+
+
+def spoiled(version: int = WIRE_VERSION, **changes: Any) -> bytes:
+    """The full message with some fields replaced, as an enemy would send it."""
+    wire = dict(zip(FIELDS, msgspec.msgpack.decode(encode(FULL)[1:]), strict=False))
+    return bytes([version]) + msgspec.msgpack.encode(list((wire | changes).values()))
+
+
+def provenance(**changes: Any) -> list[Any]:
+    return list((dict(zip(ORIGIN_FIELDS, msgspec.structs.astuple(ORIGIN), strict=True)) | changes).values())
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        FULL,
+        Message(sender=0, sequence=0, degree=0),
+        Message(sender=0, sequence=0, degree=0, stamp=MissionStamp(4, "cd" * 8)),
+        Message(sender=0, sequence=1, degree=1, plan_digest=PLAN.digest, places=2, provenance=ORIGIN, slot=1),
+        Message(
+            sender=0,
+            sequence=1,
+            degree=1,
+            plan=PLAN,
+            provenance=ORIGIN,
+            **told((UNSAID, (3, 0.0, BLOCKED)), b"\x0f" * 8),
+        ),
+    ],
+)
+def test_a_message_is_decoded_as_it_was_encoded(message: Message) -> None:
+    assert decode(encode(message), 2, 2) == message
+
+
+def test_slots_left_out_cost_nothing() -> None:
+    table = ((1, -2.0, 0), *(UNSAID for _ in range(99)))
+    plan = Plan.of([[float(k), 0.0] for k in range(100)])
+    said = Message(sender=0, sequence=0, degree=0, plan=plan, provenance=ORIGIN, **told(table, b"\0" * 8))
+    named = Message(
+        sender=0,
+        sequence=0,
+        degree=0,
+        plan_digest=plan.digest,
+        places=100,
+        provenance=ORIGIN,
+        **told(table, b"\0" * 8),
+    )
+    assert len(encode(named)) < 100 < len(encode(said))
+    assert decode(encode(named), 2, 2).table == table
+
+
+@pytest.mark.parametrize(
+    ("payload", "reason"),
+    [
+        (b"", "version"),
+        (bytes([WIRE_VERSION]), "malformed"),
+        (bytes([WIRE_VERSION, 0xFF, 0]), "malformed"),
+        (bytes([WIRE_VERSION]) + msgspec.msgpack.encode([1, 2]), "malformed"),
+        (bytes([WIRE_VERSION]) + msgspec.msgpack.encode({"sender": 1}), "malformed"),
+        (b"x" * (max_payload_bytes(2) + 1), "oversized"),
+        (spoiled(WIRE_VERSION + 1), "version"),
+        (b'{"v":1}', "version"),
+        (spoiled(claims=[[0, 2**40, -1.0, 1]]), "malformed"),
+        (spoiled(plan_class=1, proofs=None), "malformed"),
+        (spoiled(plan_class=0, proofs=[]), "malformed"),
+        (spoiled(plan_class=0, proofs=None, extra=1), "malformed"),
+        (spoiled(sender="1"), "malformed"),
+        (spoiled(sender=-1), "malformed"),
+        (spoiled(sequence=-1), "malformed"),
+        (spoiled(sequence=2**60), "malformed"),
+        (spoiled(plan_digest="short"), "malformed"),
+        (spoiled(plan_digest="0" * 15 + "\n"), "malformed"),
+        (spoiled(plan_digest="0" * 16 + "\n"), "malformed"),
+        (spoiled(plan_digest=b"\0" * 8), "malformed"),
+        (spoiled(provenance=provenance(mission=LATEST)), "malformed"),
+        (spoiled(provenance=provenance(mission_digest="ABABABABABABABAB")), "malformed"),
+        (spoiled(mission_text=b"\xff\xff"), "malformed"),
+        (spoiled(sender=2), "unknown_id"),
+        (spoiled(degree=2), "unknown_id"),
+        (spoiled(claims=[[0, 0, -1.0, 7]]), "unknown_id"),
+        (spoiled(claims=[[0, 0, -1.0, -3]]), "malformed"),
+        (spoiled(provenance=provenance(proposer=9)), "unknown_id"),
+        (spoiled(provenance=provenance(degree=2)), "unknown_id"),
+        (spoiled(provenance=None), "malformed"),
+        (spoiled(plan=None, plan_digest=None, provenance=None), "malformed"),
+        (spoiled(plan=None, plan_digest=None), "malformed"),
+        (spoiled(table_digest=None), "malformed"),
+        (spoiled(places=0, plan=None, plan_digest=PLAN.digest), "wrong_length"),
+        (spoiled(places=10**6), "malformed"),
+        (spoiled(plan=[[[1.0, 2.0]]]), "wrong_length"),
+        (spoiled(plan=[[[1.0, 2.0, 3.0]] * 2]), "wrong_length"),
+        (spoiled(plan=[[[1.0, 2.0], [1.0, 2.0, 3.0]]]), "malformed"),
+        (spoiled(plan=[[]]), "malformed"),
+        (spoiled(slot=2), "wrong_length"),
+        (spoiled(beats=[1]), "wrong_length"),
+        (spoiled(positions={0: [0, [1.0], []]}), "wrong_length"),
+        (spoiled(positions={0: [0, [1.0, 2.0], [1.0]]}), "wrong_length"),
+        (spoiled(positions={2: [0, [1.0, 2.0], []]}), "unknown_id"),
+        (spoiled(positions={0: [0, [1e300, 2.0], []]}), "malformed"),
+        (spoiled(positions={0: [LAST_ROUND + 1, [1.0, 2.0], []]}), "malformed"),
+        (spoiled(claims=[[2, 0, -1.0, 1]]), "wrong_length"),
+        (spoiled(offer=[0, 2, *OFFER[2:]]), "wrong_length"),
+        (spoiled(offer=[2, *OFFER[1:]]), "unknown_id"),
+        (spoiled(offer=[*OFFER[:5], math.inf]), "malformed"),
+        (spoiled(course=[0, 2, [[1.0, 2.0]]]), "unknown_id"),
+        (spoiled(course=[0, 1, [[1.0, 2.0, 3.0]]]), "wrong_length"),
+        (spoiled(course=[0, 1, [[1.0, 2.0], [1.0]]]), "wrong_length"),
+        (spoiled(course=[0, 1, []]), "malformed"),
+        (spoiled(course=[0, 1, [[1.0, 2.0]] * (MOST_STOPS + 1)]), "malformed"),
+        (spoiled(course=[16, 1, [[1.0, 2.0]]]), "malformed"),
+        (spoiled(course=[0, 1, [[1.0, math.nan]]]), "malformed"),
+        (spoiled(course=[0, 1, [[1.0, 1e300]]]), "malformed"),
+        (spoiled(plan=[[[math.nan, 2.0], [1.0, 2.0]]]), "malformed"),
+        (spoiled(plan=[[[math.inf, 2.0], [1.0, 2.0]]]), "malformed"),
+        (spoiled(plan=[[[1e300, 2.0], [1.0, 2.0]]]), "malformed"),
+        (spoiled(claims=[[0, 0, math.nan, 1]]), "malformed"),
+    ],
+)
+def test_unacceptable_messages_are_refused_by_name(payload: bytes, reason: str) -> None:
+    with pytest.raises(MessageError) as caught:
+        decode(payload, 2, 2)
+    assert caught.value.reason == reason
+
+
+@pytest.mark.parametrize("digest", ["0" * 16, None])
+def test_the_digest_of_a_spelled_out_plan_is_computed_by_the_receiver(digest: str | None) -> None:
+    assert decode(spoiled(plan_digest=digest), 2, 2).plan_digest == PLAN.digest
+
+
+def test_a_plan_says_for_which_mission_a_message_is() -> None:
+    heard = decode(spoiled(stamp=[7, "cd" * 8]), 2, 2)
+    assert heard.mission == ORIGIN.stamp and heard == FULL
+
+
+def test_a_full_table_of_a_large_team_fits() -> None:
+    n = 1000
+    plan = Plan.of([[12345.678901 + k, -98765.432109 - k] for k in range(n)])
+    table = tuple((2**39, -123456.123456789, k) for k in range(n))
+    message = Message(
+        sender=0,
+        sequence=0,
+        degree=n - 1,
+        mission_text=str(plan.points),
+        plan=plan,
+        provenance=ORIGIN,
+        slot=0,
+        **told(table),
+        beats=(2**32,) * n,
+        positions={k: (LAST_ROUND, point, point) for k, point in enumerate(plan.points)},
+    )
+    assert decode(encode(message), n, 2) == message
+
+
+@pytest.mark.parametrize("first", [-0.0, 0.0])
+def test_a_bid_of_zero_has_no_sign_whichever_was_read_first(first: float) -> None:
+    """Otherwise the digest of a table, and whether a signature fits, would depend on what a robot has heard before."""
+    version = int(math.copysign(77, first)) + 100  # not in the cache yet
+    for bid in (first, -first):
+        heard = decode(spoiled(claims=[[0, version, bid, 1]], offer=[*OFFER[:5], bid]), 2, 2)
+        assert heard.table is not None and heard.offer is not None
+        assert math.copysign(1.0, heard.table[0][1]) == math.copysign(1.0, heard.offer.bid) == 1.0
+    assert heard.table == ((version, 0.0, 1), UNSAID) and heard.offer.bid == 0.0
+
+
+def test_equal_plans_are_equal_after_rounding() -> None:
+    assert Plan.of([[0.1 + 0.2, -0.0]]) == Plan.of([[0.3, 0.0]])
+    assert Plan.of([[1.0, 2.0]]) != Plan.of([[2.0, 1.0]])
+    assert Plan.of([[1.0, 2.0]]) != "plan"
+    assert len({Plan.of([[1.0, 2.0]]), Plan.of([[1.0, 2.0]])}) == 1

@@ -1,0 +1,300 @@
+"""Reading answers: whatever models wrap them in, and what is refused with which words."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+
+import pytest
+from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_json, parse_step, parse_step_json
+
+from llm_flock.arrays import Point
+from llm_flock.errors import AnswerError
+from llm_flock.llm._answer_forms import answer_schema
+from llm_flock.llm._answers import MAX_CHARS
+from llm_flock.llm._port import AnswerForm
+from llm_flock.plan import Plan
+
+POINTS = [[55.77, 50.0], [47.11, 55.0], [47.11, 45.0]]
+PLAN = "[[55.77, 50], [47.11, 55], [47.11, 45]]"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Position: [18.05, 67.91]",
+        "position : [18.05 67.91]",
+        "**Position:** `[18.05, 67.91]`",
+        "**Position**: $[18.05, 67.91]$",
+        "**Position: [18.05, 67.91]**",
+        "_Position_: [18.05, 67.91]",
+        "### Position: [18.05, 67.91] ###",
+        "> Position: [18.05, 67.91]",
+        "1. Position: [18.05, 67.91]",
+        "- Position: [ 1.805e1 , +67.91, ]",
+        "Position: (18.05, 67.91)",
+        "Position: [[18.05, 67.91]]",
+        "Position: [x = 18.05, y = 67.91]",
+        "Position → [18.05; 67.91].",
+        "Position：［18.05，67.91］",
+        "So my next position is [18.05, 67.91].",
+        "Therefore, **Position: [18.05, 67.91]**",
+        r"\[ \boxed{\text{Position: } [18.05,\ 67.91]} \]",
+        r"$$\boxed{\text{Position: } \left[18.05,\; 67.91\right]}$$",
+        r"\boxed{\left[18.05, 67.91\right]}",
+        r"\textbf{Position:} \texttt{[18.05,\, 67.91]}",
+        "Position:\n\\[18.05, 67.91\\]",
+        r"Straight on.\nPosition: [18.05, 67.91]",
+        '{"position": [18.05, 67.91]}',
+        "```json\n[18.05, 67.91]\n```",
+        "[18.05, 67.91]",
+        "Position: [1, 2]\nNo, better:\nPosition: [18.05, 67.91]",
+        "Position: [18.05, 67.91]\nPosition: [18.0",
+        "Position: [18.05, 67.91]\nPosition: [x, y]",
+        "Your position: [1, 2]. Goal position: [3, 4].\nNew Position = [12 + 6, 70 - 2]\nPosition: [18.05, 67.91]",
+        "Position: [18.05, 67.91]\n(Current position: [1, 2])",
+    ],
+)
+def test_a_position_is_found_in_whatever_it_is_wrapped(text: str) -> None:
+    assert parse_step(text, 2) == (18.05, 67.91)
+
+
+def test_signs_and_dimensions() -> None:
+    assert parse_step("Position: [\u221218.05, \u201367.91, -.5]", 3) == (-18.05, -67.91, -0.5)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("", "no complete position"),
+        ("I wait.", "no complete position"),
+        ("Position: [x, y]", "no complete position"),
+        ("Position: [18.05, 67.91", "no complete position"),
+        ("Position: [12.63 + 5.42, 67.91]", "no complete position"),
+        (r"Position: [\sqrt{3}, 67.91]", "no complete position"),
+        ("Position: [5*3]", "no complete position"),
+        ("Position: [1.2.3, 4]", "no complete position"),
+        ("Your position: [1, 2]", "no complete position"),
+        ("The **goal** position: [1, 2]", "no complete position"),
+        ("I start from position [1, 2]", "no complete position"),
+        ("Position: [1, 2, 3]", "the position has 3 numbers, 2 are required"),
+        ("Position: [1]", "the position has 1 number, 2 are required"),
+        ("Position: [NaN, 2]", "the position holds nan"),
+        ("Position: [1, -inf]", "the position holds -inf"),
+        ("Position: [1, 1e400]", "the position holds inf"),
+        ("Position: [1, 1000001]", "the position holds 1e+06; coordinates are 1e+06 at most"),
+        ("Position: [1, 2]\nPosition: [1, 2, 3]", "the position has 3 numbers"),
+        (f"Position: [{'1' * 41}, 2]", "a number of 41 characters, 40 are the limit"),
+        ("x" * (MAX_CHARS + 1), f"{MAX_CHARS + 1} characters long"),
+    ],
+)
+def test_a_position_that_will_not_do(text: str, reason: str) -> None:
+    with pytest.raises(AnswerError) as caught:
+        parse_step(text, 2)
+    assert reason in str(caught.value)
+    with pytest.raises(AnswerError):
+        parse_step_json(text, 2)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        f"Plan: {PLAN}\nmy plan: 1",
+        f"\\texttt{{Plan: {PLAN}}} \\\\\n\\texttt{{my\\_plan: 1}}",
+        f"**Plan:**\n```json\n{PLAN}\n```\n**my_plan:** 1.",
+        f"My Plan: {PLAN}\nMy Plan: 1",
+        f'{{"plan": {PLAN}, "my_plan": 1}}',
+        "Plan: [(55.77, 50), (47.11, 55), (47.11, 45)]\nmy plan: [1]",
+        "Plan: [\n  [55.77, 50],\n  [47.11, 55],\n  [47.11, 45],\n]\n\n`my plan: 1` (the north)",
+        "Final Plan: [[55.77 50] [47.11 55] [47.11 45]]\nmy plan index is 1",
+        f"Plan: [[1, 2]]\nPlan: {PLAN}\nmy plan: 0\nOn reflection, my plan: 1",
+        f"\\[\\boxed{{\\text{{Plan: }} {PLAN}}}\\]\\nmy plan: 1",
+        f"Plan: {PLAN}\nPlan: [[1, 2], [3,\nmy plan: 1",
+        f"The places are {PLAN}.\nmy-plan = 1.0",
+    ],
+)
+def test_a_plan_is_found_in_whatever_it_is_wrapped(text: str) -> None:
+    assert parse_plan(text, 3, 2) == (Plan.of(POINTS), 1)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("my plan: 1", "no complete plan; a line `Plan: [[...], ...]` with 3 points of 2 numbers"),
+        ("Plan: [[x, y], [x, y], ...]\nmy plan: a", "no complete plan"),
+        ("Plan: [[1, 2], [3, 4], [5,", "no complete plan"),
+        ("Plan: []\nmy plan: 1", "no complete plan"),
+        ("Plan: [[1, 2]]\nmy plan: 0", "the plan holds 1 point, 3 are required"),
+        ("Plan: [[1, 2], [3, 4], [5, 6], [7, 8]]\nmy plan: 0", "the plan holds 4 points, 3 are required"),
+        ("Plan: [[1, 2], [3, 4], [5]]\nmy plan: 0", "point 2 of the plan has 1 number, 2 are required"),
+        ("Plan: [[1, 2], [3, NaN], [5, 6]]\nmy plan: 0", "point 1 of the plan holds nan"),
+        ("Plan: [[1, 2], [3, 4], [-2e6, 6]]\nmy plan: 0", "point 2 of the plan holds -2e+06"),
+        (f"Plan: {PLAN}", "it does not say which place is yours"),
+        (f"Plan: {PLAN}\nmy plan: a", "it does not say which place is yours"),
+        (f"Plan: {PLAN}\nmy plan: [47.11, 55]", "it does not say which place is yours"),
+        (f"Plan: {PLAN}\nmy plan: 3", "my plan is 3; a whole number from 0 to 2 is required"),
+        (f"Plan: {PLAN}\nmy plan: -1", "my plan is -1"),
+        (f"Plan: {PLAN}\nmy plan: 1.5", "my plan is 1.5"),
+        (f"Plan: {PLAN}\nmy plan: nan", "my plan is nan"),
+    ],
+)
+def test_a_plan_that_will_not_do(text: str, reason: str) -> None:
+    with pytest.raises(AnswerError) as caught:
+        parse_plan(text, 3, 2)
+    assert reason in str(caught.value)
+
+
+def test_json_answers_bare_fenced_and_among_words() -> None:
+    plan = json.dumps({"plan": POINTS, "my_plan": 2})
+    for text in (plan, f"```json\n{plan}\n```", f"Here it is:\n{plan}\nGood luck!"):
+        assert parse_plan_json(text, 3, 2) == (Plan.of(POINTS), 2)
+    assert parse_step_json('{"position": [1, 2.5]}', 2) == (1.0, 2.5)
+
+
+def test_models_that_know_no_json_may_answer_in_words() -> None:
+    assert parse_plan_json(f"Plan: {PLAN}\nmy plan: 1", 3, 2) == (Plan.of(POINTS), 1)
+    assert parse_step_json("Position: [1, 2]", 2) == (1.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ({"my_plan": 0}, 'has no "plan"; a list of 3 points is required'),
+        ({"plan": POINTS}, 'has no "my_plan"; a whole number from 0 to 2 is required'),
+        ({"plan": "here", "my_plan": 0}, '"plan" is not a list'),
+        ({"plan": POINTS[:2], "my_plan": 0}, "the plan holds 2 points, 3 are required"),
+        ({"plan": [*POINTS[:2], "c"], "my_plan": 0}, "point 2 of the plan is not a list of numbers"),
+        ({"plan": [*POINTS[:2], ["1", "2"]], "my_plan": 0}, "point 2 of the plan holds something that is not a number"),
+        ({"plan": [*POINTS[:2], [True, 2]], "my_plan": 0}, "point 2 of the plan holds something that is not a number"),
+        ({"plan": [*POINTS[:2], [float("inf"), 2]], "my_plan": 0}, "point 2 of the plan holds inf"),
+        ({"plan": [*POINTS[:2], [10**400, 2]], "my_plan": 0}, "point 2 of the plan holds inf"),
+        ({"plan": POINTS, "my_plan": 3}, "my plan is 3"),
+        ({"plan": POINTS, "my_plan": 0.5}, "my plan is 0.5"),
+        ({"plan": POINTS, "my_plan": "0"}, "my_plan holds something that is not a number"),
+    ],
+)
+def test_json_that_will_not_do(value: dict[str, object], reason: str) -> None:
+    with pytest.raises(AnswerError) as caught:
+        parse_plan_json(json.dumps(value), 3, 2)
+    assert reason in str(caught.value)
+
+
+def test_schemas_fix_every_length() -> None:
+    plan = answer_schema("plan", AnswerForm(n=3, dim=2))["properties"]
+    assert (plan["plan"]["minItems"], plan["plan"]["maxItems"]) == (3, 3)
+    assert plan["my_plan"] == {"type": "integer", "minimum": 0, "maximum": 2}
+    position = answer_schema("step", AnswerForm(n=3, dim=3))["properties"]["position"]
+    assert (position["minItems"], position["maxItems"]) == (3, 3)
+    path = answer_schema("step", AnswerForm(n=3, dim=2, horizon=4))
+    assert path["properties"]["path"]["maxItems"] == 4
+    for schema in (path, answer_schema("plan", AnswerForm(n=3, dim=2)), answer_schema("step", AnswerForm(n=3, dim=2))):
+        assert schema["required"] == list(schema["properties"]) and schema["additionalProperties"] is False
+
+
+HOSTILE = [
+    "[",
+    "[[",
+    "[1,",
+    "[1 ",
+    "[[1,1],",
+    "[1,1]",
+    "[x=",
+    "[1e",
+    "[1" + " " * 1000,
+    "plan",
+    "plan: [[",
+    "Plan: [[1,1],",
+    "my plan: ",
+    "my plan index ",
+    "my_",
+    "position ",
+    "position: [",
+    "position" + " " * 50 + "\n",
+    "position is ",
+    "new ",
+    "final" + " " * 100,
+    "*",
+    "\\",
+    "\\[",
+    "\\n",
+    "\\text",
+    "\\boxed{",
+    "\u2212",
+    "{",
+    '{"a":',
+    '{"position":[',
+    "1",
+    "\U0001f600",
+]
+
+
+def all_readings_s(text: str) -> float:
+    """Time for all six ways of reading a text that holds no answer [s]."""
+    began = time.process_time()
+    for read in (parse_plan, parse_plan_json):
+        with pytest.raises(AnswerError) as caught:
+            read(text, 3, 2)
+        assert len(str(caught.value)) < 300
+    for read in (parse_step, parse_step_json):
+        with pytest.raises(AnswerError):
+            read(text, 2)
+    for read in (parse_path, parse_path_json):
+        with pytest.raises(AnswerError):
+            read(text, 20, 2)
+    return time.process_time() - began
+
+
+@pytest.mark.parametrize("unit", HOSTILE, ids=lambda unit: ascii(unit[:12]))
+def test_hostile_answers_are_refused_in_linear_time(unit: str) -> None:
+    count = MAX_CHARS // 10 // len(unit)
+    # A tenth of a megabyte takes some 0.05 s; anything quadratic would take minutes.
+    assert all_readings_s(unit * count) < 2.0
+    assert all_readings_s("Position: [1, Plan: [[1, my plan: " + unit * count) < 2.0
+
+
+@pytest.mark.parametrize("unit", ["[[", "position: [", "\U0001f600", "Plan: [[1,1],"], ids=ascii)
+def test_a_hostile_megabyte_is_refused_within_a_second_a_reading(unit: str) -> None:
+    assert all_readings_s(unit * (MAX_CHARS // len(unit))) < 6.0
+
+
+def test_the_last_of_many_thousand_candidates_wins() -> None:
+    text = "Position: [1,1] " * (MAX_CHARS // 20) + "Position: [2,2]"
+    assert parse_step(text, 2) == (2.0, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "path"),
+    [
+        ("Path: [[1, 2], [3, 4]]", ((1, 2), (3, 4))),
+        ("I go round it.\n**Path:** [(1, 2), (3.5, 4)].", ((1, 2), (3.5, 4))),
+        ("Path: [[9, 9], [8, 8]]\nNo, better: Path: [[1, 2]]", ((1, 2),)),
+        ("The plan is [[7, 7], [8, 8]].\nPosition: [1, 2]", ((1, 2),)),
+        ("[[1, 2], [3, 4]]", ((1, 2), (3, 4))),
+        ("[1, 2]", ((1, 2),)),
+        ('```json\n{"path": [[1, 2], [3, 4]]}\n```', ((1, 2), (3, 4))),
+        ('{"position": [1, 2]}', ((1, 2),)),
+    ],
+)
+def test_a_path_is_read_from_words_and_from_json(text: str, path: tuple[Point, ...]) -> None:
+    assert parse_path_json(text, 4, 2) == path
+    if "position" not in text:
+        assert parse_path(text, 4, 2) == path
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("I stay.", "no complete path; a line `Path: [[...], ...]` with 1 to 2 positions of 2 numbers"),
+        ("Path: [[1, 2], [3, 4], [5, 6]]", "the path holds 3 positions, 1 to 2 are required"),
+        ("Path: [[1, 2], [3, 4, 5]]", "position 2 of the path has 3 numbers"),
+        ("Path: [[1, nan]]", "position 1 of the path holds nan"),
+        ('{"path": []}', "the path holds 0 positions"),
+        ('{"path": 3}', '"path" is not a list; a list of 1 to 2 positions'),
+        ('{"path": [3]}', "the path is not a list of numbers"),
+        ('{"way": [[1, 2]]}', 'no "path"; a list of 1 to 2 positions'),
+    ],
+)
+def test_a_path_that_cannot_be_used_says_why(text: str, reason: str) -> None:
+    with pytest.raises(AnswerError, match=re.escape(reason)):
+        parse_path_json(text, 2, 2)

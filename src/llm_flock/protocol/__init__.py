@@ -1,1 +1,0 @@
-"""One robot's decision process, sans-IO: without asyncio, time, random, sockets or files."""

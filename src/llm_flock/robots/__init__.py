@@ -1,1 +1,0 @@
-"""The body of a robot: simulated here, drivers for real ones beside it."""

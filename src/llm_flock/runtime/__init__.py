@@ -1,1 +1,0 @@
-"""Drives minds, bodies, models and messages through a mission."""
