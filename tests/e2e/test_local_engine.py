@@ -129,8 +129,8 @@ def test_a_stopped_engine_leaves_nothing_behind():
 
 
 STOP_AT_ONCE = """
-from llm_flock.llm.local.engine import Engine
-from llm_flock.llm.local.weights import find_weights
+from llm_flock_onboard._local.engine import Engine
+from llm_flock_onboard._local.weights import find_weights
 for _ in range(3):
     Engine(find_weights("smollm2+none"), 256).close()
 """

@@ -89,8 +89,8 @@ def foreign_sockets():
                 found.append(line)
     return found
 
-from llm_flock.llm.local.engine import ENGINES
-from llm_flock.runtime.api import run
+from llm_flock_onboard._local.engine import ENGINES
+from llm_flock.runtime._api import run
 seen = []
 def look(now):
     seen.append(ENGINES.running)

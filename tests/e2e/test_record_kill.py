@@ -23,8 +23,8 @@ WRITER = """
 import os, signal, sys
 from pathlib import Path
 from sample_records import FakeRun
-from llm_flock.record.schema import RoundEnd
-from llm_flock.record.writer import RecordWriter
+from llm_flock.record._schema import RoundEnd
+from llm_flock.record._writer import RecordWriter
 
 def say(number):
     os.write(1, b"%d\\n" % number)  # at once: a killed process says a whole line or none

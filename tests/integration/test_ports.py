@@ -74,6 +74,7 @@ def test_a_token_is_escaped_in_the_address() -> None:
 
 
 def test_the_viewer_shows_no_address_where_the_port_of_foxglove_is_taken(tmp_path: Path) -> None:
+    pytest.importorskip("foxglove")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         view = ("view", "--no-browser", "--port", "0", "--foxglove", "--foxglove-port", port)

@@ -217,7 +217,7 @@ def test_a_name_that_does_not_exist_is_noticed() -> None:
 def test_every_package_and_module_says_what_it_is_for() -> None:
     files = [path for top in from_code.TOPS for path in top.rglob("*.py")]
     assert [path.name for path in files if not from_code.first_line(path)] == []
-    assert {"llm_flock_swarm._trust", "obstacles", "protocol._agreement"} <= {name for name, _ in from_code.packages()}
+    assert {"llm_flock_swarm._trust", "record", "protocol._agreement"} <= {name for name, _ in from_code.packages()}
 
 
 def test_the_layers_are_those_of_the_import_contract() -> None:

@@ -103,7 +103,7 @@ ROOT = Path(__file__).parents[4]
 PARENT = """
 import asyncio
 from flights import flight_config
-from llm_flock.runtime.flight.heartbeat import HeartbeatSender
+from llm_flock_flight._flight.heartbeat import HeartbeatSender
 
 async def main():
     config = flight_config(deadman=True, robot="flights:one_by_one", deadman_s=1.0, reach_s=3.0)

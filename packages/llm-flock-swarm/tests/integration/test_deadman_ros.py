@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[4]
 PARENT = """
 import asyncio, sys
 from flights import flight_config
-from llm_flock.runtime.flight.heartbeat import HeartbeatSender
+from llm_flock_flight._flight.heartbeat import HeartbeatSender
 
 async def main():
     config = flight_config(

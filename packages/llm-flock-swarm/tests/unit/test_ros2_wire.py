@@ -7,6 +7,9 @@ import importlib
 from typing import Any
 
 import pytest
+
+pytest.importorskip("zenoh_ros2_sdk")
+
 from hypothesis import given
 from hypothesis import strategies as st
 from ros2_messages import SAMPLES, definitions, read_elsewhere, same, written_elsewhere

@@ -11,7 +11,7 @@ import pytest
 
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._geometry import GeometryPlanner, turned
+from llm_flock.protocol._geometry import GeometryPlanner, KnownPlans, turned
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 CIRCLE = build_mission(shape="circle", n_robots=10)
@@ -96,3 +96,14 @@ def test_the_question_says_how_many_places_and_where_and_spares_count_on() -> No
     assert len(spares.plan) == 8 and spares.slot == 1
     np.testing.assert_allclose(spares.plan.array.mean(axis=0), (40, 45), atol=1e-6)
     assert len(plan_of(planner, CIRCLE.change(places=12)).plan) == 12
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_planner_of_known_plans_is_asked_for_those_alone(known: bool) -> None:
+    planner = KnownPlans(GeometryPlanner(np.random.default_rng(1)), lambda question: known)
+    question = PlanQuestion(mission=CIRCLE, robot=3, round=1, position=(0.0, 0.0), neighbors=())
+    answer = asyncio.run(planner.plan(question))
+    assert isinstance(answer, PlanAnswer)
+    assert (answer.by == "geometry") is not known
+    step = StepQuestion(mission=CIRCLE, robot=3, round=1, position=(0.0, 0.0), neighbors=(), plan=answer.plan, slot=0)
+    assert asyncio.run(planner.step(step)) == asyncio.run(GeometryPlanner().step(step))

@@ -15,7 +15,6 @@ import llm_flock
 from llm_flock.errors import InputError
 from llm_flock.llm._own import ModelChoice
 from llm_flock.llm._sharing import CallLane
-from llm_flock.runtime import _api as api
 from llm_flock.runtime._api import Parameters, wait_for
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._result import RunResult
@@ -42,7 +41,7 @@ MAPPING = typing.get_origin(typing.Mapping[str, int])
 
 
 def test_the_signature_has_every_field_of_the_configuration() -> None:
-    hints = typing.get_type_hints(Parameters, {**vars(api), "CallLane": CallLane, "ModelChoice": ModelChoice})
+    hints = typing.get_type_hints(Parameters, None, {"CallLane": CallLane, "ModelChoice": ModelChoice})
     fields: dict[str, Any] = {}
     for section in RunConfig.model_fields.values():
         kind: Any = section.annotation

@@ -1,6 +1,6 @@
 """A stand-in for a motion capture: streams where stand-in drones are as UDP datagrams, with faults on request.
 
-from llm_flock.testing.poses import PoseStream
+from llm_flock_flight._testing.poses import PoseStream
 
 with PoseStream(("127.0.0.1", 19700), {"cf1": lambda: drones[0].position}) as stream:
     stream.swapped = ("cf1", "cf2")  # from now on each has the other's markers

@@ -5,9 +5,12 @@ from ._agreement.assignment import Claim as Claim
 from ._agreement.assignment import NearestAssignment as NearestAssignment
 from ._agreement.assignment import Occupancy as Occupancy
 from ._agreement.auction import LAST_EXCHANGED as LAST_EXCHANGED
+from ._agreement.auction import AuctionAssignment as AuctionAssignment
 from ._agreement.auction import changed as changed
 from ._agreement.auction import rank as rank
+from ._agreement.consensus import ConsensusRule as ConsensusRule
 from ._agreement.consensus import InfluenceConsensus as InfluenceConsensus
+from ._agreement.consensus import ProvenanceConsensus as ProvenanceConsensus
 from ._agreement.consensus import Standing as Standing
 from ._geometry import GeometryPlanner as GeometryPlanner
 from ._geometry import geometric_plan as geometric_plan

@@ -4,8 +4,6 @@ from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import deaths_text as deaths_text
 from ._diagnosis import diagnose as diagnose
 from ._history import RunHistory as RunHistory
-from ._names import MAGIC as MAGIC
-from ._names import RECORD_NAME as RECORD_NAME
 from ._palette import NO_PLAN as NO_PLAN
 from ._palette import PALETTE as PALETTE
 from ._reader import RunRecord as RunRecord
@@ -24,6 +22,8 @@ from ._schema import ASLEEP as ASLEEP
 from ._schema import CHANNELS as CHANNELS
 from ._schema import DEAD as DEAD
 from ._schema import LARGEST_WHOLE as LARGEST_WHOLE
+from ._schema import MAGIC as MAGIC
+from ._schema import RECORD_NAME as RECORD_NAME
 from ._schema import ROUND_NS as ROUND_NS
 from ._schema import SCENE_TOPIC as SCENE_TOPIC
 from ._schema import SILENT as SILENT

@@ -10,6 +10,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from llm_flock.bounds import MAX_CORNERS, MAX_OBSTACLES, MAX_ROBOTS
 
+RECORD_NAME = "run.mcap"
+"""Name of a record in its folder."""
+
+MAGIC = b"\x89MCAP0\r\n"
+"""How an MCAP file begins."""
+
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
 """A figure: far more than any run reaches, and no trouble for the arithmetic of drawings."""
 

@@ -6,7 +6,7 @@ autopilots' documentation, by the same hands as the driver: a flight with them s
 and nothing about a real vehicle. Lost packets and answers, refusals, a pilot's switch, and a wrong estimate can be
 caused at any time.
 
-from llm_flock.testing.mavlink import AutopilotStandIns
+from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
 with AutopilotStandIns([(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)], flavour="px4") as vehicles:
     print(vehicles.uris)  # udp://127.0.0.1:PORT, one each
