@@ -20,6 +20,7 @@ RING_0 = ("__init__", "agent", "algorithm1", "events", "message", "mission", "pl
 RING_1 = (
     "arrays",
     "bounds",
+    "correspondence",
     "errors",
     "graph",
     "members",
@@ -27,6 +28,7 @@ RING_1 = (
     "obstacles",
     "printable",
     "protocol",
+    "roadmap",
     "validation",
 )
 RINGS = {"ring 0": (RING_0, 2_400), "rings 0 and 1": (RING_0 + RING_1, 7_000)}
