@@ -16,6 +16,7 @@ from llm_flock.llm._port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm._prompt_values import FARTHEST, nearer_goal
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._replay import CassetteWriter
+from llm_flock.llm._sources import Habits, habits_of
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._geometry import KnownPlans
@@ -119,3 +120,8 @@ def test_a_prompt_in_the_own_frame_has_few_digits_for_a_goal_far_away() -> None:
     near = replace(question, target=(26.0, 29.0))
     assert "Goal: [1.0, 1.5]" in brief.step(frame_step(near, "own").framed)
     assert "[320.0, 220.0]" in PromptSet.load("full").step(question)
+
+
+def test_models_that_are_trained_for_it() -> None:
+    assert habits_of("local:smollm2").frame == habits_of("local:smollm2+none").frame == "own"
+    assert habits_of("local:/models/smollm2.gguf") == habits_of("simulated:ideal") == Habits()

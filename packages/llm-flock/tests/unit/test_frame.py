@@ -14,7 +14,6 @@ from llm_flock.llm._frame import frame_plan, frame_step
 from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import Attempt, Call, Reply
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._sources import Habits, habits_of
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -178,11 +177,6 @@ def test_a_plan_comes_back_to_its_place() -> None:
 def test_history_and_an_own_frame_do_not_go_together() -> None:
     with pytest.raises(InputError, match="frame"):
         planner(history=1)
-
-
-def test_models_that_are_trained_for_it() -> None:
-    assert habits_of("local:smollm2").frame == habits_of("local:smollm2+none").frame == "own"
-    assert habits_of("local:/models/smollm2.gguf") == habits_of("simulated:ideal") == Habits()
 
 
 @pytest.mark.parametrize("fields", [
