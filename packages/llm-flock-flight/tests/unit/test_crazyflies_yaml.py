@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+
+pytest.importorskip("cflib")
 import yaml
 from flights import flight_config
 

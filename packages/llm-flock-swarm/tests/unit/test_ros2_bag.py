@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+pytest.importorskip("mcap_ros2")
 from command_line import flock
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
