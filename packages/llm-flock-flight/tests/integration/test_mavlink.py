@@ -16,7 +16,7 @@ from mavlink_flights import FLAVOURS, GUIDED, HOME, PILOT, in_air, on_ground, ro
 from llm_flock.errors import InputError
 from llm_flock.robots._base import MotionLimits, RobotError, TakenOver
 from llm_flock.testing import check_emergency_stop, check_robot
-from llm_flock_flight._mavlink import MavlinkRobot
+from llm_flock_flight._mavlink import MavlinkRobot, orders
 from llm_flock_flight._mavlink.codec import Codec, introduces
 from llm_flock_flight._mavlink.modes import px4
 from llm_flock_flight._mavlink.port import STRANGERS
@@ -25,7 +25,14 @@ from llm_flock_flight._testing.mavlink import AutopilotStandIns
 pytestmark = pytest.mark.clock(2)
 
 
-def test_the_driver_keeps_the_contract():
+@pytest.fixture
+def patient(monkeypatch):
+    """Let orders be tried for longer: a tenth of all packets is lost here, and the machine may be busy."""
+    monkeypatch.setattr(orders, "ORDER_S", 2.5)
+    monkeypatch.setattr(orders, "STOP_S", 2.5)
+
+
+def test_the_driver_keeps_the_contract(patient):
     """Both flavours at once, without loss and with a tenth of all packets lost in each direction."""
 
     async def check(flavour, loss):
@@ -39,7 +46,7 @@ def test_the_driver_keeps_the_contract():
     asyncio.run(check_all())
 
 
-def test_an_emergency_stop_is_confirmed():
+def test_an_emergency_stop_is_confirmed(patient):
     async def check(flavour):
         with AutopilotStandIns([HOME], flavour=flavour, loss=0.1, seed=2) as vehicles:
             await check_emergency_stop(robot_of(vehicles))
