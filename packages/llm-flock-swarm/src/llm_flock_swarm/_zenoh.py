@@ -27,14 +27,12 @@ if TYPE_CHECKING:
     import zenoh
 
 ROOT = "llm-flock"
-MAX_SEALED_BYTES = 1 << 20
-"""Largest sealed message that is opened [bytes]; protocol messages have a far lower limit."""
+MAX_SEALED_BYTES = 1 << 20  # largest sealed message that is opened [bytes]; protocol messages have a far lower limit
 
 THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), app: (handover: tx))"
 """zenoh's threads: one to receive and one for all else. With more, each message wakes two or three of them."""
 
-KEEP_ALIVES = 4
-"""Signs of life per lease."""
+KEEP_ALIVES = 4  # signs of life per lease
 
 
 def settings(
@@ -127,11 +125,8 @@ class LinkTraffic:
     refused: Counter[str] = field(default_factory=Counter[str])
 
 
-MOST_TOPICS = 1 << 14
-"""Most topics whose messages are counted; a team of 1,000 has some 4,000."""
-
-BURST_S = 2.0
-"""A topic may bring as much at once as it may in this time [s]."""
+MOST_TOPICS = 1 << 14  # most topics whose messages are counted; a team of 1,000 has some 4,000
+BURST_S = 2.0  # a topic may bring as much at once as it may in this time [s]
 
 
 class Allowance:

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from llm_flock_swarm._network.accusations import Judge
 
 
-MOST_SHOWN = 64
-"""Accusations of a record that are checked and shown."""
+MOST_SHOWN = 64  # accusations of a record that are checked and shown
 
 
 def show_accusations(

@@ -42,14 +42,9 @@ if TYPE_CHECKING:
     from llm_flock_swarm._network.config import SwarmConfig
     from llm_flock_swarm._network.swarm import SwarmResult
 
-BAG = "bag"
-"""Folder of a bag."""
-
-ROUTER = "tcp/127.0.0.1:7447"
-"""Where a swarm's peers find each other unless the configuration says otherwise."""
-
-PATIENCE_S = 2.0
-"""Longest wait for a router [s]."""
+BAG = "bag"  # folder of a bag
+ROUTER = "tcp/127.0.0.1:7447"  # where a swarm's peers find each other unless the configuration says otherwise
+PATIENCE_S = 2.0  # longest wait for a router [s]
 
 NOBODY = "no swarm answers there; `robot` and `swarm` take the same --connect and --swarm"
 

@@ -22,14 +22,9 @@ from llm_flock_swarm._signed.certificates import Verifier
 from llm_flock_swarm._signed.guilt import guilt
 from llm_flock_swarm._zenoh import sealed_topic
 
-MOST_PROOF_BYTES = 1 << 18
-"""Largest message that is shown: reports have a limit too."""
-
-MOST_JUDGED = 64
-"""Messages of one sender that a robot judges for a mission: each takes several signatures."""
-
-REMEMBERED = 4
-"""Newest messages of each sender between two exchanges that may be judged."""
+MOST_PROOF_BYTES = 1 << 18  # largest message that is shown: reports have a limit too
+MOST_JUDGED = 64  # messages of one sender that a robot judges for a mission: each takes several signatures
+REMEMBERED = 4  # newest messages of each sender between two exchanges that may be judged
 
 
 def contexts(config: SwarmConfig) -> dict[str, str]:

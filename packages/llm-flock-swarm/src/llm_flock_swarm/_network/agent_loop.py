@@ -35,23 +35,12 @@ from llm_flock_swarm._zenoh import LinkTraffic
 SETTLED_EXCHANGES = 2
 """Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""
 
-LATEST = 2.0
-"""A move ends at the latest after this multiple of its unhindered duration."""
-
-MOST_NOTES = 256
-"""Events in one report; more of them, in a flood of bad messages say, are only counted."""
-
-MOST_REASON = 2000
-"""Longest reason in a report [characters]."""
-
-MOST_FAULTS = 20
-"""Exchanges in a row that meet an error in this program before the robot gives up."""
-
-RETELL = 25
-"""One report in this many names the plan's places and the mission again, for observers that came later."""
-
-STUCK_S = 0.3
-"""A body that has not moved for this long cannot get any nearer [s]."""
+LATEST = 2.0  # a move ends at the latest after this multiple of its unhindered duration
+MOST_NOTES = 256  # events in one report; more of them, in a flood of bad messages say, are only counted
+MOST_REASON = 2000  # longest reason in a report [characters]
+MOST_FAULTS = 20  # exchanges in a row that meet an error in this program before the robot gives up
+RETELL = 25  # one report in this many names the plan's places and the mission again, for observers that came later
+STUCK_S = 0.3  # a body that has not moved for this long cannot get any nearer [s]
 
 
 class AgentLoop:

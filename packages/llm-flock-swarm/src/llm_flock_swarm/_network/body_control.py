@@ -11,11 +11,8 @@ from llm_flock.protocol import Sighting, clip, project_async, static_half_spaces
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.wire import Body, Command
 
-STILL = 1e-6
-"""Shorter moves count as none [units]."""
-
-ANSWER_S = 0.25
-"""A command without an answer for this long was lost [s]."""
+STILL = 1e-6  # shorter moves count as none [units]
+ANSWER_S = 0.25  # a command without an answer for this long was lost [s]
 
 
 class BodyControl:

@@ -35,21 +35,11 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-FAULT = "fault"
-"""Reason under which input is counted that met an error in this program."""
-
-REPORT_S = 0.2
-"""Time between two reports to observers [s]."""
-
-ORDER_S = 1.0
-"""Shortest time between two orders of an operator, in the long run [s]."""
-
-LOGGED = 3
-"""Faults that are logged; a flood of them must not fill the disk."""
-
-
-SPARE = 4.0
-"""A sender may send this many times as often as the configuration says: late messages come together."""
+FAULT = "fault"  # reason under which input is counted that met an error in this program
+REPORT_S = 0.2  # time between two reports to observers [s]
+ORDER_S = 1.0  # shortest time between two orders of an operator, in the long run [s]
+LOGGED = 3  # faults that are logged; a flood of them must not fill the disk
+SPARE = 4.0  # a sender may send this many times as often as the configuration says: late messages come together
 
 
 def rates(config: SwarmConfig) -> dict[str, float]:

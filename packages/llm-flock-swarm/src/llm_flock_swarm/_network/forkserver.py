@@ -26,8 +26,7 @@ from llm_flock_swarm._network.robot import run_robot
 from llm_flock_swarm._network.watch import run_watch
 from llm_flock_swarm._network.world import run_world
 
-REAP_S = 0.05
-"""Time between two checks for children that have ended [s]."""
+REAP_S = 0.05  # time between two checks for children that have ended [s]
 
 EXAMPLE = {"mission": {"shape": "circle", "n_robots": 1}}
 """Building its planner loads the prompts that every robot would otherwise read by itself."""

@@ -24,14 +24,9 @@ from llm_flock_swarm._zenoh import ZenohLink
 
 logger = logging.getLogger(__name__)
 
-MOST_LATENCIES = 1024
-"""Latencies in one report: a flood of beacons is not told beacon by beacon."""
-
-LONGEST_LATENCY_S = 60.0
-"""Later beacons count as this late [s]."""
-
-BEACON_DUE = 0.9
-"""Share of a beacon period after which a message's beacon no longer replaces the next one."""
+MOST_LATENCIES = 1024  # latencies in one report: a flood of beacons is not told beacon by beacon
+LONGEST_LATENCY_S = 60.0  # later beacons count as this late [s]
+BEACON_DUE = 0.9  # share of a beacon period after which a message's beacon no longer replaces the next one
 
 
 class RobotProcess:

@@ -30,11 +30,8 @@ from llm_flock_swarm._network.connection import load_keys
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.watch import CHECK_S, observing
 
-START_S = 60.0
-"""Longest start of a process [s]."""
-
-END_S = 3.0
-"""Longest wait for processes to end after SIGTERM [s]."""
+START_S = 60.0  # longest start of a process [s]
+END_S = 3.0  # longest wait for processes to end after SIGTERM [s]
 
 
 class SwarmError(FlockError):

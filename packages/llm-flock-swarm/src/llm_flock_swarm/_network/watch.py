@@ -19,21 +19,11 @@ from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
 from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
 
-CHECK_S = 0.1
-"""Time between two checks whether the team has formed [s]."""
-
-MEET_S = 5.0
-"""Longest search of an operator for a robot that takes a mission [s]."""
-
-HEAR_S = 0.5
-"""Time for which an operator listens to the robots' reports before it gives an order [s]: a few of each."""
-
-SEND_S = 0.3
-"""Time for a message to leave before its session is closed [s]."""
-
-
-FREE_PORT = "tcp/127.0.0.1:0"
-"""Where processes listen that are no part of the swarm."""
+CHECK_S = 0.1  # time between two checks whether the team has formed [s]
+MEET_S = 5.0  # longest search of an operator for a robot that takes a mission [s]
+HEAR_S = 0.5  # time for which an operator listens to the robots' reports before it gives an order [s]: a few of each
+SEND_S = 0.3  # time for a message to leave before its session is closed [s]
+FREE_PORT = "tcp/127.0.0.1:0"  # where processes listen that are no part of the swarm
 
 
 def observer_of(

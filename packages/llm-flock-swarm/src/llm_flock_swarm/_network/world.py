@@ -27,11 +27,8 @@ from llm_flock_swarm._network.process import until_stopped
 from llm_flock_swarm._network.wire import Body, Command, WorldState, pack
 from llm_flock_swarm._zenoh import ZenohLink
 
-SUBSTEP_S = 0.01
-"""Longest piece of a path along which the separation is measured: paths have corners [s]."""
-
-SAME_POSITION = 1e-9
-"""Two positions this near are the same [units]."""
+SUBSTEP_S = 0.01  # longest piece of a path along which the separation is measured: paths have corners [s]
+SAME_POSITION = 1e-9  # two positions this near are the same [units]
 
 
 class WorldBodies:

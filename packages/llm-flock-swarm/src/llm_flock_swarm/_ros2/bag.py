@@ -27,14 +27,9 @@ from llm_flock_swarm._ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, TE
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
 
-VERSION = 9
-"""Of rosbag2's format: that of jazzy and later."""
-
-LATEST_S = 2.0**31
-"""Times in a bag end before this: seconds of ROS are 32 bits [s since 1970]."""
-
-Put = Callable[[str, str, int, object], None]
-"""Takes the topic, type, time and content of a message."""
+VERSION = 9  # of rosbag2's format: that of jazzy and later
+LATEST_S = 2.0**31  # times in a bag end before this: seconds of ROS are 32 bits [s since 1970]
+Put = Callable[[str, str, int, object], None]  # takes the topic, type, time and content of a message
 
 
 def write_bag(record: Path, out: Path, config: Ros2Config | None = None) -> Path:

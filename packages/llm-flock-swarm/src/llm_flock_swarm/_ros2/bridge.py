@@ -35,14 +35,9 @@ from llm_flock_swarm._ros2.sensors import SensedBodies
 from llm_flock_swarm._ros2.types import CLOCK, LATEST_NS, NS, POINTS, POSE, TEXT
 from llm_flock_swarm._ros2.wire import Attachment
 
-Show = Callable[[SwarmConfig, Observer], None]
-"""Begins to show a swarm that an observer follows."""
-
-ROUTER = "tcp/127.0.0.1:7447"
-"""Where rmw_zenohd listens unless told otherwise."""
-
-EARLY = 0.1
-"""Share of a period by which a reading of the sensors may come early and still counts for it."""
+Show = Callable[[SwarmConfig, Observer], None]  # begins to show a swarm that an observer follows
+ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens unless told otherwise
+EARLY = 0.1  # share of a period by which a reading of the sensors may come early and still counts for it
 
 
 def with_router(config: SwarmConfig) -> SwarmConfig:

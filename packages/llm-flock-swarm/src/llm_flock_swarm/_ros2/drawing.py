@@ -31,25 +31,17 @@ from llm_flock_swarm._ros2.types import (
     to_cdr,
 )
 
-Position = tuple[float, float, float]
-"""A point in the frame [m]."""
-
-ToWorld = Callable[[Point], Position]
-"""Turns a point of the mission [units] into one of the frame [m]."""
-
-OK, WARN, ERROR = 0, 1, 2
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
-
-LONGEST = 500
-"""Longest text of a diagnostic value [characters]: part of it may come from outside."""
+Position = tuple[float, float, float]  # a point in the frame [m]
+ToWorld = Callable[[Point], Position]  # turns a point of the mission [units] into one of the frame [m]
+OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
+LONGEST = 500  # longest text of a diagnostic value [characters]: part of it may come from outside
 
 _STAMP, _POINT = struct.Struct("<iI"), struct.Struct("<3d")
 _POSE_BYTES = 56
 
 _SPHERE_LIST, _LINE_LIST, _TEXT = 7, 5, 9
 _ADD, _DELETE = 0, 2
-_LINK_M = 0.1
-"""Width of a link, as a share of the safe distance."""
+_LINK_M = 0.1  # width of a link, as a share of the safe distance
 
 
 def scaled(unit_m: float) -> ToWorld:

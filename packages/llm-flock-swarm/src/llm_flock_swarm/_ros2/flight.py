@@ -27,11 +27,8 @@ from llm_flock_swarm._ros2.wire import Attachment
 
 __all__ = ["poses_of", "prepare", "showing_flight"]  # the plug-in, see llm_flock_flight._flight.shown
 
-TEAM = "flock"
-"""Namespace of a flight's topics, unless configured."""
-
-RECENT_S = 1.0
-"""A second publisher that was heard in this time is named [s]."""
+TEAM = "flock"  # namespace of a flight's topics, unless configured
+RECENT_S = 1.0  # a second publisher that was heard in this time is named [s]
 
 
 class FlightShow:

@@ -22,11 +22,8 @@ from llm_flock_swarm._zenoh import MOST_TOPICS, Allowance, open_session
 if TYPE_CHECKING:
     import zenoh
 
-WAIT_MS = 3000
-"""Longest wait for the router at the start [ms]."""
-
-Handler = Callable[[str, Any, Attachment], None]
-"""Takes the topic, the message and its attachment."""
+WAIT_MS = 3000  # longest wait for the router at the start [ms]
+Handler = Callable[[str, Any, Attachment], None]  # takes the topic, the message and its attachment
 
 
 class Publisher:

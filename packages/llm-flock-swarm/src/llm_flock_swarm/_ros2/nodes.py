@@ -17,20 +17,11 @@ from llm_flock_swarm._ros2.drawing import LONGEST, OK, WARN, MarkerDrawer, PoseE
 from llm_flock_swarm._ros2.graph import Graph
 from llm_flock_swarm._ros2.types import CLOCK, DIAGNOSTICS, MARKERS, PATH, POSE, TEXT, TRANSFORMS, message_class
 
-TEAM_NODE = "team"
-"""Name of the team's node."""
-
-TOGETHER = 8
-"""Poses that leave together: one by one they cost more, all together the first ones wait for the last."""
-
-MARKERS_S = 0.5
-"""Time between two drawings, and two states of the protocol [s]."""
-
-DIAGNOSTICS_S = 1.0
-"""Time between two diagnostics [s]."""
-
-Finding = tuple[str, int, str, Mapping[str, object]]
-"""One line of diagnostics: name, level, message and values."""
+TEAM_NODE = "team"  # name of the team's node
+TOGETHER = 8  # poses that leave together: one by one they cost more, all together the first ones wait for the last
+MARKERS_S = 0.5  # time between two drawings, and two states of the protocol [s]
+DIAGNOSTICS_S = 1.0  # time between two diagnostics [s]
+Finding = tuple[str, int, str, Mapping[str, object]]  # one line of diagnostics: name, level, message and values
 
 
 class Refused:

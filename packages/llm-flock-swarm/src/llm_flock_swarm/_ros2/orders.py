@@ -28,14 +28,9 @@ from llm_flock_swarm._ros2.drawing import Position
 ORDERED = MISSION_FIELDS - {"velocity", "since"}
 """Fields that an order may change. Formations of a swarm of processes stand still."""
 
-MOST_TEXT = 1 << 16
-"""Longest text of a mission [characters]."""
-
-TAKERS = 3
-"""Robots that are given an order: one is enough, if it lives."""
-
-RATE, POSE_RATE = 1.0, 500.0
-"""Orders a second, in the long run, on each topic; and poses of one robot."""
+MOST_TEXT = 1 << 16  # longest text of a mission [characters]
+TAKERS = 3  # robots that are given an order: one is enough, if it lives
+RATE, POSE_RATE = 1.0, 500.0  # orders a second, in the long run, on each topic; and poses of one robot
 
 
 def mission_fields(text: str) -> dict[str, Any]:

@@ -23,8 +23,7 @@ from llm_flock_swarm._ros2.wire import Attachment
 FRESH_S = 0.25
 """Oldest pose that goes into a reading of the sensors [s]; without a younger one of every robot there is no reading."""
 
-LATE_S = 1.0
-"""Poses that were sent longer ago, by both machines' clocks, are refused [s]."""
+LATE_S = 1.0  # poses that were sent longer ago, by both machines' clocks, are refused [s]
 
 LOST_S = 1.0
 """A source that is silent for this long may be followed by another one; a body that lags for this long stays [s]."""

@@ -26,12 +26,10 @@ TRANSFORMS = "tf2_msgs/msg/TFMessage"
 USED = (CLOCK, DIAGNOSTICS, MARKERS, PATH, POINTS, POSE, TEXT, TRANSFORMS)
 """Every type that is sent, received or written to bags."""
 
-MOST_BYTES = 1 << 20
-"""Largest message that is read [bytes]."""
+MOST_BYTES = 1 << 20  # largest message that is read [bytes]
 
 NS = 1_000_000_000
-LATEST_NS = 2**31 * NS - 1
-"""Latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign."""
+LATEST_NS = 2**31 * NS - 1  # latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign
 
 
 @cache

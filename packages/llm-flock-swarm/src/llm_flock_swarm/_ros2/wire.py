@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 from llm_flock.errors import MessageError
 
-DEPTH = 10
-"""History depth of all topics. Everything else of the QoS is the default: reliable, volatile, keep last."""
+DEPTH = 10  # History depth of all topics. Everything else of the QoS is the default: reliable, volatile, keep last.
 
 QOS = f"::,{DEPTH}:,:,:,,"
 """That QoS as tokens write it: reliability, durability, history, deadline, lifespan, liveliness. Empty is default."""
 
-NODE, PUBLISHER, SUBSCRIBER = "NN", "MP", "MS"
-"""Kinds of entities in tokens."""
+NODE, PUBLISHER, SUBSCRIBER = "NN", "MP", "MS"  # kinds of entities in tokens
 
 NO_ENCLAVE = "%"
 _ADMIN = "@ros2_lv"

@@ -35,18 +35,10 @@ from llm_flock.message import (
     max_payload_bytes,
 )
 
-OPERATOR = -2
-"""Member id of the operator, who gives missions."""
-
-WIRE_SIGNED = 9
-"""First byte of a message with certificates."""
-
-LIARS = 1
-"""Robots that may lie together, unless a team is told otherwise."""
-
-
-LEFT = -3
-"""In a witness's statement: the slot is free because robot 0 left it; `left_by` gives that of every robot."""
+OPERATOR = -2  # member id of the operator, who gives missions
+WIRE_SIGNED = 9  # first byte of a message with certificates
+LIARS = 1  # robots that may lie together, unless a team is told otherwise
+LEFT = -3  # in a witness's statement: the slot is free because robot 0 left it; `left_by` gives that of every robot
 
 
 def left_by(robot: int) -> int:

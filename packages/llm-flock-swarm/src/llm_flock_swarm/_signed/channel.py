@@ -32,8 +32,7 @@ from llm_flock_swarm._signed.evidence import Evidence
 MOST_PENDING = 3
 """Most signed heartbeats of one robot that are kept, the last ones: what is heard counts at the next exchange only."""
 
-REMEMBERED_ORIGINS = 1024
-"""Most plan origins whose signatures are kept."""
+REMEMBERED_ORIGINS = 1024  # most plan origins whose signatures are kept
 
 
 class SignedChannel(Channel):

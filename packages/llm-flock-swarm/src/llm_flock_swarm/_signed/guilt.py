@@ -28,8 +28,7 @@ from llm_flock_swarm._signed.certificates import (
 from llm_flock_swarm._signed.channel import SignedChannel
 from llm_flock_swarm._signed.evidence import Evidence
 
-OUTSIDER = -1
-"""Id of somebody who judges and is no robot."""
+OUTSIDER = -1  # id of somebody who judges and is no robot
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,7 @@ from llm_flock_swarm._signed.certificates import Certificate, Context, LastClaim
 from llm_flock_swarm._signed.departures import Departures
 from llm_flock_swarm._signed.words import Words
 
-NOTHING = Context(MissionStamp(-1, ""), "")
-"""What evidence is about before there is a plan."""
+NOTHING = Context(MissionStamp(-1, ""), "")  # what evidence is about before there is a plan
 
 
 @dataclass(slots=True)

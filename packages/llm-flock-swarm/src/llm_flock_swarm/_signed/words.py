@@ -12,8 +12,7 @@ from llm_flock_swarm._signed.certificates import LEFT, ReleaseGrant, WitnessStat
 Stated: TypeAlias = tuple[int, int, int]
 """Slot, version, and the `owner` of a witness's statement: NO_OWNER, BLOCKED, or `left_by` a robot."""
 
-MOST_PASSED_ON = 32
-"""Most statements of others of one kind in one message; they take turns."""
+MOST_PASSED_ON = 32  # most statements of others of one kind in one message; they take turns
 
 T = TypeVar("T")
 

@@ -16,11 +16,8 @@ from llm_flock_swarm._signed.certificates import Authenticator, Verifier
 
 ENVELOPE_VERSION = 2
 SIGNATURE_BYTES = 64
-WINDOW = 1024
-"""Numbers up to this far behind the newest are still accepted, once."""
-
-OVERHEAD = 128
-"""No envelope is larger than its payload by more than this [bytes]."""
+WINDOW = 1024  # numbers up to this far behind the newest are still accepted, once
+OVERHEAD = 128  # no envelope is larger than its payload by more than this [bytes]
 
 Number = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 

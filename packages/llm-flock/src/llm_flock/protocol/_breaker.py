@@ -24,14 +24,9 @@ THRESHOLD = 2
 """Refused questions in a row that open a closed breaker. Each of them was asked again with the reason, so with the
 default of two retries a hopeless model costs six calls."""
 
-RECOVERY = 0.25
-"""Part of a refusal that a usable answer makes up for: four make up for one."""
-
-FIRST_WAIT = 2
-"""Rounds from the opening of a breaker to the first probe; each refused probe doubles the wait."""
-
-LONGEST_WAIT = 64
-"""Longest wait for a probe [rounds]."""
+RECOVERY = 0.25  # part of a refusal that a usable answer makes up for: four make up for one
+FIRST_WAIT = 2  # rounds from the opening of a breaker to the first probe; each refused probe doubles the wait
+LONGEST_WAIT = 64  # longest wait for a probe [rounds]
 
 
 class BreakerState(StrEnum):

@@ -70,8 +70,7 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(self.sensed.values())
 
 
-Gaps: TypeAlias = Literal["report", "replan"]
-"""What to do about slots that no living robot can take."""
+Gaps: TypeAlias = Literal["report", "replan"]  # what to do about slots that no living robot can take
 
 
 class Membership:

@@ -29,18 +29,14 @@ REACH = 1.5
 MOST_PLACES = 256
 """In plans of more places the straight line is used: finding other paths takes the cube of their number."""
 
-FAR = 3.0
-"""A goal this many spacings away is approached along the formation, in stages of at most this length."""
+FAR = 3.0  # a goal this many spacings away is approached along the formation, in stages of at most this length
 
 ACROSS = 8.0
 """A robot in touch with the whole team flies straight, unless its goal is this many spacings away: it would be alone
 for long, where others could move up instead."""
 
-NO_WAY = 1e6
-"""Length that stands for a way that does not exist [units]: longer than any other."""
-
-BESIDE = 0.6
-"""Distance at which robots on such a path pass its places, on the side of the centre [spacings]."""
+NO_WAY = 1e6  # length that stands for a way that does not exist [units]: longer than any other
+BESIDE = 0.6  # distance at which robots on such a path pass its places, on the side of the centre [spacings]
 
 
 def ways(here: Point, places: Points, roadmap: Roadmap | None) -> Vector:

@@ -34,8 +34,7 @@ Freed: TypeAlias = Callable[[int, int], bool]
 SWAP_GAIN = 0.01
 """An exchange must lower the sum of the squared path lengths by at least this share of the squared spacing."""
 
-BOUND_ROUNDS = 4
-"""Communication rounds for which an offer binds its maker; an answer takes two where nothing is lost."""
+BOUND_ROUNDS = 4  # communication rounds for which an offer binds its maker; an answer takes two where nothing is lost
 
 
 LAST_EXCHANGED = 2**34

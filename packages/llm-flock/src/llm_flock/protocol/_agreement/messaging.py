@@ -26,11 +26,8 @@ their payloads once a round saves a tenth of a large team's time."""
 MOST_BAD_PLANS = 8
 """Plans of one sender that may fail verification in a round; then no more of them are verified, which takes time."""
 
-COURSE_ROUNDS = 2
-"""Rounds for which a course counts after its sender was last heard: messages get lost."""
-
-REMEMBERED_REFUSALS = 1024
-"""Most refused plans that are remembered, so that a flood of plans costs bounded memory."""
+COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard: messages get lost
+REMEMBERED_REFUSALS = 1024  # most refused plans that are remembered, so that a flood of plans costs bounded memory
 
 
 class Messaging:

@@ -23,17 +23,13 @@ from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._membership.rendezvous import on_circle
 
-FEW = 0.45
-"""While more than this share of the team has never been heard of, a robot gathers."""
+FEW = 0.45  # while more than this share of the team has never been heard of, a robot gathers
 
 CLOSE = 0.3
 """Robots gather at this many spacings from the centre, each on its own side, so as not to be in each other's way."""
 
-WAIT = 4
-"""Rounds without news at the centre after which a robot stops gathering."""
-
-ANGLES = 72
-"""Orientations of a formation that are tried."""
+WAIT = 4  # rounds without news at the centre after which a robot stops gathering
+ANGLES = 72  # orientations of a formation that are tried
 
 
 class Gathering:

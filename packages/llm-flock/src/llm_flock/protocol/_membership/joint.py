@@ -43,20 +43,14 @@ SECOND = 0.15
 then most robots of a ring have reached its circle, and the others mark the point at which they will reach it. A mark
 does not change any more, so that all robots compute the same table."""
 
-LARGEST = 256
-"""Larger teams do not wait: the traffic grows with the square of the team size."""
-
-VERSION = 2**22
-"""Version of a joint assignment for each robot that it places: above all earlier claims."""
+LARGEST = 256  # larger teams do not wait: the traffic grows with the square of the team size
+VERSION = 2**22  # version of a joint assignment for each robot that it places: above all earlier claims
 
 DIGESTS = 2**16
 """Number of digests; two joint assignments of as many robots share one by chance, and are then sorted out by bids."""
 
-DECIMALS = 2
-"""Decimals of reported positions."""
-
-MOVED = 0.1
-"""A waiting robot reports its position again when it has moved by this share of the spacing."""
+DECIMALS = 2  # decimals of reported positions
+MOVED = 0.1  # a waiting robot reports its position again when it has moved by this share of the spacing
 
 PATIENCE = 16
 """Rounds without news of a robot that was unknown after which a robot stops to wait, or to report positions."""

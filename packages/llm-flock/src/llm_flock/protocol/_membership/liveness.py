@@ -25,24 +25,21 @@ BODY = 1
 """Heartbeat of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. That
 of a robot that is awake is higher."""
 
-FEW = 20
-"""In a team of at most this size, heartbeats reach every robot well within the time-out."""
+FEW = 20  # in a team of at most this size, heartbeats reach every robot well within the time-out
 
 ROUNDS_PER_ROBOT = 0.6
 """Additional rounds of time-out for each further robot. Heartbeats are passed on once a round: when a cluster
 spreads out into a ring of N, where the farthest robot is N / 2 hops away, they arrive late by nearly as many rounds."""
 
 
-GAP_WEIGHT = 0.1
-"""Weight of the newest gap between two heartbeats of a robot in their average."""
+GAP_WEIGHT = 0.1  # weight of the newest gap between two heartbeats of a robot in their average
 
 GAPS = 8.0
 """The time-out of a robot whose heartbeats get through rarely is longer by this many times the rounds that are left out
 between two of them on average: where most messages are lost, silence proves little (Hayashibara et al. 2004, the phi
 accrual failure detector)."""
 
-LONGEST = 5
-"""Longest time-out, as a multiple of the configured one."""
+LONGEST = 5  # longest time-out, as a multiple of the configured one
 
 
 def patience(time_out: int, n_robots: int) -> int:

@@ -29,20 +29,14 @@ HOLLOW = 0.5
 """Shapes have a circle if their nearest place is at least at this share of the farthest one's distance from the
 centre."""
 
-ENOUGH = 0.5
-"""Robots fly to their places once this share of a plan's slots is taken."""
+ENOUGH = 0.5  # robots fly to their places once this share of a plan's slots is taken
 
 WITHIN = 0.95
 """The circle on which robots wait is smaller by this factor: there they stand closer, and close it more easily."""
 
-NEAR = 1.0
-"""A robot within this many spacings of the circle is on it."""
-
-HOLD = 0.8
-"""Waiting robots spread out to at most this share of the radio range."""
-
-LINK = 0.95
-"""No robot moves farther than this share of the radio range from a neighbour on the circle."""
+NEAR = 1.0  # a robot within this many spacings of the circle is on it
+HOLD = 0.8  # waiting robots spread out to at most this share of the radio range
+LINK = 0.95  # no robot moves farther than this share of the radio range from a neighbour on the circle
 
 PLANE = 2
 

@@ -22,11 +22,8 @@ from llm_flock.arrays import Point
 from llm_flock.message import NO_OWNER, BidTable
 from llm_flock.plan import Plan
 
-PATIENCE = 1
-"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain."""
-
-NEXT_TO = 1.5
-"""A vacant slot within this many spacings of the robot's own slot is next to it."""
+PATIENCE = 1  # rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain
+NEXT_TO = 1.5  # a vacant slot within this many spacings of the robot's own slot is next to it
 
 PATIENCE_PER_PLACE = 4
 """Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""
@@ -34,15 +31,13 @@ PATIENCE_PER_PLACE = 4
 LOOKS = 4
 """Visits to a vacant slot while robots are missing that were never heard of, or had no plan when they last were."""
 
-LOOKS_FOR_SILENT = 1
-"""Visits where all missing robots have been heard of before, and are probably dead."""
+LOOKS_FOR_SILENT = 1  # visits where all missing robots have been heard of before, and are probably dead
 
 MANY = 20
 """While more robots than these are missing, every round brings news. A search that each of them ended would never
 get anywhere, so it goes on until its next slot is taken."""
 
-ARRIVED = 0.5
-"""A point of the tour counts as visited within this share of the spacing."""
+ARRIVED = 0.5  # a point of the tour counts as visited within this share of the spacing
 
 
 class Search(msgspec.Struct, frozen=True, kw_only=True):

@@ -9,14 +9,9 @@ from functools import lru_cache
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 
-NEAR = 0.5
-"""A robot waits within this share of the spacing from where it wants to be found."""
-
-WAIT = 3
-"""Rounds that a robot waits at the first point; each further wait is as much longer."""
-
-ALONE = 8
-"""Heartbeat periods out of touch with its team after which a robot without a place is lost."""
+NEAR = 0.5  # a robot waits within this share of the spacing from where it wants to be found
+WAIT = 3  # rounds that a robot waits at the first point; each further wait is as much longer
+ALONE = 8  # heartbeat periods out of touch with its team after which a robot without a place is lost
 
 FAR = 2.0
 """In a formation that reaches farther from its centre than this many radio ranges, robots are not sought at the

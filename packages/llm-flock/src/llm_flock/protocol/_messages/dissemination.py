@@ -31,8 +31,7 @@ communication round in which a digest differs."""
 RESTLESS_ROUNDS = 4
 """Rounds after which a large table is said in full to neighbours that differ even if it never comes to rest."""
 
-REMEMBERED_PLANS = 1024
-"""Most plans that are known by their digest, so that a flood of plans costs bounded memory."""
+REMEMBERED_PLANS = 1024  # most plans that are known by their digest, so that a flood of plans costs bounded memory
 
 _KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
 """The part of a message that shows what its sender knows."""
