@@ -63,11 +63,7 @@ BODIES_ELSEWHERE = (*NOT_IN_SWARMS, "ros_poses", "ros_pose_topic")
 
 
 def _load(config: Path | None, flags: Mapping[str, Any]) -> SwarmConfig:
-    """The configuration of a command that may show its team in ROS 2.
-
-    Raises:
-        InputError: a value is not allowed, or a flag of ROS 2 was typed and there is no --ros2.
-    """
+    """The configuration of a command that may show its team in ROS 2; no flag of ROS 2 goes without --ros2."""
     from llm_flock.runtime import refuse_ros2
     from llm_flock_swarm._network.config import SwarmConfig
 

@@ -1,7 +1,6 @@
 """Accusations: a robot that was sent what no honest robot sends shows that message, sealed by its sender, to observers.
 
-The signature on the envelope is the proof. Robots do not listen to accusations: lies lose without that, and those that
-slow a team, about what a robot sees, cannot be proven.
+Robots do not listen to accusations: lies lose without, and those that slow a team, about what is seen, have no proof.
 """
 
 from __future__ import annotations
@@ -28,10 +27,7 @@ REMEMBERED = 4  # newest messages of each sender between two exchanges that may 
 
 
 def contexts(config: SwarmConfig) -> dict[str, str]:
-    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends.
-
-    Robots that are configured differently do not hear each other, and a message of another flight proves nothing.
-    """
+    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends."""
     network, protocol, mission = config.network, config.protocol, config.mission
     about = (network.swarm, mission.n_robots, mission.dim, network.liars, protocol.gaps, protocol.verify)
     return {"say": hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest()}

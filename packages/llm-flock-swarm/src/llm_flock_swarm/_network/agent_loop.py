@@ -1,8 +1,7 @@
 """Drives one agent at its own pace: it asks its model as soon as it may, and waits for no other robot.
 
-Three loops share one event loop: motion rounds (ask, decide, fly), message exchanges at a fixed period, and control of
-the body at another. All of them give events to one state machine, one at a time. A heartbeat period has as many
-exchanges as a lockstep round: heartbeats and their time-out, counted in rounds there, are counted in periods here.
+Motion rounds, message exchanges at a fixed period, and control of the body at another share one event loop. A heartbeat
+period has as many exchanges as a lockstep round: heartbeats and time-outs are counted in periods here.
 """
 
 from __future__ import annotations
@@ -44,10 +43,7 @@ STUCK_S = 0.3  # a body that has not moved for this long cannot get any nearer [
 
 
 class AgentLoop:
-    """Drives one agent: `planner` answers its questions, `radio` hears and sees, `broadcast` sends its messages.
-
-    In a team with keys, `accuser` shows observers what no honest robot sends.
-    """
+    """Drives one agent; in a team with keys, `accuser` shows observers what no honest robot sends."""
 
     def __init__(
         self,

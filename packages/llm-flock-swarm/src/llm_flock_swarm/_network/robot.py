@@ -199,12 +199,7 @@ def _first(error: Exception) -> Exception:
 
 
 async def run_robot(config: SwarmConfig, robot: int) -> None:
-    """Run one robot until the process is stopped.
-
-    Raises:
-        InputError: no such robot, or an endpoint that cannot be opened.
-        FlockError: the robot cannot go on; its body stops where its last command ends.
-    """
+    """Run one robot until the process is stopped, or cannot go on: its body stops where its last command ends."""
     mission = config.mission
     if not 0 <= robot < mission.n_robots:
         raise InputError("id", robot, says=f"there are robots 0 to {mission.n_robots - 1}")

@@ -28,11 +28,7 @@ def bounded(count: int) -> int:
 
 
 class SelfReports:
-    """Sums over all reports of a swarm, and the plans in them.
-
-    `models` names the model of each robot. `breakers_opened` are the robots whose model was not asked for a while,
-    `places` those of every plan that a robot has named, by its digest [units].
-    """
+    """Sums over all reports of a swarm, and the plans in them; `models` names the model of each robot."""
 
     def __init__(self, models: Sequence[str]) -> None:
         self.calls = self.calls_failed = self.tokens = 0

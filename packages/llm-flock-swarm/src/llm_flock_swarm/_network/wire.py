@@ -1,7 +1,4 @@
-"""Messages between the processes of a swarm other than those of the protocol, as MessagePack.
-
-docs/reference/wire.md has a table of their topics.
-"""
+"""Messages between the processes of a swarm other than those of the protocol: see docs/reference/wire.md."""
 
 from __future__ import annotations
 
@@ -97,11 +94,7 @@ Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MOST_EVENT
 
 
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame].
-
-    Observers believe a robot about itself and nothing else: a mission needs the operator's signature where the team has
-    keys, and a plan's places have to be those that its digest names.
-    """
+    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame]."""
 
     round: Count  # own count of motion rounds
     period: Count  # own count of heartbeat periods

@@ -1,7 +1,6 @@
 """Turns a record into a bag of ROS 2: MCAP with the profile `ros2`, and the topics that a bridge shows live.
 
-A bag begins at the time at which its run began, by that machine's clock. A round lasts a second, of a swarm `step_s`;
-a flight has its own times. A language model's answers stay in the record.
+A round lasts a second, of a swarm `step_s`; a flight has its own times. A language model's answers stay in the record.
 """
 
 from __future__ import annotations
@@ -33,12 +32,7 @@ Put = Callable[[str, str, int, object], None]  # takes the topic, type, time and
 
 
 def write_bag(record: Path, out: Path, config: Ros2Config | None = None) -> Path:
-    """Write the bag of a record; `out` is its folder, which must not exist yet. `config` names topics and frame.
-
-    Raises:
-        InputError: rosbags is not installed, or the folder exists or cannot be made.
-        RecordError: the record cannot be read.
-    """
+    """Write the bag of a record into a folder that must not exist yet. `config` names topics and frame."""
     found = read_record(record)
     require("ros2", "export --ros2bag")
     from rosbags.rosbag2 import StoragePlugin, Writer

@@ -1,7 +1,6 @@
 """Shows a running swarm in ROS 2, and takes missions and poses from there.
 
-Poses leave with the reading of the sensors that they come from, at most `ros_rate_hz` times a second; paths follow in
-the same moment. Markers and the protocol's state follow slower, diagnostics once a second.
+Poses and paths leave with the reading of the sensors that they come from, at most `ros_rate_hz` times a second.
 """
 
 from __future__ import annotations
@@ -47,11 +46,7 @@ def with_router(config: SwarmConfig) -> SwarmConfig:
 
 
 def check_router(config: SwarmConfig) -> str:
-    """The router's endpoint.
-
-    Raises:
-        InputError: the swarm itself uses that endpoint.
-    """
+    """The router's endpoint; an InputError if the swarm itself uses it."""
     router = config.ros2.router or ROUTER
     own = {_plain(end) for end in (*endpoints(config.network.connect), *endpoints(config.network.listen))}
     if _plain(router) in own:
@@ -73,7 +68,6 @@ class Stamps:
         self._told_ns = 0
 
     def follow(self, stamp_ns: int) -> None:
-        """Take what /clock says."""
         self._told_ns = min(max(0, stamp_ns), LATEST_NS)
 
     def of(self, wall_s: float) -> int:
@@ -112,11 +106,7 @@ class Bridge:
             graph.subscribe("/clock", CLOCK, self._take_clock, self.refused.take, rate=10_000.0)
 
     def take_missions(self) -> None:
-        """Take missions from ROS.
-
-        Raises:
-            InputError: the swarm has keys, and the operator's are not here.
-        """
+        """Take missions from ROS; an InputError if the swarm has keys, and the operator's are not here."""
         self._giver = MissionGiver(self.config, self.observer)
         for topic, kind, handler in (("mission", TEXT, self._take_mission), ("places", POINTS, self._take_places)):
             name = f"{self.nodes.namespace}/{topic}"
@@ -124,7 +114,6 @@ class Bridge:
             self._graph.subscribe(name, kind, handler, self.refused.take, rate=RATE)
 
     def take_poses(self, bodies: SensedBodies) -> None:
-        """Take the robots' poses from ROS."""
         self.bodies = bodies
         topic = self.config.ros2.pose_topic(self.config.network.swarm)
         head, _, tail = topic.partition(ROBOT)
@@ -250,19 +239,13 @@ class Bridge:
         return found
 
     def close(self) -> None:
-        """Leave the swarm, where this gave missions."""
         if self._giver is not None:
             self._giver.close()
 
 
 @asynccontextmanager
 async def showing(config: SwarmConfig) -> AsyncGenerator[Show | None]:
-    """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured.
-
-    Raises:
-        InputError: the router does not answer, or is where the swarm is, or the extra is not installed, or another
-            bridge shows this team already.
-    """
+    """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured."""
     if config.ros2.router is None:
         yield None
         return

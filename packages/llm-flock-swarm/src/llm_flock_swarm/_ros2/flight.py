@@ -1,7 +1,4 @@
-"""Shows a flight in ROS 2 while it happens: no fault here reaches a drone.
-
-Nothing comes in but the drones' poses, and those only with `pose_source = "ros2"`.
-"""
+"""Shows a flight in ROS 2; no fault here reaches a drone. Poses come in, only with `pose_source = "ros2"`."""
 
 from __future__ import annotations
 
@@ -91,13 +88,7 @@ class FlightShow:
 
 
 class RosPoses:
-    """A source of poses for the drones' estimators: one topic for each drone, `geometry_msgs/PoseStamped`.
-
-    Args:
-        config: which names the topics and their frame.
-        team: namespace, if none is configured.
-        names: of the drones, by the number that stands in their topics.
-    """
+    """A source of poses for the drones' estimators: one topic for each drone, by its number in `names`."""
 
     def __init__(self, config: Ros2Config, team: str, names: Sequence[str]) -> None:
         self.refused: Counter[str] = Counter()
@@ -108,11 +99,6 @@ class RosPoses:
         self._others: dict[str, tuple[bytes, float]] = {}
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
-        """Listen from now on.
-
-        Raises:
-            InputError: the router does not answer, or the extra is not installed.
-        """
         router = self._config.router
         assert router is not None, "the flight's configuration sees to that"
         graph = self._graph = Graph(router, self._config.ros_domain)
@@ -129,11 +115,7 @@ class RosPoses:
             graph.subscribe(topic, POSE, heard, self._refuse, rate=POSE_RATE)
 
     def frame(self, name: str, message: Any, attached: Attachment) -> PoseFrame:
-        """The frame with one drone's message.
-
-        Raises:
-            MessageError: `wrong_frame`, `not_finite`, `out_of_range`, or `second_source`.
-        """
+        """The frame with one drone's message; a MessageError says why it is refused."""
         check_frame(message, self._config.ros_frame)
         if self._sources.setdefault(name, attached.gid) != attached.gid:
             self._others[name] = attached.gid, time.monotonic()
@@ -152,7 +134,6 @@ class RosPoses:
         self.refused[error.reason] += 1
 
     async def close(self) -> None:
-        """Leave the graph."""
         graph, self._graph = self._graph, None
         if graph is not None:
             graph.close()
@@ -174,11 +155,7 @@ def poses_of(config: Ros2Config, drones: Sequence[str]) -> RosPoses:
 async def showing_flight(
     config: Ros2Config, drones: Sequence[str], frame: MissionFrame, low_battery_v: float
 ) -> AsyncGenerator[RecordSink]:
-    """A sink that shows a flight in ROS 2, with a warning below this voltage.
-
-    Raises:
-        InputError: the router does not answer, or the extra is not installed, or another bridge shows this team.
-    """
+    """A sink that shows a flight in ROS 2, with a warning below this voltage."""
     assert config.router is not None, "without a router, nothing is shown"
     with closing(Graph(config.router, config.ros_domain)) as graph:
         graph.check_free(config.namespace(TEAM), TEAM_NODE)

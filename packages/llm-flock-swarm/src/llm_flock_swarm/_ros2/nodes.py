@@ -61,10 +61,7 @@ async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
 
 
 class TeamNodes:
-    """Nodes of a team. `/flock/robot_3` has the node `robot` and its topics, `/flock` the node `team`.
-
-    Times are in nanoseconds, by the wall clock or the simulation's.
-    """
+    """Nodes of a team: `/flock/robot_3` has the node `robot` and its topics, `/flock` the node `team`."""
 
     def __init__(self, graph: Graph, config: Ros2Config, team: str, n_robots: int, *, clock: bool) -> None:
         space = self.namespace = config.namespace(team)
@@ -92,22 +89,18 @@ class TeamNodes:
             self._clock.publish(message_class(CLOCK)(clock=types.time(stamp_ns)))
 
     def show_poses(self, positions: Sequence[Position], stamp_ns: int) -> None:
-        """Publish where the robots are."""
         for publisher, at in zip(self._poses, positions, strict=True):
             publisher.send(self._encoder.encode(at, stamp_ns))
         self._transforms.publish(drawing.transforms(positions, self.frames, stamp_ns, self.frame))
 
     def show_paths(self, view: TeamView, stamp_ns: int) -> None:
-        """Publish where they are going."""
         for robot, publisher in enumerate(self._paths):
             publisher.publish(drawing.path(view, robot, stamp_ns, self.frame))
 
     def show_markers(self, view: TeamView, stamp_ns: int) -> None:
-        """Publish the drawing."""
         self._markers.publish(self._drawer.draw(view, stamp_ns))
 
     def show_state(self, content: Mapping[str, Any]) -> None:
-        """Publish the protocol's state as JSON."""
         self._state.publish(drawing.text(content))
 
     def show_diagnostics(self, found: Sequence[Finding], stamp_ns: int) -> None:

@@ -17,11 +17,7 @@ from llm_flock_swarm._ros2.drawing import Position, TeamView, ToWorld, scaled, v
 
 
 def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int) -> tuple[ToWorld, float]:
-    """How units become metres in `dim` dimensions, and the length of one [m]; a flight's record says it itself.
-
-    Raises:
-        RecordError: what it says cannot be used.
-    """
+    """How units become metres in `dim` dimensions, and the length of one [m]; a flight's record says it itself."""
     if "world" not in run.config or unit_m is not None:
         return scaled(unit_m or 1.0), unit_m or 1.0
     try:
@@ -37,11 +33,7 @@ def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int)
 
 
 class RecordedTeam:
-    """The newest state of a team, entry by entry.
-
-    Attributes:
-        state: the newest one; None before the first.
-    """
+    """The newest state of a team, entry by entry."""
 
     def __init__(self, to_world: ToWorld, unit_m: float) -> None:
         self.state: State | None = None

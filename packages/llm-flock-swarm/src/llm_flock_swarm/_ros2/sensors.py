@@ -1,7 +1,6 @@
 """Poses from ROS as the sensors of a swarm: the world process of bodies that something else moves.
 
-A motion capture or a simulator publishes where each robot is; the robots get their commands answered, and where a body
-is to fly goes to ROS as a set-point. A body that lags behind its set-point gets no further one, and one that does not
+Where a body is to fly goes to ROS as a set-point. One that lags behind it gets no further one, and one that does not
 follow at all is taken to stay where it is.
 """
 
@@ -49,15 +48,7 @@ class _Track:
 
 
 class SensedBodies:
-    """Where all bodies are, by their sources, and where each is to stop.
-
-    Args:
-        n_robots: of the team.
-        speed: the largest of a body [units/s].
-        reach: what a body can fly in a control period and the longest delay of a command [units].
-        lag_s: commands that are older are refused [s].
-        clock: the wall clock [s].
-    """
+    """Where all bodies are, by their sources, and where each is to stop; `reach` is what a command covers [units]."""
 
     def __init__(self, n_robots: int, *, speed: float, reach: float, lag_s: float, clock: Callable[[], float]) -> None:
         self.late = 0
@@ -68,18 +59,12 @@ class SensedBodies:
 
     @property
     def missing(self) -> list[int]:
-        """Robots without a fresh pose."""
         now = self._clock()
         tracks = self._tracks
         return [j for j in range(self._n) if j not in tracks or now - tracks[j].stamp_s > FRESH_S]
 
     def sense(self, robot: int, position: Point, attached: Attachment) -> None:
-        """Take a pose [units].
-
-        Raises:
-            MessageError: `unknown_robot`, `late`, `out_of_order`, `second_source` (another publisher is heard too), or
-                `jump`: farther than a body flies. Where a body has been put elsewhere, it counts after `LOST_S`.
-        """
+        """Take a pose [units]; a MessageError says why not. A body that was put elsewhere counts after `LOST_S`."""
         if not 0 <= robot < self._n:
             raise MessageError("unknown_robot", f"robot {robot}, not 0 to {self._n - 1}")
         now = self._clock()

@@ -1,8 +1,4 @@
-"""What rmw_zenoh puts on the wire besides CDR: keys of topics, liveliness tokens, attachments.
-
-The format is that of rmw_zenoh since April 2025 (jazzy 0.2.4, kilted, lyrical); its docs/design.md describes keys and
-tokens. Before, attachments spelled out the names of their fields. PX4's Zenoh module writes the same.
-"""
+"""What rmw_zenoh puts on the wire besides CDR, since April 2025 (jazzy 0.2.4, kilted, lyrical); see its design.md."""
 
 from __future__ import annotations
 
@@ -90,11 +86,7 @@ class Attachment:
 
     @classmethod
     def decode(cls, data: bytes) -> Attachment:
-        """The attachment that these bytes are.
-
-        Raises:
-            MessageError: `attachment`: they are none, or of an rmw_zenoh older than the present format.
-        """
+        """The attachment in these bytes; a MessageError `attachment` if they are none, or of an older rmw_zenoh."""
         if len(data) != _HEAD.size + GID_BYTES or data[_HEAD.size - 1] != GID_BYTES:
             raise MessageError("attachment", f"{len(data)} bytes: not in the format of rmw_zenoh since April 2025")
         sequence, stamp_ns, _ = _HEAD.unpack_from(data)

@@ -22,7 +22,6 @@ class SignedAssignment:
 
     @property
     def name(self) -> str:
-        """Name of the decorated rule."""
         return self._rule.name
 
     def take(self, now: AssignmentInput) -> Claim:

@@ -1,10 +1,8 @@
 """Robots that keep leaving their places though nobody outbids them: their claims come to count for nothing.
 
-When a robot leaves its place, the version of the place rises, and all bids for it are drawn by lot again. Robots that
-lie could move on and on, and drive the honest from place to place. Witnesses that free a place because its owner has
-left it therefore name the owner, and these departures are counted. Every robot says of an owner that leaves too often
-that it is restless. When more robots have said so than may lie, the claims of the restless robot on this plan are
-ignored.
+A departure raises the version of the place, and all bids for it are drawn again: liars could drive the honest from
+place to place. So witnesses name who left, every robot counts, and says of who leaves too often that it is restless.
+When more have said so than may lie, its claims on this plan are ignored.
 """
 
 from __future__ import annotations

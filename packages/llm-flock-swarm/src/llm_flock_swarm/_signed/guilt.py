@@ -1,8 +1,7 @@
 """What a message proves about its sender, to anybody who has the public keys of the team.
 
-What an honest robot sends has passed its own checks, and carries every signature that they need. So a message that
-these checks refuse, whatever else the receiver knows, was not sent by an honest robot. Which checks those are is stated
-here; a sender that only changes its mind, or is wrong about what it sees, passes them.
+What an honest robot sends has passed its own checks, and carries every signature that they need: a message that these
+checks refuse was not sent by one. Who changes its mind, or is wrong about what it sees, passes them.
 """
 
 from __future__ import annotations
@@ -56,9 +55,8 @@ def guilt(
 ) -> str | None:
     """Why no honest robot sends this message, as a reason for refusals (docs/reference/wire.md); None if one could.
 
-    Call with a payload that `sender` has signed as a whole, and with one or more missions of the team: plans for
-    another mission are not checked. A message of another version proves nothing, and neither do more claims than
-    count, as liars can drive an honest robot from place to place.
+    `sender` has signed the payload as a whole. Plans are checked for these missions only. A message of another version
+    proves nothing, nor do more claims than count: liars can drive an honest robot from place to place.
     """
     mission, authenticator = missions[0], _Outsider(verifier)
     evidence = Evidence(OUTSIDER, authenticator, liars)

@@ -76,11 +76,7 @@ class Keyring(PublicKeys):
 
 
 def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
-    """Make the keys of a team, and certificates that are valid for some days; never overwrites a file.
-
-    Raises:
-        InputError: too many robots, or the folder is not empty or cannot be made.
-    """
+    """Make the keys of a team, and certificates that are valid for some days; never overwrites a file."""
     if not 1 <= n_robots <= MAX_ROBOTS:
         raise InputError("robots", n_robots, f"1 to {MAX_ROBOTS}")
     if not 1 <= days <= 3650:
@@ -108,11 +104,7 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
 
 
 def load_public_keys(folder: Path) -> PublicKeys:
-    """The public keys of a team; only `team.json` has to be there.
-
-    Raises:
-        InputError: the file is missing or damaged.
-    """
+    """The public keys of a team; only `team.json` has to be there. InputError: it is missing or damaged."""
     path = folder / "team.json"
     try:
         team = cast("dict[str, Any]", json.loads(path.read_bytes()))
@@ -131,11 +123,7 @@ def load_public_keys(folder: Path) -> PublicKeys:
 
 
 def load_keyring(folder: Path, member: int) -> Keyring:
-    """The keys that a member needs in flight.
-
-    Raises:
-        InputError: a file is missing, damaged, does not fit the others, or is secret but readable by other users.
-    """
+    """The keys of a member; an InputError if a file is missing, damaged, or secret but readable by other users."""
     team = load_public_keys(folder)
     swarm, public = team.swarm, team.public
     if member not in public:
@@ -153,10 +141,7 @@ def load_keyring(folder: Path, member: int) -> Keyring:
 
 
 def next_session(folder: Path, member: int, clock_s: float) -> int:
-    """The session number of this start of a member: higher than that of every start before, whatever the Unix time.
-
-    It is kept beside the member's own keys.
-    """
+    """The session number of this start of a member: higher than every one before, whatever the Unix time `clock_s`."""
     path = folder / member_name(member) / "session"
     try:
         last = int(path.read_text(encoding="ascii"))
@@ -174,12 +159,8 @@ def next_session(folder: Path, member: int, clock_s: float) -> int:
 def tls_config(folder: Path, member: int) -> dict[str, Any]:
     """The part of a zenoh configuration that admits only processes with a certificate of this team.
 
-    Endpoints are `tls/HOST:PORT`. Only the team's authority is trusted, and it signs only members, so the name in a
-    certificate need not be that of the machine: any member may run anywhere. The signature on each envelope tells which
-    member sent it. Keys are zenoh's paths into its configuration, values are plain.
-
-    Raises:
-        InputError: a file is missing, or other users can read the secret one.
+    Only members have one, so its name need not be that of the machine; the signature on each envelope tells who sent
+    it.
     """
     own = folder / member_name(member)
     authority, certificate, key = folder / "ca.pem", own / "tls.pem", own / "tls.key"
