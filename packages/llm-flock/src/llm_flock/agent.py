@@ -229,14 +229,7 @@ class Agent:
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
         agreement.begin_round(event.degree)
-        self._membership.begin_round(
-            number,
-            near,
-            mission=agreement.mission,
-            plan=agreement.plan,
-            claim=agreement.claim,
-            cannot_fly=self._pilot.breaker.is_open,
-        )
+        self._membership.begin_round(number, near, agreement, cannot_fly=self._pilot.breaker.is_open)
         self._messaging.begin_round()
 
     def _look_about(self, event: Sensed) -> None:
@@ -303,30 +296,23 @@ class Agent:
 
     def _decide(self) -> tuple[Phase, list[Effect]]:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
+        membership, agreement = self._membership, self._agreement
         assert scene is not None, "a round has begun"
         effects, target, idle = list[Effect](), None, None
-        if plan is None and self._fallback != "hold" and self._proposals.breaker.refusals:
-            # It goes where others will look for it, and takes the first acceptable plan that it hears.
-            target = self._membership.seek(self.mission, scene.here)
-            if target is not None:
-                return Phase.MOVING, self._pilot.seek(scene, self.mission, target)
-            idle = "no plan yet: waiting to be found"
-        elif plan is None:
-            idle = "no plan yet"
-        elif slot is None and self._membership.lost and (away := self._membership.seek(self.mission, scene.here)):
-            # What it knows of the places is old: it goes where the others will be.
-            return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
+        refused = self._fallback != "hold" and self._proposals.breaker.refusals > 0
+        if refused if plan is None else slot is None and membership.lost:
+            # It goes where others will look for it: it has no plan, or what it knows of the places is old.
+            away = membership.seek(agreement)
+            if away is not None:
+                return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
+        if plan is None:
+            idle = "no plan yet: waiting to be found" if refused else "no plan yet"
         elif slot is None:
             # A spare robot waits near the formation, and travels along with it.
-            others = [scene.seen(x) for x in scene.sensed.values()]
-            target = self._membership.wait(self.mission, plan, self.claim, scene.here, others)
+            target = membership.wait(agreement)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            bodies = [scene.seen(x) for x in scene.sensed.values()]
-            agreement = self._agreement
-            target, agreement.claim, notes = self._membership.route(
-                self.mission, plan, agreement.claim, scene.here, bodies
-            )
+            target, agreement.claim, notes = membership.route(agreement)
             effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()

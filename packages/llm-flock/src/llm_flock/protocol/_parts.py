@@ -1,15 +1,14 @@
 """The exchangeable parts of a robot's decision process, each with a null part that does nothing of its own.
 
-`Parts()` with two rules is the paper's robot: it hears its neighbours, and knows of no team beyond them. The parts that
-do more are `membership.team.TeamMembership`, `motion.safety.ShieldedSafety`, `verification.validator.Validator`, and
-for teams with keys those of `signed.parts`.
+`Parts()` with two rules is the paper's robot. The parts that do more are `TeamMembership`, `ShieldedSafety` and
+`Validator`, and for teams with keys those of `llm_flock_swarm.signed_parts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -27,6 +26,9 @@ from llm_flock.protocol._motion.leg import Leg
 from llm_flock.protocol._path_length import next_stop
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
+
+if TYPE_CHECKING:
+    from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
 NO_COURSES: Mapping[int, Course] = {}
 
@@ -73,11 +75,24 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
 Gaps: TypeAlias = Literal["report", "replan"]  # what to do about slots that no living robot can take
 
 
-class Membership:
-    """What a robot knows of its team beyond the last messages of its neighbours; this part knows nothing.
+class Situation:
+    """What one robot holds true, with positions in the frame of the mission [units]; `Agreement` decides on it."""
 
-    Positions are in the frame of the mission [units].
-    """
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.plan: Plan | None = None
+        self.claim = Claim(slot=None)
+        self.position: Point = ()
+        self.sensed: Mapping[int, Point] = {}
+
+    @property
+    def ways(self) -> Roadmap | None:
+        """The ways round obstacles; None where straight lines count, as for a formation that moves."""
+        return self.mission.roadmap if self.mission.velocity is None else None
+
+
+class Membership:
+    """What a robot knows of its team beyond the last messages of its neighbours; this part knows nothing."""
 
     @property
     def beats(self) -> tuple[int, ...]:
@@ -86,7 +101,7 @@ class Membership:
 
     @property
     def lost(self) -> bool:
-        """Whether a robot without a place should look for the others."""
+        """Whether a robot without a place has been out of touch for so long that it should look for the others."""
         return False
 
     @property
@@ -100,16 +115,7 @@ class Membership:
     def begin_plan(self) -> None:
         """The robot follows another plan."""
 
-    def begin_round(
-        self,
-        period: int,
-        near: frozenset[int],
-        *,
-        mission: Mission,
-        plan: Plan | None,
-        claim: Claim,
-        cannot_fly: bool,
-    ) -> None:
+    def begin_round(self, period: int, near: frozenset[int], now: Situation, *, cannot_fly: bool) -> None:
         """Begin a round or heartbeat period; robots `near` are sensed within radio range."""
 
     def hear_beats(self, beats: Sequence[NDArray[np.int64]]) -> None:
@@ -121,59 +127,44 @@ class Membership:
     def hear_claims(self, heard: Sequence[Message], plan: Plan | None) -> None:
         """Take note of what the neighbours claim, after a decision; the robot follows `plan`."""
 
-    def report(
-        self, mission: Mission, plan: Plan | None, claim: Claim, position: Point, *, greeting: bool
-    ) -> dict[int, PositionReport] | None:
+    def report(self, now: Situation, *, greeting: bool) -> dict[int, PositionReport] | None:
         """The positions to broadcast; `greeting` is the first broadcast of a round."""
         return None
 
-    def places(self, mission: Mission, plan: Plan | None, *, sees_bodies: bool) -> int | None:
+    def places(self, now: Situation) -> int | None:
         """Number of places of the plan that the robot is to propose now; None while it need not propose."""
-        return mission.n_places if plan is None else None
+        return now.mission.n_places if now.plan is None else None
 
-    def still(self, mission: Mission, sensed: Mapping[int, Point]) -> tuple[Point, ...]:
+    def still(self, now: Situation) -> tuple[Point, ...]:
         """Bodies in sight whose heartbeats have stopped."""
         return ()
 
-    def occupancy(
-        self,
-        mission: Mission,
-        plan: Plan,
-        position: Point,
-        sensed: Mapping[int, Point],
-        *,
-        hears_others: bool,
-        knows_blocked: bool,
-    ) -> Occupancy | None:
-        """What sensors and heartbeats say about the slots of a plan. Call once a round."""
+    def occupancy(self, now: Situation, *, hears_others: bool, knows_blocked: bool) -> Occupancy | None:
+        """What sensors and heartbeats say about the slots of the plan. Call once a round."""
         return None
 
-    def positions(self, mission: Mission, plan: Plan, claim: Claim) -> TeamPositions | None:
+    def positions(self, now: Situation) -> TeamPositions | None:
         """Where the robots are that are to be assigned jointly; None where there is nothing new to assign."""
         return None
 
-    def route(
-        self, mission: Mission, plan: Plan, claim: Claim, here: Point, bodies: Sequence[Point]
-    ) -> tuple[Point | None, Claim, list[Note]]:
-        """The next intermediate target on the way to the claimed place, for a robot that sees these bodies.
+    def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
+        """The next intermediate target on the way to the claimed place, None to fly straight there. Call once a round.
 
-        Without a team to look for, a far place is approached along the formation, where neighbours are. Call once a
-        round.
-
-        Returns:
-            The target, None to fly straight to the place; the claim with what was found out on the way; and notes.
+        Without a team to look for, a far place is approached along the formation, where neighbours are. Also returns
+        the claim with what was found out on the way, and notes.
         """
-        assert claim.slot is not None, "a robot without a place has no way to it"
-        roadmap = mission.roadmap if mission.velocity is None else None
-        return next_stop(here, plan, claim.slot, mission.center, mission.spacing, roadmap), claim, []
+        assert now.plan is not None and now.claim.slot is not None, "a robot without a place has no way to it"
+        mission = now.mission
+        target = next_stop(now.position, now.plan, now.claim.slot, mission.center, mission.spacing, now.ways)
+        return target, now.claim, []
 
-    def seek(self, mission: Mission, here: Point) -> Point | None:
+    def seek(self, now: Situation) -> Point | None:
         """Where a robot looks for the others that is lost, or has no plan; None to wait. Call once a round."""
         return None
 
-    def wait(self, mission: Mission, plan: Plan, claim: Claim, here: Point, others: Sequence[Point]) -> Point:
-        """Where a spare robot waits, with other robots in sight at `others`."""
-        return here
+    def wait(self, now: Situation) -> Point:
+        """Where a spare robot waits."""
+        return now.position
 
 
 class SafeStep(msgspec.Struct, frozen=True, kw_only=True):

@@ -42,7 +42,7 @@ class Proposals:
     def ask(self, event: RoundBegan) -> list[AskPlan | Note]:
         """The question for this round, last; without one if no plan is needed, or geometry's stands in for it."""
         agreement, mission = self._agreement, self._agreement.mission
-        places = self._membership.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
+        places = self._membership.places(agreement)
         if places is None or not agreement.may_propose(places):
             return []
         self._asked = PlanQuestion(

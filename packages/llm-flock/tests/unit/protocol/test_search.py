@@ -10,6 +10,7 @@ from llm_flock.arrays import Point
 from llm_flock.message import NO_OWNER, BidTable
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._membership.connectivity import APART, REMEMBERED, ConnectivityRecovery
 from llm_flock.protocol._membership.search import (
     LOOKS,
@@ -20,9 +21,16 @@ from llm_flock.protocol._membership.search import (
     Search,
     advance,
 )
+from llm_flock.protocol._parts import Situation
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)
+
+
+def situation(mission: Mission, owners: BidTable, here: Point, *bodies: Point) -> Situation:
+    now = Situation(mission)
+    now.plan, now.claim, now.position, now.sensed = PLAN, Claim(slot=0, table=owners), here, dict(enumerate(bodies, 1))
+    return now
 
 
 living = partial(SimpleNamespace, without_plan=set[int](), time_out=10)
@@ -209,7 +217,7 @@ def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_i
     owners, (x, y) = table(0, NO_OWNER, 2, 3), PLAN.points[1]
 
     def looks_for(here: Point, *bodies: Point) -> tuple[int, ...]:
-        recovery.route(mission, PLAN, 0, owners, here, bodies=bodies, placed=False)
+        recovery.route(situation(mission, owners, here, *bodies), placed=False)
         return recovery._search.known[1]
 
     assert looks_for(PLAN.points[0], (x, y)) == ()
@@ -233,7 +241,7 @@ def test_robots_that_live_without_a_place_are_missed_unless_they_may_be_liars(li
     def looks(rounds: int, *owners: int) -> bool:
         recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)), liars)
         for _ in range(rounds):
-            recovery.route(mission, PLAN, 0, table(*owners), PLAN.points[0], bodies=(), placed=False)
+            recovery.route(situation(mission, table(*owners), PLAN.points[0]), placed=False)
         return bool(recovery._search.way)
 
     assert not looks(10 + APART, 0, NO_OWNER, NO_OWNER, 3)

@@ -1,8 +1,4 @@
-"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims.
-
-Everything here happens between motion rounds. Positions are in the frame of the mission, which travels with the centre
-of the formation, so the places of a plan stand still in it.
-"""
+"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims."""
 
 from __future__ import annotations
 
@@ -18,21 +14,18 @@ from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
-from llm_flock.protocol._parts import Parts
+from llm_flock.protocol._parts import Parts, Situation
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer
 
 
-class Agreement:
-    """Mission, plan and claim of one robot, and the decisions about them."""
+class Agreement(Situation):
+    """The decisions of one robot about mission, plan and claim; the places of a plan stand still in its frame."""
 
     def __init__(self, robot: int, mission: Mission, parts: Parts) -> None:
-        self.mission = mission
+        super().__init__(mission)
         self.stamp = MissionStamp(0, mission.digest)
-        self.plan: Plan | None = None
         self.provenance: Provenance | None = None
-        self.claim = Claim(slot=None)
         self.degree = 0
-        self.position: Point = ()
         self._robot = robot
         self._consensus, self._assignment = parts.consensus, parts.assignment
         self._membership, self._verifier = parts.membership, parts.verifier
@@ -43,14 +36,13 @@ class Agreement:
         self.listens = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
-        self._sensed: Mapping[int, Point] = {}
         self._knows_blocked = False
         self._occupancy_due = False
         self._settled: tuple[object, ...] = ()
 
     def sense(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """Take the own believed position and those of sensed robots, by id [units; frame of the mission]."""
-        self.position, self._sensed = position, sensed
+        self.position, self.sensed = position, sensed
 
     def begin_round(self, degree: int) -> None:
         """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
@@ -61,7 +53,7 @@ class Agreement:
     @property
     def bodies(self) -> tuple[Point, ...]:
         """Bodies in sight whose heartbeats have stopped [units; frame of the mission]."""
-        return self._membership.still(self.mission, self._sensed)
+        return self._membership.still(self)
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         """Pursue another mission: plan and claim of the one before are void."""
@@ -151,14 +143,8 @@ class Agreement:
     def _assignment_input(self, plan: Plan, *, adopted: bool, heard: list[Message]) -> AssignmentInput:
         occupancy = None
         if self._occupancy_due:
-            occupancy = self._membership.occupancy(
-                self.mission,
-                plan,
-                self.position,
-                self._sensed,
-                hears_others=bool(heard),
-                knows_blocked=self._knows_blocked,
-            )
+            hears, knows = bool(heard), self._knows_blocked
+            occupancy = self._membership.occupancy(self, hears_others=hears, knows_blocked=knows)
         return AssignmentInput(
             robot=self._robot,
             position=self.position,
@@ -167,12 +153,12 @@ class Agreement:
             chosen=self._chosen,
             adopted=adopted,
             heard=[m for m in heard if m.plan == plan],
-            sensed=self._sensed,
+            sensed=self.sensed,
             mission=self.stamp,
             origin=self.provenance,
-            roadmap=self.mission.roadmap if self.mission.velocity is None else None,
+            roadmap=self.ways,
             occupancy=occupancy,
-            positions=self._membership.positions(self.mission, plan, self.claim),
+            positions=self._membership.positions(self),
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
@@ -186,7 +172,7 @@ class Agreement:
         withdrawn = list[Note]()
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
-        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self._sensed)
+        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self.sensed)
         arguments = (*standing, self._membership.known, *heard)
         due = self._occupancy_due
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):

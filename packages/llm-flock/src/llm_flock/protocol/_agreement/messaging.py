@@ -69,9 +69,7 @@ class Messaging:
     def broadcast(self, course: Course | None = None) -> bytes:
         """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
-        positions = self._membership.report(
-            agreement.mission, agreement.plan, claim, agreement.position, greeting=self._dissemination.greets
-        )
+        positions = self._membership.report(agreement, greeting=self._dissemination.greets)
         standing = agreement.degree, agreement.stamp, agreement.plan, agreement.provenance, claim, course
         payload = self._dissemination.unchanged(*standing)
         if payload is None or positions is not None:
