@@ -1,10 +1,9 @@
 """The circuit breaker between a robot and its model: a model whose answers stay unusable is no longer asked.
 
-The pattern is Nygard's (Release It!, 2007). A closed breaker passes questions on. After `THRESHOLD` refused questions
-in a row it opens: plain geometry answers, and costs nothing. It also opens for a model that is refused again and again
-with usable answers in between, which make up for a refusal only slowly (`RECOVERY`). After a wait the breaker is
-half-open and passes on one question, a probe without a second try. A usable answer closes the breaker; another refusal
-opens it for twice as long.
+The pattern is Nygard's (Release It!, 2007). After `THRESHOLD` refused questions in a row a breaker opens: geometry
+answers. It also opens for a model that is refused again and again with usable answers in between (`RECOVERY`). After a
+wait it is half-open and passes on one question, a probe without a second try. A usable answer closes it; another
+refusal opens it for twice as long.
 """
 
 from __future__ import annotations
@@ -30,29 +29,21 @@ LONGEST_WAIT = 64  # longest wait for a probe [rounds]
 
 
 class BreakerState(StrEnum):
-    """State of a circuit breaker."""
-
     CLOSED = "closed"
     OPEN = "open"
     HALF_OPEN = "half_open"
 
 
 class CircuitBreaker:
-    """Decides whether a robot asks its model, for one kind of question.
+    """Decides whether a robot asks its model, for one kind of question; a disabled one never opens, and only counts.
 
-    Call `asks` before each question, then `usable` or `refused` with what became of it. A disabled breaker never opens,
-    and only counts.
-
-    Attributes:
-        state: `closed`, `open`, or `half_open` while a probe is under way.
-        refusals: refused questions since the last usable answer.
-        reason: why the last of them was refused; None without one.
+    Call `asks` before each question, then `usable` or `refused` with what became of it.
     """
 
     def __init__(self, question: QuestionKind, *, enabled: bool) -> None:
         self.state = BreakerState.CLOSED
-        self.refusals = 0
-        self.reason: NoAnswer | None = None
+        self.refusals = 0  # since the last usable answer
+        self.reason: NoAnswer | None = None  # of the last of them
         self._question, self._enabled = question, enabled
         self._wait = FIRST_WAIT
         self._due = 0

@@ -73,11 +73,9 @@ class GeometryPlanner:
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """As `geometric_plan`."""
         return geometric_plan(question, self._angle_rad)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """As `straight_path`."""
         return straight_path(question)
 
 
@@ -95,9 +93,7 @@ class KnownPlans:
         self._knows = knows
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """The model's plan where it knows one, else the shape in its reference orientation."""
         return await self._asking.plan(question) if self._knows(question) else plan_by_geometry(question)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """The model's answer."""
         return await self._asking.step(question)

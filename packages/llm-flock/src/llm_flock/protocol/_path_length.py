@@ -1,8 +1,7 @@
 """Path lengths to the places of a plan for a robot that stays near the formation.
 
-Across a large ring the straight line is the shortest path, and leads out of every robot's radio range. So a path may
-pass through any places of the plan, and a long hop between two of them counts more than its length: the cheapest path
-then leads along the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
+Across a large ring the straight line leads out of every robot's radio range. So a path may pass through any places, and
+a long hop counts more than its length: the cheapest path leads along the formation. Floyd: Algorithm 97 (CACM 1962).
 """
 
 from __future__ import annotations
@@ -72,10 +71,7 @@ def _by_places(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None)
 def next_stop(
     here: Point, plan: Plan, slot: int, center: Point, spacing: float, roadmap: Roadmap | None = None
 ) -> Point | None:
-    """The next stop on the path from `here` to a far place, beside a place ahead [units; frame of the plan].
-
-    None where the straight line is the cheapest.
-    """
+    """Beside which place to stop on the path to a far one [units; frame of the plan]; None to fly straight."""
     if len(plan) > MOST_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
     left = _between(plan, spacing, roadmap)[slot]

@@ -16,14 +16,7 @@ from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 
 
 class Proposals:
-    """The plans that one robot proposes. Call `ask` once a round, and `take` with the answer.
-
-    Args:
-        robot: own id.
-        agreement: takes the proposals.
-        parts: its membership knows how many places a plan is to have, its verifier checks plans.
-        fallback: what to do without a usable answer.
-    """
+    """The plans that one robot proposes. Call `ask` once a round, and `take` with the answer."""
 
     def __init__(self, robot: int, agreement: Agreement, parts: Parts, fallback: Fallback) -> None:
         self.breaker = CircuitBreaker("plan", enabled=fallback != "hold")
@@ -97,7 +90,6 @@ class Proposals:
         return [*enlarged, *self._agreement.propose(self._in_frame(question, roomy), by)]
 
     def _in_frame(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
-        """A plan of the world frame in the frame of the mission."""
         mission = self._agreement.mission
         if mission.velocity is None:
             return answer

@@ -65,7 +65,6 @@ class Agreement(Situation):
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
     def lack_plan(self, failure: NoAnswer) -> Note:
-        """The own planner has no plan to propose."""
         self._refused_answer = failure if self._verifier.verify else None
         return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
 
@@ -74,9 +73,9 @@ class Agreement(Situation):
         return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
-        """Whether this robot may propose a plan with so many places now.
+        """Whether this robot may propose a plan with so many places now: once in an epoch.
 
-        It proposes once in an epoch. A plan of the last epoch is replaced only by one with more places.
+        A plan of the last epoch is replaced only by one with more places.
         """
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False
@@ -84,10 +83,7 @@ class Agreement(Situation):
         return not last or self.plan is None or places > len(self.plan)
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
-        """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
-
-        Nothing happens where no more plans may follow.
-        """
+        """Follow a plan of one's own, if it may propose one; the provenance keeps the influence of this moment."""
         if not self.may_propose(len(answer.plan)):
             return []
         origin = Provenance(
@@ -165,8 +161,7 @@ class Agreement(Situation):
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
         `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved; plans of
-        `void` robots do not count. Rules are pure functions, so they are not asked twice in a row with the same
-        arguments.
+        `void` robots do not count. Rules are pure, so they are not asked twice in a row with the same arguments.
         """
         self._void, self.listens = void, False
         withdrawn = list[Note]()

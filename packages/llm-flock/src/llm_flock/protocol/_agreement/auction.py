@@ -2,8 +2,7 @@
 
 The auction is CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO
 2009). Exchanges follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for
-multiple robots (IJRR 2014), with path lengths instead of distances. Every robot has its own bid table, CBAA's winning
-bids and winning agents, and tables are merged entry by entry.
+multiple robots (IJRR 2014), with path lengths instead of distances. Tables hold CBAA's winning bids and agents.
 """
 
 from __future__ import annotations
@@ -48,10 +47,7 @@ def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
 
 
 def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -> BidTable:
-    """Slot by slot the claim of higher rank; associative, commutative and idempotent.
-
-    `said` are the slots of `theirs` that matter, where that is known.
-    """
+    """Slot by slot the claim of higher rank, of the slots `said` if given; associative, commutative and idempotent."""
     return merged(mine, [(theirs, said)])[0]
 
 
@@ -177,8 +173,8 @@ def keep_one(
 ) -> tuple[BidTable, int | None]:
     """Of several slots owned, keep the one of highest version, bid and lowest index, and release the rest.
 
-    It may own slots of `among`: its own one of before, and those that have changed since. Signed claims have a
-    `precedence` that every robot knows, and any slot may be its own; those that do not count are then freed together.
+    It may own slots of `among`. Signed claims have a `precedence` that every robot knows; those that do not count are
+    then freed together.
     """
     if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
@@ -199,10 +195,10 @@ def best_won(
 ) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
 
-    Witnesses who have not heard of a robot for too long free its slot. It stays there, instead of taking another that
-    its owner may return to. The bid for a slot of a version above 0 is `draw`'s, if given. Where no slot can be had
-    otherwise, it outbids the owner of one that was `freed` at such a version: with lots, whoever claims first has no
-    right to it, or liars that are told first could keep slots from everybody.
+    Where witnesses have freed its slot, it stays there, instead of taking another that its owner may return to. The bid
+    for a version above 0 is `draw`'s, if given. Where no slot can be had otherwise, it outbids the owner of one that
+    was `freed` at such a version: with lots, whoever claims first has no right to it, or liars could keep slots from
+    everybody.
     """
     if before is not None and table[before][2] == NO_OWNER:
         version = table[before][0]
@@ -224,7 +220,6 @@ def best_won(
 
 
 def _bid(bids: tuple[float, ...], slot: int, version: int, draw: Draw | None) -> float:
-    """A robot's bid for a version of a slot."""
     return bids[slot] if draw is None or version == 0 else draw(slot, version)
 
 

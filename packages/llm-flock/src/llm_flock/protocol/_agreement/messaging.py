@@ -54,7 +54,6 @@ class Messaging:
 
     @property
     def order(self) -> bytes:
-        """The operator's signature on the mission in force; empty for the first one, and without keys."""
         return self._channel.order
 
     def begin_round(self) -> None:
@@ -116,11 +115,7 @@ class Messaging:
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
-        """Take a mission of higher stamp, if it is spelled out and leaves alone what belongs to this robot.
-
-        Raises:
-            MessageError: the mission is refused, and with it the message: its sender belongs to another team.
-        """
+        """Take a mission of higher stamp, if it is spelled out; a MessageError refuses it with the message."""
         message, agreement = inbound.message, self._agreement
         if message.mission <= agreement.stamp or message.mission_text is None:
             return []
@@ -193,7 +188,6 @@ class Messaging:
 
     @property
     def void(self) -> frozenset[int]:
-        """Robots whose plans for the mission in force do not count; without keys there are none."""
         return self._channel.void(self._agreement.stamp)
 
     def drain(self) -> list[Message]:

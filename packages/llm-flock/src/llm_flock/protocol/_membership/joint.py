@@ -1,18 +1,12 @@
 """Joint assignment: robots in touch report positions, and one that knows enough of them assigns all their slots.
 
-Auctions and exchanges place robots one by one, while all fly. So each robot reports its position and passes on the
-reports that it hears. Whoever knows more robots than its bid table places computes the assignment of all these with the
-smallest sum of squared distances, as C-CAPT does in one place (Turpin, Michael, Kumar: CAPT: Concurrent assignment and
-planning of trajectories for multiple robots, IJRR 2014), and writes it into its table. When two pieces of the team
-meet, both know more robots than before, and the assignment of both follows.
+Whoever knows more robots than its bid table places computes the assignment of all these with the smallest sum of
+squared distances, as C-CAPT (Turpin, Michael, Kumar, IJRR 2014), and writes it into its table. The version of these
+claims is the number of robots that they place, and below that a digest of the positions: of two tables the one that
+places more wins as a whole, and of two that place as many the same one everywhere. Tables are merged like any other.
 
-The version of these claims is the number of robots that they place, and below that a digest of the positions: so of two
-tables the one that places more wins as a whole, and of two that place as many the same one everywhere. The table is
-merged like any other, and a robot without a slot, or with several, proceeds as usual.
-
-In a team of more than `MANY` robots it would be much traffic to report anew in each round, and much computation to
-assign every piece. There the whole team is assigned at once: from the positions at the start of the mission, or, where
-it is in pieces, from those at which its robots wait for each other (`llm_flock.protocol._membership.rendezvous`).
+A team of more than `MANY` is assigned at once: from the positions at the start of the mission, or, where it is in
+pieces, from those at which its robots wait for each other (`rendezvous`).
 """
 
 from __future__ import annotations
@@ -98,7 +92,6 @@ class JointAssignment:
         return [where for robot, (_, where, _) in self.known.items() if robot != self._robot]
 
     def begin_round(self) -> None:
-        """Count a round."""
         self._round += 1
         self._waited += not self._large
         if self._large and (self._round == ROUNDS + 1 or not self.collecting):
@@ -130,10 +123,8 @@ class JointAssignment:
     ) -> dict[int, PositionReport] | None:
         """The reports to broadcast: new ones, and all that are known in the `greeting`, the first broadcast of a round.
 
-        The own report is of the own position [units; frame of the mission], while waiting of where the robot waits.
-
-        Returns:
-            None where there is nothing to say: the table places all robots, or there is no circle to wait on.
+        The own report is of the own position, while waiting of where the robot waits. None where there is nothing to
+        say: the table places all robots, or there is no circle to wait on.
         """
         if not self.collecting or placed(table) >= self._n:
             self._news = {}
@@ -197,10 +188,7 @@ def _towards(here: Point, goal: Point, longest: float) -> Point:
 
 @lru_cache(maxsize=64)
 def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None) -> BidTable:
-    """The bid table with the smallest sum of squared lengths of ways, round obstacles where there is a roadmap.
-
-    With more robots than places some robots get no slot; with fewer, some slots stay free.
-    """
+    """The bid table with the smallest sum of squared ways; robots without a slot, or free slots, may be left."""
     version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)

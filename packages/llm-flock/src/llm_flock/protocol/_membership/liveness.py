@@ -1,9 +1,8 @@
 """Which robots are alive: heartbeats that every robot passes on, so that a robot out of range does not count as dead.
 
-A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware
-1998). Every robot counts its own rounds; counters travel with the messages and are merged by the element-wise maximum.
-A robot whose counter has stood still for longer than the time-out is silent: dead, or cut off together with all robots
-that hear it. This is only a suspicion: a robot suspected wrongly is heard of again, and alive again.
+A gossip-style failure detector (van Renesse, Minsky, Hayden, Middleware 1998): counters travel with the messages and
+are merged by the element-wise maximum. A robot whose counter has stood still for too long is silent: dead, or cut off.
+This is only a suspicion: a robot that is heard of again is alive again.
 """
 
 from __future__ import annotations
@@ -48,12 +47,9 @@ def patience(time_out: int, n_robots: int) -> int:
 
 
 class Liveness:
-    """The heartbeats of the team that one robot knows.
+    """The heartbeats of the team that one robot knows: `silent` robots were heard of, `strangers` never were.
 
-    `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
-    range for the time-out without being heard is silent too. A counter may stand still for `time_out` rounds, in a
-    large team for more (`patience`): the attribute is for this team. And for more where heartbeats get through rarely
-    (`GAPS`).
+    A stranger whose body stayed within radio range for the time-out without being heard is silent too.
     """
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
@@ -71,12 +67,10 @@ class Liveness:
 
     @property
     def beats(self) -> tuple[int, ...]:
-        """The highest heartbeat known of each robot, by id."""
         return tuple(self._beats.tolist())
 
     @property
     def alive(self) -> int:
-        """Number of robots that count as alive, this one included."""
         return len(self._beats) - len(self.silent) - len(self.strangers)
 
     @property
@@ -88,8 +82,7 @@ class Liveness:
     def living(self) -> frozenset[int]:
         """Robots whose counter has advanced since they were first heard of, and which are not silent.
 
-        A counter alone is no sign of life: late joiners also hear the counters of dead robots. A robot that died may
-        stay in this set for up to the time-out.
+        A counter alone is no sign of life: late joiners also hear the counters of dead robots.
         """
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
@@ -108,10 +101,7 @@ class Liveness:
         return frozenset(np.flatnonzero(found).tolist()) - {self._robot}
 
     def begin_round(self, round_number: int, near: frozenset[int], state: int = 0) -> None:
-        """Count a heartbeat of one's own, with its state, and find counters that have stood still for too long.
-
-        `near` are the robots that are sensed within radio range.
-        """
+        """Count a heartbeat with its state, and find counters that stood still; `near` are sensed in radio range."""
         self._round = round_number
         self._beats[self._robot] = (self._beats[self._robot] // PER_BEAT + 1) * PER_BEAT + state
         self._advanced[self._robot] = round_number
@@ -125,8 +115,7 @@ class Liveness:
     def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
         """Merge the counters of a communication round's messages, each of shape (N,).
 
-        A robot that was restarted, and hears of its own former life, counts on from there: otherwise its new heartbeats
-        would go unnoticed.
+        A robot that hears of its own former life counts on from there: its new heartbeats would else go unnoticed.
         """
         if not heard:
             return

@@ -57,10 +57,7 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> P
 
 
 def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
-    """The point at which a robot `here` that waits for others reaches the circle; None where there is no such circle.
-
-    Positions are in the frame of the mission [units].
-    """
+    """Where a robot `here` that waits for others reaches the circle [units; frame of the mission]; None without one."""
     places = on_circle(plan, mission.center)
     if mission.dim != 2 or places is None or not _clear(mission, places):
         return None
@@ -72,7 +69,7 @@ def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Po
     """The point on the circle at which to wait for unknown robots; None where there is no such circle.
 
     Known robots (at `others`) that follow each other on the circle within radio range spread out evenly around their
-    mean position, up to `HOLD` apart, so that the ends of such a chain meet others. Positions as for `landing`.
+    mean position, up to `HOLD` apart, so that the ends of such a chain meet others.
     """
     point = landing(mission, plan, here)
     near = NEAR * mission.spacing
@@ -139,8 +136,6 @@ def on_circle(plan: Plan, center: Point) -> Plan | None:
 
 
 class Gathering:
-    """The gathering of one robot."""
-
     def __init__(self) -> None:
         self._strangers = math.inf
         self._left = self._wait = 0
@@ -149,10 +144,10 @@ class Gathering:
     def target(
         self, mission: Mission, plan: Plan, slot: int, here: Point, *, strangers: int, alone: bool
     ) -> Point | None:
-        """Where to fly from `here` [units; frame of the mission] instead of the place; None to fly there.
+        """Where to fly from `here` [units; frame of the mission] instead of the place, or None. Call once a round.
 
-        Call once a round. `strangers` robots have never been heard of; a robot that sees no other is `alone`, and
-        returns from a far place while any are missing.
+        `strangers` robots have never been heard of; one that sees no other is `alone`, and returns while any are
+        missing.
         """
         center, reach = mission.center, CLOSE * mission.spacing
         away = math.dist(here, center)
@@ -178,10 +173,7 @@ def _towards(center: Point, here: Point, distance: float) -> Point:
 
 @lru_cache(maxsize=4096)
 def heard_when_turned(mission: Mission, plan: Plan, slot: int) -> bool:
-    """Whether robots with this plan in any other orientation would hear a robot at its place, or meet it elsewhere.
-
-    Shapes with a circle meet there.
-    """
+    """Whether robots with this plan turned anyhow would hear a robot at its place, or meet it on their circle."""
     if on_circle(plan, mission.center) is not None:
         return True
     turns = np.repeat(plan.array[[slot]], ANGLES, axis=0)

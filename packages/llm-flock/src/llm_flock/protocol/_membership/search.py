@@ -49,24 +49,14 @@ centre, but at places."""
 
 
 class Search(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a robot's search.
+    """State of a robot's search."""
 
-    Attributes:
-        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts a new search,
-            unless many robots are missing.
-        looks: number of visits to the least visited of these slots.
-        waited: rounds spent at the goal since the last tour or visit.
-        way: points still to visit [units; frame of the mission]; empty while the robot waits.
-        gaps: vacant slots that will not be visited any more.
-        looked: vacant slots that this robot has just visited.
-    """
-
-    known: tuple[str, tuple[int, ...]] = ("", ())
-    looks: int = 0
-    waited: int = 0
-    way: tuple[Point, ...] = ()
-    gaps: tuple[int, ...] = ()
-    looked: tuple[int, ...] = ()
+    known: tuple[str, tuple[int, ...]] = ("", ())  # digest of the plan, and its vacant slots; news restarts a search
+    looks: int = 0  # number of visits to the least visited of these slots
+    waited: int = 0  # rounds spent at the goal since the last tour or visit
+    way: tuple[Point, ...] = ()  # points still to visit [units; frame of the mission]; empty while the robot waits
+    gaps: tuple[int, ...] = ()  # vacant slots that will not be visited any more
+    looked: tuple[int, ...] = ()  # vacant slots that this robot has just visited
 
     @property
     def target(self) -> Point | None:
@@ -97,9 +87,8 @@ def advance(
     """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
 
     The bid of a vacant slot in `table` is its number of visits. Nobody looks for robots in slots on which one is seen
-    `standing`. `strangers` robots have never been heard of, and the
-    heartbeats of `silent` ones have stopped. Those of robots `without_plan` have stopped too, which told before that
-    these follow no plan: they wait to be found, and not in vacant slots alone, so each tour ends at the centre.
+    `standing`. `strangers` were never heard of, and heartbeats of `silent` ones have stopped. Robots `without_plan`
+    wait to be found, and not in vacant slots alone, so each tour ends at the centre.
     """
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
@@ -140,7 +129,6 @@ def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], cen
 
 @lru_cache(maxsize=4096)
 def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
-    """The vacant slot nearest to the own one."""
     points = plan.points
     here = points[slot]
     return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
@@ -163,8 +151,8 @@ def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
 class Seeking:
     """The way of one robot that is lost, or has no plan: to the centre, where searches end and others like it gather.
 
-    In a large formation nobody at a place hears the centre. There the robot also visits two ideal places in reference
-    orientation, other ones for each robot: however the formation is turned, robots with a plan stand near such places.
+    In a large formation nobody at a place hears the centre: the robot also visits two ideal places, other ones for
+    each.
     """
 
     def __init__(self, robot: int, liars: int = 0) -> None:
@@ -172,7 +160,6 @@ class Seeking:
         self.start_again()
 
     def start_again(self) -> None:
-        """Forget how far it has come."""
         self._leg = 0
         self._left: int | None = None
         self._alone = 0
@@ -182,8 +169,8 @@ class Seeking:
     ) -> None:
         """Take note of the neighbours that live, and of the team's silent and unknown robots. Call once in each period.
 
-        A robot that hears few of its team is not in touch with it, whoever stands beside it. Nor is one that might hear
-        too few honest robots to free a slot, if all that may lie are among those it hears.
+        A robot that hears few of its team is out of touch, and so is one that might hear too few honest robots to free
+        a slot, if all that may lie are among those it hears.
         """
         known = n_robots - len({*silent, *strangers})
         in_touch = bool(living) and 2 * len(silent) < n_robots and (not self._liars or known > 2 * self._liars)

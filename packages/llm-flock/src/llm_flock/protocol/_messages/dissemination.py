@@ -1,15 +1,11 @@
 """How much of its knowledge a robot spells out: long parts are named by a digest unless a neighbour may lack them.
 
-Receivers may merge parts of a message in any order, so leaving something out costs time and never correctness. A robot
-that hears a digest other than its own spells out its side until it hears its own digest back. Lost messages are thus
-repeated for as long as they matter, and robots that agree exchange a few dozen bytes. Neighbours come and go between
-rounds, so in small teams the first message of a round greets them with everything.
+Leaving something out costs time and never correctness. A robot that hears a digest other than its own spells out its
+side until it hears its own digest back. In small teams the first message of a round greets newcomers with everything.
 
-In large teams that would be most of the traffic, so newcomers are told only what they turn out to lack. A large plan
-is repeated in every other broadcast at most: an answer to one broadcast is heard before the next but one. Of a large
-bid table the changes are said (delta states: Almeida, Shoker, Baquero: Delta state replicated data types, 2018). While
-changes are under way tables differ everywhere; a difference that is left when they have come to rest is a loss, and
-only then the whole table is said.
+In large teams they are told only what they turn out to lack. A large plan is repeated in every other broadcast at most:
+an answer is heard before the next but one. Of a large bid table the changes are said (delta states: Almeida, Shoker,
+Baquero, 2018); a difference that is left when they have come to rest is a loss, and only then all is said.
 """
 
 from __future__ import annotations
@@ -65,7 +61,6 @@ class Dissemination:
         self._table_said += 1
 
     def hear(self, message: Message) -> None:
-        """Remember what a neighbour knows."""
         before = self._peers.get(message.sender)
         if before is not message and (before is None or _KNOWLEDGE(before) != _KNOWLEDGE(message)):
             self._news = True
@@ -84,7 +79,6 @@ class Dissemination:
         return plan
 
     def forget_plans(self) -> None:
-        """Forget all plans. Call when another mission comes into force."""
         self._plans = {}
 
     @property
@@ -93,10 +87,9 @@ class Dissemination:
         return self._greeting
 
     def unchanged(self, *standing: object) -> bytes | None:
-        """The last payload if composing again would give the same one, else None.
+        """The last payload if composing again would give the same one, else None; `standing` is all it is made of.
 
-        `standing` is everything that the message is made of, apart from the team's positions. A robot in agreement
-        repeats itself in most communication rounds; this saves a tenth of a large team's time.
+        A robot in agreement repeats itself in most communication rounds; this saves a tenth of a large team's time.
         """
         same, self._standing = standing == self._standing, standing
         return self._payload if same and not (self._news or self._greeting) else None
