@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.events import MissionGiven, Note
-from llm_flock.message import Course, Message, MissionStamp, PositionReport, received_mission
+from llm_flock.message import Course, Message, MissionStamp, received_mission
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.agreement import Agreement
-from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._messages.channel import Channel, Inbound
 from llm_flock.protocol._messages.dissemination import Dissemination
 from llm_flock.protocol._parts import Parts
@@ -69,14 +68,6 @@ class Messaging:
         """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
         positions = self._membership.report(agreement, greeting=self._dissemination.greets)
-        standing = agreement.degree, agreement.stamp, agreement.plan, agreement.provenance, claim, course
-        payload = self._dissemination.unchanged(*standing)
-        if payload is None or positions is not None:
-            payload = self._compose(claim, course, positions)
-        return self._channel.seal(payload)
-
-    def _compose(self, claim: Claim, course: Course | None, positions: dict[int, PositionReport] | None) -> bytes:
-        agreement = self._agreement
         whole = Message(
             sender=self._robot,
             sequence=0,
@@ -91,7 +82,7 @@ class Messaging:
             beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
         )
-        return self._dissemination.compose(whole, claim.table, agreement.mission)
+        return self._channel.seal(self._dissemination.compose(whole, claim.table, agreement.mission))
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
         """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim."""

@@ -50,8 +50,6 @@ class Dissemination:
         self._sequence = 0
         self._payload = b""
         self._plans: dict[str, Plan] = {}
-        self._standing: tuple[object, ...] = ()
-        self._news = True
 
     def begin_round(self) -> None:
         """Forget neighbours that were silent in the last round."""
@@ -61,9 +59,6 @@ class Dissemination:
         self._table_said += 1
 
     def hear(self, message: Message) -> None:
-        before = self._peers.get(message.sender)
-        if before is not message and (before is None or _KNOWLEDGE(before) != _KNOWLEDGE(message)):
-            self._news = True
         self._peers[message.sender] = message
         self._heard.add(message.sender)
 
@@ -85,14 +80,6 @@ class Dissemination:
     def greets(self) -> bool:
         """Whether the next broadcast is the first of a round."""
         return self._greeting
-
-    def unchanged(self, *standing: object) -> bytes | None:
-        """The last payload if composing again would give the same one, else None; `standing` is all it is made of.
-
-        A robot in agreement repeats itself in most communication rounds; this saves a tenth of a large team's time.
-        """
-        same, self._standing = standing == self._standing, standing
-        return self._payload if same and not (self._news or self._greeting) else None
 
     def compose(self, whole: Message, table: BidTable | None, mission: Mission) -> bytes:
         """The bytes to broadcast; equal ones as long as there is nothing else to say.
@@ -121,9 +108,6 @@ class Dissemination:
             self._sent = message
             self._payload = encode(replace(message, sequence=self._sequence))
             self._sequence += 1
-        # Greetings, positions, changes and what is long are not repeated, so the next payload differs from this one.
-        long = spell_plan or differs or spell_table
-        self._news = greeting or whole.positions is not None or any(self._changed) or long
         return self._payload
 
     def digest(self, table: BidTable | None) -> bytes | None:
