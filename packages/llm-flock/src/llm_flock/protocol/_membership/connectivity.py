@@ -103,13 +103,8 @@ class ConnectivityRecovery:
         missed = live.strangers or live.silent or apart
         self._search = search = advance(
             before,
-            position=now.position,
-            plan=places,
-            slot=slot,
-            table=table,
-            center=now.mission.center,
-            spacing=now.mission.spacing,
-            at_goal=math.dist(now.position, places.points[slot]) <= AT_GOAL * now.mission.spacing,
+            now,
+            places,
             strangers=len(live.strangers),
             silent=len(live.silent - live.without_plan),
             without_plan=len(live.silent & live.without_plan) + len(apart),

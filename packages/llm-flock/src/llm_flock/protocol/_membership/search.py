@@ -18,9 +18,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
-from llm_flock.message import NO_OWNER, BidTable
+from llm_flock.message import NO_OWNER
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.protocol._parts import Situation
 
 PATIENCE = 1  # rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain
 NEXT_TO = 1.5  # a vacant slot within this many spacings of the robot's own slot is next to it
@@ -71,25 +73,22 @@ class Search(msgspec.Struct, frozen=True, kw_only=True):
 
 def advance(
     search: Search,
-    *,
-    position: Point,
+    now: Situation,
     plan: Plan,
-    slot: int,
-    table: BidTable,
-    center: Point,
-    spacing: float,
-    at_goal: bool,
+    *,
     strangers: int,
     silent: int,
     without_plan: int = 0,
     standing: Collection[int] = (),
 ) -> Search:
-    """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
+    """The search one round later, for a robot with a slot of this plan.
 
-    The bid of a vacant slot in `table` is its number of visits. Nobody looks for robots in slots on which one is seen
-    `standing`. `strangers` were never heard of, and heartbeats of `silent` ones have stopped. Robots `without_plan`
-    wait to be found, and not in vacant slots alone, so each tour ends at the centre.
+    The bid of a vacant slot is its number of visits. Nobody looks for robots in slots on which one is seen `standing`.
+    `strangers` were never heard of, and heartbeats of `silent` ones have stopped. Robots `without_plan` wait to be
+    found, and not in vacant slots alone, so each tour ends at the centre.
     """
+    slot, table, center, spacing = now.claim.slot, now.claim.table, now.mission.center, now.mission.spacing
+    assert slot is not None and table is not None, "only who has a place knows of vacant ones"
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
     if not vacant or not (strangers or silent or without_plan):  # a team in touch fills its vacant slots by agreement
@@ -101,11 +100,11 @@ def advance(
     waited = search.waited if looks == search.looks else 0
     search = replace(search, gaps=gaps, looks=looks, waited=waited, looked=())
     if search.way:
-        if math.dist(position, search.way[0]) > ARRIVED * spacing:
+        if math.dist(now.position, search.way[0]) > ARRIVED * spacing:
             return search
         here = tuple(a for a in vacant if plan.points[a] == search.way[0])
         return replace(search, way=search.way[1:], waited=0, looked=here)
-    if not due or not at_goal:
+    if not due or math.dist(now.position, plan.points[slot]) > AT_GOAL * spacing:
         return search
     nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in due) / spacing
     if waited < PATIENCE * 2**looks + int(PATIENCE_PER_PLACE * max(0.0, nearest - NEXT_TO)):
