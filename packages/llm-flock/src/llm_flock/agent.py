@@ -89,7 +89,7 @@ class Agent:
         }
         self._fallback: Fallback = fallback
         self._scene: Observation | None = None
-        self._seen: tuple[int, RoundBegan | Sensed] | None = None
+        self._seen: tuple[int, Sensed] | None = None
         self._asked_about: object = None
 
     @property
@@ -183,14 +183,14 @@ class Agent:
                 effects = [Broadcast(self._messaging.broadcast(self._pilot.course))]
             case CommRoundEnded():
                 phase, effects = self._settle()
-            case Sensed():
-                self._look_about(event)
             case HeartbeatDue():
                 self._begin_period(event.period)
             case MissionGiven():
                 effects = self._give_mission(event)
             case RoundBegan():
                 phase, effects = self._begin(event)
+            case Sensed():
+                self._look_about(event)
             case Planned():
                 phase, effects = Phase.AGREEING, list[Effect](self._proposals.take(event.answer))
             case AgreementEnded():
@@ -254,7 +254,7 @@ class Agent:
         phase, effects = self._decide()
         return phase, [Note("stale_answer", {"about": "step"}), *effects]
 
-    def _look(self, number: int, event: RoundBegan | Sensed) -> None:
+    def _look(self, number: int, event: Sensed) -> None:
         """Take sensor values, in the frame of the mission in force."""
         mission = self.mission
         moving = mission.velocity is not None

@@ -43,31 +43,26 @@ class Origin(StrEnum):
 # Events: what happens to the robot.
 
 
-class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
-    """A motion round begins, with the values of the sensors.
+class Sensed(msgspec.Struct, frozen=True, kw_only=True):
+    """Sensor values; between two rounds, for a robot that is not in step with the others.
 
     Attributes:
-        round: number of the round, from 1.
         position: own believed position [units; world frame].
         degree: number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
         sensed: believed positions of the robots within sensing range, by id [units; world frame].
         observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
     """
 
+    position: Point
+    degree: int
+    sensed: Mapping[int, Point]
+    observed: tuple[Point, ...]
+
+
+class RoundBegan(Sensed, frozen=True, kw_only=True):
+    """A motion round begins, numbered from 1, with the values of the sensors."""
+
     round: int
-    position: Point
-    degree: int
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...]
-
-
-class Sensed(msgspec.Struct, frozen=True, kw_only=True):
-    """Sensor values between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
-
-    position: Point
-    degree: int
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...]
 
 
 class HeartbeatDue(msgspec.Struct, frozen=True):
