@@ -140,10 +140,6 @@ class Swarm:
         if "world" not in self.ready:
             raise SwarmError("the world did not start")
 
-    def signal(self, name: str, number: signal.Signals) -> None:
-        """Send a signal to one process."""
-        os.kill(self.pids[name], number)
-
     async def end(self) -> None:
         """Tell every process to end, and wait a little for that."""
         for name, pid in self.pids.items():

@@ -56,11 +56,6 @@ class RecordedTeam:
             case _:
                 pass
 
-    @property
-    def n_robots(self) -> int:
-        """Robots of the team; 0 before the first mission."""
-        return 0 if self._mission is None else int(self._mission.mission["n_robots"])
-
     def view(self) -> TeamView | None:
         """The team as of now, where drones measured themselves if they did; None before the first state."""
         if self.state is None or self._mission is None:

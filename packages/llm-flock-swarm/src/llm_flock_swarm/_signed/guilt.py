@@ -7,7 +7,7 @@ checks refuse was not sent by one. Who changes its mind, or is wrong about what 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import cast
 
 import msgspec
 
@@ -17,6 +17,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol import Checker, Inbound, TeamMembership
 from llm_flock_swarm._signed.certificates import (
     LIARS,
+    Authenticator,
     Context,
     Proofs,
     Verifier,
@@ -28,21 +29,6 @@ from llm_flock_swarm._signed.channel import SignedChannel
 from llm_flock_swarm._signed.evidence import Evidence
 
 OUTSIDER = -1  # id of somebody who judges and is no robot
-
-
-@dataclass(frozen=True)
-class _Outsider:
-    """Somebody without keys of its own."""
-
-    verifier: Verifier
-
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
-        return self.verifier.check(member, statement, signature)
-
-    def sign(self, statement: bytes) -> bytes:
-        """Nothing is ever signed by who only judges."""
-        raise AssertionError(statement)
 
 
 def guilt(
@@ -58,7 +44,8 @@ def guilt(
     `sender` has signed the payload as a whole. Plans are checked for these missions only. A message of another version
     proves nothing, nor do more claims than count: liars can drive an honest robot from place to place.
     """
-    mission, authenticator = missions[0], _Outsider(verifier)
+    # Nothing is ever signed by who only judges.
+    mission, authenticator = missions[0], cast("Authenticator", verifier)
     evidence = Evidence(OUTSIDER, authenticator, liars)
     membership = TeamMembership(0, mission)
     channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, membership, replans=validator.any_size)
