@@ -1,9 +1,7 @@
-"""The circuit breaker between a robot and its model: a model whose answers stay unusable is no longer asked.
+"""The circuit breaker between a robot and its model: one whose answers stay unusable is asked no longer, or rarely.
 
-The pattern is Nygard's (Release It!, 2007). After `THRESHOLD` refused questions in a row a breaker opens: geometry
-answers. It also opens for a model that is refused again and again with usable answers in between (`RECOVERY`). After a
-wait it is half-open and passes on one question, a probe without a second try. A usable answer closes it; another
-refusal opens it for twice as long.
+The pattern is Nygard's (Release It!, 2007): open, geometry answers; half-open, one question without a second try is a
+probe; a usable answer closes it, and another refusal opens it for twice as long.
 """
 
 from __future__ import annotations

@@ -160,8 +160,8 @@ class Agreement(Situation):
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
-        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved; plans of
-        `void` robots do not count. Rules are pure, so they are not asked twice in a row with the same arguments.
+        `heard` has the newest message of each sender, in ascending order of ids; plans of `void` robots do not count.
+        Rules are pure, so they are not asked twice in a row with the same arguments.
         """
         self._void, self.listens = void, False
         withdrawn = list[Note]()

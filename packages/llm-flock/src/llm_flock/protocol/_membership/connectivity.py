@@ -25,10 +25,7 @@ A team in touch gives vacant places to them within a few rounds, and those that 
 
 
 class ConnectivityRecovery:
-    """Keeps one robot in touch with its team, or finds robots that it misses.
-
-    Of living robots without a place, `liars` are not missed: they may want none.
-    """
+    """Keeps a robot in touch with its team. Of living robots without a place `liars` may want none."""
 
     def __init__(self, liveness: Liveness, joint: JointAssignment, liars: int = 0) -> None:
         self._liveness, self._joint, self._search = liveness, joint, Search()
@@ -73,10 +70,7 @@ class ConnectivityRecovery:
         return target, self._search.looked, notes
 
     def _standing_at(self, now: Situation, places: Plan, table: BidTable) -> set[int]:
-        """Slots without an owner on which a body stands, or stood when it was last in sight.
-
-        Whoever goes away from a body to look elsewhere does not begin another search for it.
-        """
+        """Slots without owner on which a body stands, or stood when last in sight, so that no search begins anew."""
         near, bodies = AT_GOAL * now.mission.spacing, now.sensed.values()
         free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
         known = self._standing[1] if self._standing[0] == places.digest else {}

@@ -1,12 +1,8 @@
 """Joint assignment: robots in touch report positions, and one that knows enough of them assigns all their slots.
 
-Whoever knows more robots than its bid table places computes the assignment of all these with the smallest sum of
-squared distances, as C-CAPT (Turpin, Michael, Kumar, IJRR 2014), and writes it into its table. The version of these
-claims is the number of robots that they place, and below that a digest of the positions: of two tables the one that
-places more wins as a whole, and of two that place as many the same one everywhere. Tables are merged like any other.
-
-A team of more than `MANY` is assigned at once: from the positions at the start of the mission, or, where it is in
-pieces, from those at which its robots wait for each other (`rendezvous`).
+As C-CAPT (Turpin, Michael, Kumar, IJRR 2014); see membership.md in the docs. The version of these claims is the number
+of robots that they place, and below that a digest of the positions: of two tables the one that places more wins as a
+whole, and of two that place as many the same one everywhere.
 """
 
 from __future__ import annotations

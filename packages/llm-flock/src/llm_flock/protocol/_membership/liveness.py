@@ -1,8 +1,6 @@
-"""Which robots are alive: heartbeats that every robot passes on, so that a robot out of range does not count as dead.
+"""Which robots are alive: heartbeats that every robot passes on, merged by the element-wise maximum.
 
-A gossip-style failure detector (van Renesse, Minsky, Hayden, Middleware 1998): counters travel with the messages and
-are merged by the element-wise maximum. A robot whose counter has stood still for too long is silent: dead, or cut off.
-This is only a suspicion: a robot that is heard of again is alive again.
+A gossip-style failure detector (van Renesse, Minsky, Hayden, Middleware 1998). Silence is only a suspicion.
 """
 
 from __future__ import annotations

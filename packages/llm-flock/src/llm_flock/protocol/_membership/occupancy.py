@@ -42,12 +42,11 @@ def sight(mission: Mission) -> float:
 
 
 def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blocked: bool) -> Occupancy:
-    """The occupancy of a plan's slots as one robot sees it. Call once a round.
+    """The occupancy of a plan's slots; `knows_blocked` is whether the own table has blocked ones. Call once a round.
 
-    A slot is neither blocked nor clear if an unidentified body stands there, which may be known to others, or if it is
-    too far away to see everything that could block it. Robots known to live do not block a slot: they will move away.
-    A robot that hears no others is itself cut off: it declares nobody dead. The same holds in a formation whose places
-    are not all in radio contact, where silence proves nothing. `knows_blocked`: the own bid table has blocked slots.
+    A slot is neither blocked nor clear if an unidentified body stands there, or if it is too far away to see. Living
+    robots will move away. A robot that hears no others, or whose formation is not all in radio contact, declares nobody
+    dead.
     """
     mission, plan = now.mission, now.plan
     assert plan is not None, "slots are those of a plan"
@@ -70,8 +69,7 @@ def waiting_place(
 ) -> Point:
     """The nearest point that is clear of places, others, walls and obstacles; `position` itself where none is.
 
-    If slots are blocked by bodies, the point is in sight of the nearest of them where possible, because no other robot
-    may be near enough to see it come free. Positions are in the frame of the mission [units].
+    In sight of the nearest blocked slot where possible: no other robot may be near enough to see it come free.
     """
     clear = CLEARANCE * mission.safe_distance
     watched = min((plan.points[a] for a in blocked), key=lambda place: math.dist(position, place), default=position)

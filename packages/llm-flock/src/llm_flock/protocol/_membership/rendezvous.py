@@ -1,16 +1,4 @@
-"""Where the pieces of a team meet: on a circle, or at the centre, before robots fly to places far out.
-
-Each piece has its own plan: the same shape in another orientation, with its places elsewhere. The circle around the
-centre with the mean radius of the places is the same in every orientation: while less than half of a plan's slots have
-owners, a robot goes to its point nearest to its place, and looks for others along it. In the plane, robots of a large
-team that are not assigned jointly after the first rounds wait near that circle and spread out along it until it is
-closed: then every robot hears of every other.
-
-A place at the end of a line may be out of touch with another line. So as long as a robot does not know most of the
-team, it flies there only if, however the formation is turned, a robot at some place would hear it; otherwise it goes
-to the centre, alone on to its other side, in case the formation is open towards it, and stops after a while: the
-others may be dead.
-"""
+"""Where the pieces of a team meet, on a circle or at the centre: see "Gathering" and "Rendezvous" in membership.md."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""The search that ends frozen partitions, and the way of a robot that is lost or has no plan.
-
-Two groups can settle on slots that never come into radio range of each other: each then knows of vacant slots that no
-message will ever fill. So a robot at its goal that still knows of vacant slots after some rounds visits them, the
-nearest first and the centre last, until it hears something new. The robot nearest to a vacant slot goes first. Each
-visit at which no robot is met is counted in the slot's table entry and spreads with it, and is followed by a longer
-wait; after `LOOKS` visits the slot is a gap: the team may simply be smaller than the plan.
-"""
+"""The search that ends frozen partitions, and the way of a robot that is lost: see membership.md in the docs."""
 
 from __future__ import annotations
 
@@ -148,11 +141,7 @@ def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
 
 
 class Seeking:
-    """The way of one robot that is lost, or has no plan: to the centre, where searches end and others like it gather.
-
-    In a large formation nobody at a place hears the centre: the robot also visits two ideal places, other ones for
-    each.
-    """
+    """The way of a robot that is lost, or has no plan: to the centre, in a large formation also to two ideal places."""
 
     def __init__(self, robot: int, liars: int = 0) -> None:
         self._robot, self._liars = robot, liars
@@ -166,11 +155,7 @@ class Seeking:
     def count(
         self, living: Collection[int], silent: Collection[int], strangers: Collection[int], n_robots: int
     ) -> None:
-        """Take note of the neighbours that live, and of the team's silent and unknown robots. Call once in each period.
-
-        A robot that hears few of its team is out of touch, and so is one that might hear too few honest robots to free
-        a slot, if all that may lie are among those it hears.
-        """
+        """Count, once a period, whether it is out of touch: it hears few of its team, or too few to outnumber liars."""
         known = n_robots - len({*silent, *strangers})
         in_touch = bool(living) and 2 * len(silent) < n_robots and (not self._liars or known > 2 * self._liars)
         self._alone = 0 if in_touch else self._alone + 1

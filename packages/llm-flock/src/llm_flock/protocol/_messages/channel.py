@@ -23,11 +23,7 @@ class Authorization(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Inbound(msgspec.Struct, frozen=True, kw_only=True):
-    """One received message, verified and decoded.
-
-    `beats` are the team's heartbeat counters, shape (N,), None where the message has none. In teams with keys there is
-    an authorization of the sender's mission.
-    """
+    """One received message, verified and decoded, with the team's heartbeat counters, shape (N,), if it has any."""
 
     message: Message
     beats: NDArray[np.int64] | None

@@ -1,11 +1,8 @@
 """How much of its knowledge a robot spells out: long parts are named by a digest unless a neighbour may lack them.
 
-Leaving something out costs time and never correctness. A robot that hears a digest other than its own spells out its
-side until it hears its own digest back. In small teams the first message of a round greets newcomers with everything.
-
-In large teams they are told only what they turn out to lack. A large plan is repeated in every other broadcast at most:
-an answer is heard before the next but one. Of a large bid table the changes are said (delta states: Almeida, Shoker,
-Baquero, 2018); a difference that is left when they have come to rest is a loss, and only then all is said.
+Leaving something out costs time and never correctness. A robot that hears another digest than its own spells out its
+side; small teams also greet newcomers with everything once a round. Of a large table the changes are said (delta
+states: Almeida, Shoker, Baquero, 2018), and all of it where a difference is left when they have come to rest.
 """
 
 from __future__ import annotations
