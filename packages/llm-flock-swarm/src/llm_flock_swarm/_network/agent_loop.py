@@ -31,9 +31,7 @@ from llm_flock_swarm._network.process import PeriodClock, phase_s
 from llm_flock_swarm._network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock_swarm._zenoh import LinkTraffic
 
-SETTLED_EXCHANGES = 2
-"""Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""
-
+SETTLED_EXCHANGES = 2  # exchanges without another slot after which agreement about a new plan counts as settled
 LATEST = 2.0  # a move ends at the latest after this multiple of its unhindered duration
 MOST_NOTES = 256  # events in one report; more of them, in a flood of bad messages say, are only counted
 MOST_REASON = 2000  # longest reason in a report [characters]

@@ -32,11 +32,8 @@ from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.self_reports import SelfReports, rejected, sent
 from llm_flock_swarm._network.wire import RobotReport, WorldState
 
-SILENT_S = 1.0
-"""A robot that reports is there; it is gone once it has left the network and has been silent for this long [s]."""
-
-MOST_UNPROVEN = 8
-"""Accusations of one robot that prove nothing, after which no more of them are judged: each takes time."""
+SILENT_S = 1.0  # a robot that reports is there; it is gone once it has left and has been silent for this long [s]
+MOST_UNPROVEN = 8  # accusations of one robot that prove nothing, after which none are judged: each takes time
 
 
 class Observer:

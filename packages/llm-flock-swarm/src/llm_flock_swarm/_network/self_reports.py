@@ -15,10 +15,7 @@ from llm_flock_swarm._zenoh import Allowance
 
 MOST_PLANS = 256  # most plans of which one robot tells the places, or the supplier: far more than an honest one knows
 LONGEST_ID = 64  # longest name of a plan
-
-RECORDED = 512 * 1024
-"""Events and calls of each robot that are taken [bytes/s], and those of two seconds at once: records fit on disks."""
-
+RECORDED = 512 * 1024  # events and calls of each robot that are taken [bytes/s]: records fit on disks
 MOST_LATENCIES = 16_384  # latest latencies of each robot that are kept
 
 

@@ -15,10 +15,7 @@ WIRE_VERSION = 3
 
 MOST_EVENTS = 4096  # most events or calls in one report
 MOST_WORDS = 64  # most entries of a dictionary by origin or by reason
-
-Place: TypeAlias = tuple[Coordinate, ...]
-"""One position as plain numbers; its receiver checks the length [units; world frame]."""
-
+Place: TypeAlias = tuple[Coordinate, ...]  # one position; its receiver checks the length [units; world frame]
 Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]  # a moment by the wall clock [s]
 
 Amount = Annotated[float, msgspec.Meta(ge=0.0, le=1e12)]

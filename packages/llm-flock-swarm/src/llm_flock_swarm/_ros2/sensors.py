@@ -19,19 +19,11 @@ from llm_flock_swarm._network.wire import Body, Command, WorldState
 from llm_flock_swarm._network.world import SAME_POSITION
 from llm_flock_swarm._ros2.wire import Attachment
 
-FRESH_S = 0.25
-"""Oldest pose that goes into a reading of the sensors [s]; without a younger one of every robot there is no reading."""
-
+FRESH_S = 0.25  # oldest pose in a reading of the sensors [s]; without a younger one of every robot there is none
 LATE_S = 1.0  # poses that were sent longer ago, by both machines' clocks, are refused [s]
-
-LOST_S = 1.0
-"""A source that is silent for this long may be followed by another one; a body that lags for this long stays [s]."""
-
-MOST_FAST = 2.0
-"""Poses that are farther apart than a body flies at this many times its largest speed are no poses of one body."""
-
-MOST_BEHIND = 1.0
-"""A body may be this many control periods of flight away from where it is to stop, and still gets a command."""
+LOST_S = 1.0  # who is silent for this long may be followed by another source; a body that lags for it stays [s]
+MOST_FAST = 2.0  # poses farther apart than a body flies at this many times its largest speed are not of one body
+MOST_BEHIND = 1.0  # control periods of flight that a body may be behind its end, and still gets a command
 
 
 @dataclass(slots=True)

@@ -20,9 +20,7 @@ POSE = "geometry_msgs/msg/PoseStamped"
 TEXT = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
-USED = (CLOCK, DIAGNOSTICS, MARKERS, PATH, POINTS, POSE, TEXT, TRANSFORMS)
-"""Every type that is sent, received or written to bags."""
-
+USED = (CLOCK, DIAGNOSTICS, MARKERS, PATH, POINTS, POSE, TEXT, TRANSFORMS)  # every type sent, received or in bags
 MOST_BYTES = 1 << 20  # largest message that is read [bytes]
 
 NS = 1_000_000_000

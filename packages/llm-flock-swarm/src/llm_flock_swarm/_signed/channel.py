@@ -26,9 +26,7 @@ from llm_flock_swarm._signed.certificates import (
 from llm_flock_swarm._signed.equivocations import Equivocations
 from llm_flock_swarm._signed.evidence import Evidence
 
-MOST_PENDING = 3
-"""Most signed heartbeats of one robot that are kept, the last ones: what is heard counts at the next exchange only."""
-
+MOST_PENDING = 3  # most signed heartbeats of one robot that are kept: what is heard counts at the next exchange
 REMEMBERED_ORIGINS = 1024  # most plan origins whose signatures are kept
 
 

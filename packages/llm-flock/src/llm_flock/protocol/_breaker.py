@@ -17,10 +17,7 @@ Fallback: TypeAlias = Literal["breaker", "hold", "geometry"]
 
 QuestionKind: TypeAlias = Literal["plan", "step"]
 
-THRESHOLD = 2
-"""Refused questions in a row that open a closed breaker. Each of them was asked again with the reason, so with the
-default of two retries a hopeless model costs six calls."""
-
+THRESHOLD = 2  # refused questions in a row, each asked again with the reason, that open a closed breaker
 RECOVERY = 0.25  # part of a refusal that a usable answer makes up for: four make up for one
 FIRST_WAIT = 2  # rounds from the opening of a breaker to the first probe; each refused probe doubles the wait
 LONGEST_WAIT = 64  # longest wait for a probe [rounds]

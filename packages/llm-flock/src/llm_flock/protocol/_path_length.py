@@ -22,18 +22,10 @@ from llm_flock.plan import Plan
 if TYPE_CHECKING:
     from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
-REACH = 1.5
-"""A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""
-
-MOST_PLACES = 256
-"""In plans of more places the straight line is used: finding other paths takes the cube of their number."""
-
+REACH = 1.5  # a hop of at most this many spacings counts as long as it is, one k times as long k times its length
+MOST_PLACES = 256  # in larger plans the straight line is used: finding other paths takes the cube of their number
 FAR = 3.0  # a goal this many spacings away is approached along the formation, in stages of at most this length
-
-ACROSS = 8.0
-"""A robot in touch with the whole team flies straight, unless its goal is this many spacings away: it would be alone
-for long, where others could move up instead."""
-
+ACROSS = 8.0  # a robot in touch flies straight, unless its goal is this many spacings away: it would be alone for long
 NO_WAY = 1e6  # length that stands for a way that does not exist [units]: longer than any other
 BESIDE = 0.6  # distance at which robots on such a path pass its places, on the side of the centre [spacings]
 

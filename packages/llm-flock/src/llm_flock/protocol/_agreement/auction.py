@@ -25,14 +25,9 @@ from llm_flock.protocol._path_length import path_lengths, ways, ways_to
 
 BID_DECIMALS = 9
 
-SWAP_GAIN = 0.01
-"""An exchange must lower the sum of the squared path lengths by at least this share of the squared spacing."""
-
+SWAP_GAIN = 0.01  # an exchange must lower the sum of squared path lengths by this share of the squared spacing
 BOUND_ROUNDS = 4  # communication rounds for which an offer binds its maker; an answer takes two where nothing is lost
-
-
-LAST_EXCHANGED = 2**34
-"""A slot of this version or a higher one is not exchanged: two that lie could else raise it above every number."""
+LAST_EXCHANGED = 2**34  # from this version on no slot is exchanged: two that lie could else raise it above every number
 
 
 def rank(entry: BidEntry) -> tuple[int, bool, float, int]:

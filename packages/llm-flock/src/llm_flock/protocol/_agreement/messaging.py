@@ -18,13 +18,8 @@ from llm_flock.protocol._messages.channel import Channel, Inbound
 from llm_flock.protocol._messages.dissemination import Dissemination
 from llm_flock.protocol._parts import Parts
 
-REMEMBERED_PAYLOADS = 256
-"""Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
-their payloads once a round saves a tenth of a large team's time."""
-
-MOST_BAD_PLANS = 8
-"""Plans of one sender that may fail verification in a round; then no more of them are verified, which takes time."""
-
+REMEMBERED_PAYLOADS = 256  # most payloads of a round whose meaning is kept: neighbours repeat themselves
+MOST_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
 COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard: messages get lost
 REMEMBERED_REFUSALS = 1024  # most refused plans that are remembered, so that a flood of plans costs bounded memory
 

@@ -16,12 +16,8 @@ from llm_flock.protocol._membership.search import MANY, Search, advance
 from llm_flock.protocol._parts import Situation
 from llm_flock.protocol._path_length import ACROSS, next_stop
 
-REMEMBERED = 30
-"""Rounds for which a body that is out of sight is taken to stand at a place: after that it is looked at again."""
-
-APART = 3
-"""Rounds beyond the time-out for which living robots must have no place, while some are vacant, before they are missed.
-A team in touch gives vacant places to them within a few rounds, and those that have died turn out to be silent."""
+REMEMBERED = 30  # rounds for which a body out of sight is taken to stand at a place: then it is looked at again
+APART = 3  # rounds beyond the time-out without a place, while some are vacant, after which living robots are missed
 
 
 class ConnectivityRecovery:

@@ -25,25 +25,14 @@ from llm_flock.protocol._membership.search import MANY
 from llm_flock.protocol._path_length import ways
 from llm_flock.roadmap import Roadmap
 
-ROUNDS = 8
-"""Rounds of a mission in which a large team passes on positions at the start; after that they are out of date."""
-
-SECOND = 0.15
-"""Waiting robots are assigned from the positions that they mark in the round that is this share of the team size. By
-then most robots of a ring have reached its circle, and the others mark the point at which they will reach it. A mark
-does not change any more, so that all robots compute the same table."""
-
+ROUNDS = 8  # rounds of a mission in which a large team passes on positions at the start; then they are out of date
+SECOND = 0.15  # share of the team size after which waiting robots mark, for good, where they wait, for one table
 LARGEST = 256  # larger teams do not wait: the traffic grows with the square of the team size
 VERSION = 2**22  # version of a joint assignment for each robot that it places: above all earlier claims
-
-DIGESTS = 2**16
-"""Number of digests; two joint assignments of as many robots share one by chance, and are then sorted out by bids."""
-
+DIGESTS = 2**16  # two joint assignments of as many robots that share one by chance are sorted out by bids
 DECIMALS = 2  # decimals of reported positions
 MOVED = 0.1  # a waiting robot reports its position again when it has moved by this share of the spacing
-
-PATIENCE = 16
-"""Rounds without news of a robot that was unknown after which a robot stops to wait, or to report positions."""
+PATIENCE = 16  # rounds without news of an unknown robot after which a robot stops to wait, or to report positions
 
 
 class JointAssignment:

@@ -10,32 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-CANNOT_FLY, NO_PLAN = 1, 2
-"""States that a heartbeat tells of its robot, to be added: geometry flies it because its model's answers are unusable;
-it follows no plan."""
-
-PER_BEAT = 4
-"""A heartbeat is the robot's own count times this, plus its state: the maximum of two heartbeats is the newer one with
-the state of that time."""
-
-BODY = 1
-"""Heartbeat of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. That
-of a robot that is awake is higher."""
-
+CANNOT_FLY, NO_PLAN = 1, 2  # states in a heartbeat, to be added: geometry flies the robot; it follows no plan
+PER_BEAT = 4  # a heartbeat is the own count times this, plus the state: of two the maximum is the newer one
+BODY = 1  # heartbeat of a robot of which only a body was ever sensed; that of one that is awake is higher
 FEW = 20  # in a team of at most this size, heartbeats reach every robot well within the time-out
-
-ROUNDS_PER_ROBOT = 0.6
-"""Additional rounds of time-out for each further robot. Heartbeats are passed on once a round: when a cluster
-spreads out into a ring of N, where the farthest robot is N / 2 hops away, they arrive late by nearly as many rounds."""
-
-
+ROUNDS_PER_ROBOT = 0.6  # more rounds of time-out for each further robot: heartbeats travel one hop a round
 GAP_WEIGHT = 0.1  # weight of the newest gap between two heartbeats of a robot in their average
-
-GAPS = 8.0
-"""The time-out of a robot whose heartbeats get through rarely is longer by this many times the rounds that are left out
-between two of them on average: where most messages are lost, silence proves little (Hayashibara et al. 2004, the phi
-accrual failure detector)."""
-
+GAPS = 8.0  # times the rounds left out between heartbeats: rare ones prove little (phi accrual, Hayashibara 2004)
 LONGEST = 5  # longest time-out, as a multiple of the configured one
 
 

@@ -17,8 +17,7 @@ from llm_flock.protocol._membership.liveness import Liveness
 from llm_flock.protocol._parts import Situation
 from llm_flock.protocol._verification.plans import blocked_within
 
-CLEARANCE = 2.0
-"""Safe distances between a waiting robot and every place of the plan, so that another robot can pass between."""
+CLEARANCE = 2.0  # safe distances between a waiting robot and every place, so that another one can pass between
 
 ANGLES, RINGS = 24, 40
 

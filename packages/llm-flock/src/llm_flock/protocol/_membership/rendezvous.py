@@ -19,19 +19,12 @@ from llm_flock.plan import Plan
 
 HOLLOW = 0.5  # shapes have a circle if their nearest place is at least at this share of the farthest one's distance
 ENOUGH = 0.5  # robots fly to their places once this share of a plan's slots is taken
-
-WITHIN = 0.95
-"""The circle on which robots wait is smaller by this factor: there they stand closer, and close it more easily."""
-
+WITHIN = 0.95  # the circle on which robots wait is smaller by this: there they stand closer, and close it more easily
 NEAR = 1.0  # a robot within this many spacings of the circle is on it
 HOLD = 0.8  # waiting robots spread out to at most this share of the radio range
 LINK = 0.95  # no robot moves farther than this share of the radio range from a neighbour on the circle
-
 FEW = 0.45  # while more than this share of the team has never been heard of, a robot gathers
-
-CLOSE = 0.3
-"""Robots gather at this many spacings from the centre, each on its own side, so as not to be in each other's way."""
-
+CLOSE = 0.3  # robots gather at this many spacings from the centre, each on its own side, not in each other's way
 WAIT = 4  # rounds without news at the centre after which a robot stops gathering
 ANGLES = 72  # orientations of a formation that are tried
 

@@ -19,28 +19,15 @@ from llm_flock.protocol._parts import Situation
 
 PATIENCE = 1  # rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain
 NEXT_TO = 1.5  # a vacant slot within this many spacings of the robot's own slot is next to it
-
-PATIENCE_PER_PLACE = 4
-"""Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""
-
-LOOKS = 4
-"""Visits to a vacant slot while robots are missing that were never heard of, or had no plan when they last were."""
-
+PATIENCE_PER_PLACE = 4  # more rounds of waiting for each spacing that a vacant slot is away: nearer robots go first
+LOOKS = 4  # visits to a vacant slot while robots are missing that were never heard of, or last had no plan
 LOOKS_FOR_SILENT = 1  # visits where all missing robots have been heard of before, and are probably dead
-
-MANY = 20
-"""While more robots than these are missing, every round brings news. A search that each of them ended would never
-get anywhere, so it goes on until its next slot is taken."""
-
+MANY = 20  # while more robots are missing, every round brings news, and a search goes on until its next slot is taken
 ARRIVED = 0.5  # a point of the tour counts as visited within this share of the spacing
-
 NEAR = 0.5  # a robot waits within this share of the spacing from where it wants to be found
 WAIT = 3  # rounds that a robot waits at the first point; each further wait is as much longer
 ALONE = 8  # heartbeat periods out of touch with its team after which a robot without a place is lost
-
-FAR = 2.0
-"""In a formation that reaches farther from its centre than this many radio ranges, robots are not sought at the
-centre, but at places."""
+FAR = 2.0  # in a formation that reaches this many radio ranges from its centre, robots are sought at places
 
 
 class Search(msgspec.Struct, frozen=True, kw_only=True):

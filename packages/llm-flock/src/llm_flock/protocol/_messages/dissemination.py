@@ -21,9 +21,7 @@ SMALL = 64
 """Plans and tables of at most this many slots are spelled out once a round to all neighbours, and in every
 communication round in which a digest differs."""
 
-RESTLESS_ROUNDS = 4
-"""Rounds after which a large table is said in full to neighbours that differ even if it never comes to rest."""
-
+RESTLESS_ROUNDS = 4  # rounds after which a large table is said in full to who differs, even if it never rests
 REMEMBERED_PLANS = 1024  # most plans that are known by their digest, so that a flood of plans costs bounded memory
 
 _KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
