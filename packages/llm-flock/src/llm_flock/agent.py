@@ -115,7 +115,7 @@ class Agent:
     @property
     def authorization(self) -> bytes:
         """The operator's signature on that order; empty for the first mission, and in teams without keys."""
-        return self._messaging.order
+        return self._messaging.channel.order
 
     @property
     def open_breakers(self) -> tuple[QuestionKind, ...]:
@@ -241,7 +241,7 @@ class Agent:
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
         heard = self._messaging.drain()
-        notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.void)]
+        notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.channel.void(self._agreement.stamp))]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()

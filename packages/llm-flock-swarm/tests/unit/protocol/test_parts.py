@@ -139,7 +139,7 @@ def test_a_team_with_keys_reports_no_positions() -> None:
 
 def test_heartbeats_are_passed_over_where_none_are_counted() -> None:
     driven = DrivenAgent(Agent(0, LINE, parts=signed_parts(Parts(), 0, LINE, ToyKeys(0))))
-    channel = driven.agent._messaging._channel
+    channel = driven.agent._messaging.channel
     assert isinstance(channel, SignedChannel)
     message = decode(says(1, (0, 9, 9)), 3, 2)
     assert channel._verified_beats(message, Proofs()) is None

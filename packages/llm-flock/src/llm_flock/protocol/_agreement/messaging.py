@@ -29,7 +29,7 @@ class Messaging:
 
     def __init__(self, robot: int, agreement: Agreement, parts: Parts) -> None:
         self._robot, self._agreement = robot, agreement
-        self._channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
+        self.channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
         self._membership, self._verifier = parts.membership, parts.verifier
         self.courses: dict[int, Course] = {}  # ways that others ask to be left free, by sender
         self._heard_ago: dict[int, int] = {}
@@ -44,11 +44,7 @@ class Messaging:
     @property
     def rejected(self) -> Counter[str]:
         """Messages and claims refused so far, by reason."""
-        return self._refused + self._channel.rejected
-
-    @property
-    def order(self) -> bytes:
-        return self._channel.order
+        return self._refused + self.channel.rejected
 
     def begin_round(self) -> None:
         """Begin a round: neighbours have come and gone."""
@@ -77,7 +73,7 @@ class Messaging:
             beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
         )
-        return self._channel.seal(self._dissemination.compose(whole, claim.table, agreement.mission))
+        return self.channel.seal(self._dissemination.compose(whole, claim.table, agreement.mission))
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
         """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim."""
@@ -86,7 +82,7 @@ class Messaging:
             self._keep(repeated)
             return []
         try:
-            inbound = self._channel.open(payload, sender)
+            inbound = self.channel.open(payload, sender)
             notes = self._apply_mission(inbound)
         except MessageError as error:
             return [self._reject(error)]
@@ -106,9 +102,9 @@ class Messaging:
         if message.mission <= agreement.stamp or message.mission_text is None:
             return []
         # The signature first: to read a mission takes many times as long.
-        self._channel.check_mission(message.mission, inbound.authorization)
+        self.channel.check_mission(message.mission, inbound.authorization)
         mission = received_mission(message, agreement.mission)
-        self._channel.keep_order(inbound.authorization)
+        self.channel.keep_order(inbound.authorization)
         return [self._begin_mission(mission, message.mission)]
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
@@ -160,10 +156,10 @@ class Messaging:
 
                 later = f"an order of {time_text(current.counter)} is in force, this one is of"
                 raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
-            self._channel.check_mission(stamp, signed)
+            self.channel.check_mission(stamp, signed)
         except MessageError as error:
             return self._reject(error)
-        self._channel.keep_order(signed)
+        self.channel.keep_order(signed)
         return self._begin_mission(order.mission, stamp)
 
     def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
@@ -172,16 +168,12 @@ class Messaging:
         self._dissemination.forget_plans()
         return self._agreement.begin_mission(mission, stamp)
 
-    @property
-    def void(self) -> frozenset[int]:
-        return self._channel.void(self._agreement.stamp)
-
     def drain(self) -> list[Message]:
         """The newest message of each sender in this communication round, in ascending order of senders.
 
         Call once before a decision: it counts the heartbeats of all messages.
         """
-        heard = self._channel.hold([self._newest[sender] for sender in sorted(self._newest)])
+        heard = self.channel.hold([self._newest[sender] for sender in sorted(self._newest)])
         self._membership.hear_beats(self._beats)
         for message in heard:
             self._heard_ago.pop(message.sender, None)
