@@ -11,29 +11,9 @@ import math
 from collections import Counter
 from typing import assert_never
 
+from llm_flock import events
 from llm_flock.arrays import Point, moved
-from llm_flock.events import (
-    TRANSITIONS,
-    AgreementEnded,
-    Arrived,
-    AskPlan,
-    AskStep,
-    Broadcast,
-    CommRoundBegan,
-    CommRoundEnded,
-    Decided,
-    Effect,
-    Event,
-    HeartbeatDue,
-    MissionGiven,
-    Note,
-    Phase,
-    Planned,
-    Received,
-    RoundBegan,
-    Sensed,
-    Stopped,
-)
+from llm_flock.events import TRANSITIONS, Effect, Event, Note, Phase
 from llm_flock.message import MissionStamp, Provenance
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
@@ -89,7 +69,7 @@ class Agent:
         }
         self._fallback: Fallback = fallback
         self._scene: Observation | None = None
-        self._seen: tuple[int, Sensed] | None = None
+        self._seen: tuple[int, events.Sensed] | None = None
         self._asked_about: object = None
 
     @property
@@ -177,29 +157,29 @@ class Agent:
         phase = self.phase
         effects: list[Effect] = []
         match event:
-            case Received():
+            case events.Received():
                 effects = self._receive(event)
-            case CommRoundBegan():
-                effects = [Broadcast(self._messaging.broadcast(self._pilot.course))]
-            case CommRoundEnded():
+            case events.CommRoundBegan():
+                effects = [events.Broadcast(self._messaging.broadcast(self._pilot.course))]
+            case events.CommRoundEnded():
                 phase, effects = self._settle()
-            case HeartbeatDue():
+            case events.HeartbeatDue():
                 self._begin_period(event.period)
-            case MissionGiven():
+            case events.MissionGiven():
                 effects = self._give_mission(event)
-            case RoundBegan():
+            case events.RoundBegan():
                 phase, effects = self._begin(event)
-            case Sensed():
+            case events.Sensed():
                 self._look_about(event)
-            case Planned():
+            case events.Planned():
                 phase, effects = Phase.AGREEING, list[Effect](self._proposals.take(event.answer))
-            case AgreementEnded():
+            case events.AgreementEnded():
                 phase, effects = self._decide()
-            case Decided():
+            case events.Decided():
                 phase, effects = self._take_step(event.answer)
-            case Arrived():
+            case events.Arrived():
                 phase = Phase.IDLE
-            case Stopped():
+            case events.Stopped():
                 phase = Phase.STOPPED
             case _:
                 assert_never(event)
@@ -207,14 +187,14 @@ class Agent:
         self.phase = phase
         return effects
 
-    def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
+    def _begin(self, event: events.RoundBegan) -> tuple[Phase, list[Effect]]:
         listening = event.degree > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
         effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
-        return (Phase.PLANNING if effects and isinstance(effects[-1], AskPlan) else Phase.AGREEING), effects
+        return (Phase.PLANNING if effects and isinstance(effects[-1], events.AskPlan) else Phase.AGREEING), effects
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
@@ -232,7 +212,7 @@ class Agent:
         self._membership.begin_round(number, near, agreement, cannot_fly=self._pilot.breaker.is_open)
         self._messaging.begin_round()
 
-    def _look_about(self, event: Sensed) -> None:
+    def _look_about(self, event: events.Sensed) -> None:
         """Take sensor values between rounds; a pending step will be flown from these."""
         self._look(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
@@ -254,7 +234,7 @@ class Agent:
         phase, effects = self._decide()
         return phase, [Note("stale_answer", {"about": "step"}), *effects]
 
-    def _look(self, number: int, event: Sensed) -> None:
+    def _look(self, number: int, event: events.Sensed) -> None:
         """Take sensor values, in the frame of the mission in force."""
         mission = self.mission
         moving = mission.velocity is not None
@@ -273,14 +253,14 @@ class Agent:
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
         self._agreement.sense(scene.here, sensed)
 
-    def _give_mission(self, event: MissionGiven) -> list[Effect]:
+    def _give_mission(self, event: events.MissionGiven) -> list[Effect]:
         before = self.mission
         note = self._messaging.give_mission(event)
         if self.mission is not before:
             self._begin_mission()
         return [note]
 
-    def _receive(self, event: Received) -> list[Effect]:
+    def _receive(self, event: events.Received) -> list[Effect]:
         before = self.mission
         notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
         if self.mission is not before:
@@ -320,4 +300,4 @@ class Agent:
         told = self.mission.at(scene.round).resized(len(plan))
         self._asked_about = self._topic
         effects.extend(self._pilot.decide(scene, told, plan, slot, target))
-        return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects
+        return (Phase.DECIDING if isinstance(effects[-1], events.AskStep) else Phase.MOVING), effects

@@ -33,8 +33,8 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
     mission, reason = question.mission, ""
     if mission.ideal is None:
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-    placements = mission.placements(angle_rad) if mission.velocity is None else [_turned(mission, angle_rad)]
-    for points in placements:
+    only = [turned(np.array(mission.ideal), mission.center, angle_rad)]
+    for points in mission.placements(angle_rad) if mission.velocity is None else only:
         plan = Plan.of(points.tolist())
         objection = check_proposal(mission, plan, question.still, question.position)
         if objection is None:
@@ -42,10 +42,6 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         reason = reason or objection
     why = f"the first was refused: {reason}" if reason else "obstacles are in the way of all of them"
     return NoAnswer(cause="answer", reason=f"geometry found no orientation and shift that fits; {why}")
-
-
-def _turned(mission: Mission, angle_rad: float) -> Points:
-    return turned(np.array(mission.ideal), mission.center, angle_rad)
 
 
 def straight_path(question: StepQuestion) -> StepAnswer:
