@@ -10,7 +10,6 @@ import numpy as np
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import Point, Points
-from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
