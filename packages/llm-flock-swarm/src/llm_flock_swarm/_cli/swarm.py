@@ -173,14 +173,9 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()
-    delays = (result.latency_p50_s, result.latency_p99_s)
-    latency = (
-        "not known"
-        if None in delays
-        else "median {:.1f} ms, 99th percentile {:.1f} ms".format(
-            *(1000 * delay for delay in delays if delay is not None)
-        )
-    )
+    p50, p99, latency = result.latency_p50_s, result.latency_p99_s, "not known"
+    if p50 is not None and p99 is not None:
+        latency = f"median {1000 * p50:.1f} ms, 99th percentile {1000 * p99:.1f} ms"
     plan = f"robot {result.plan_robot}, by {result.plan_by}" if result.plan_robot is not None else "none in force"
     separation, limit = result.min_separation, settings.mission.safe_distance
     rows = [
