@@ -158,11 +158,9 @@ class PlainSeal:
         self._head = sender.to_bytes(_ID_BYTES, "big", signed=True)
 
     def seal(self, payload: bytes, topic: str) -> bytes:
-        """The sender's id, then the payload."""
         return self._head + payload
 
     def open(self, sealed: bytes, topic: str) -> tuple[int, bytes]:
-        """The sender's id, and the payload."""
         if len(sealed) < _ID_BYTES:
             raise MessageError("malformed", "no sender")
         return int.from_bytes(sealed[:_ID_BYTES], "big", signed=True), sealed[_ID_BYTES:]
@@ -279,7 +277,6 @@ class ZenohLink:
             self._loop.call_soon(function, *args)
 
     def declare_alive(self, number: int) -> None:
-        """Announce this number for as long as the process runs."""
         self._kept.append(self._session.liveliness().declare_token(f"{self._root}/alive/{number}"))
 
     def watch_alive(self, handler: Callable[[int, bool], None]) -> None:

@@ -95,12 +95,10 @@ class AgentLoop:
             self._dropped_notes += 1
 
     def look(self) -> None:
-        """Give the agent the newest sensor readings."""
         if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
             self.handle(events.Sensed(**self._sight()))
 
     def receive(self, payload: bytes, sender: int) -> None:
-        """Take a message of another robot."""
         if self.agent.position and self.agent.phase is not Phase.STOPPED:
             self.handle(events.Received(payload, sender))
 
@@ -166,7 +164,6 @@ class AgentLoop:
         return agent.mission.digest, None if agent.plan is None else agent.plan.digest, agent.claim.slot
 
     async def live(self) -> None:
-        """Fly motion rounds until cancelled."""
         try:
             while True:
                 await self._fly_round()

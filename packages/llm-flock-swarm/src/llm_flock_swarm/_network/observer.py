@@ -113,7 +113,6 @@ class Observer:
         self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
 
     def world(self, state: WorldState) -> None:
-        """Take the true positions of all bodies."""
         if len(state.bodies) != self.mission.n_robots:
             return
         self._world = state
@@ -213,7 +212,6 @@ class Observer:
 
     @property
     def ordered_at(self) -> int:
-        """Time of the order for the present mission; 0 for the first one."""
         return self._counter
 
     def state(self) -> State | None:
@@ -268,7 +266,6 @@ class Observer:
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Messages that the robots refused so far, by reason."""
         return rejected(self.reports.values())
 
     @property

@@ -29,7 +29,6 @@ class PeriodClock:
         self._count = -math.inf
 
     async def next(self) -> None:
-        """Wait for the next moment."""
         loop = asyncio.get_running_loop()
         passed = math.floor((loop.time() - self._phase_s) / self._period_s)
         self._count = max(self._count, passed) + 1  # a timer may fire slightly early and must not count twice
@@ -42,7 +41,6 @@ def phase_s(robot: int, n_robots: int, period_s: float) -> float:
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """Run a process's work in a new event loop."""
     with asyncio.Runner(loop_factory=new_event_loop) as runner:
         runner.run(work)
 

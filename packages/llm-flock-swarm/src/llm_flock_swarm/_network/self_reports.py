@@ -45,7 +45,6 @@ class SelfReports:
         return self._allowances.setdefault(robot, Allowance(RECORDED)).spend(now, size)
 
     def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
-        """Add a robot's report, whose calls have been checked."""
         if report.breakers:
             self.breakers_opened.add(robot)
         supplied = self._suppliers.setdefault(robot, {})
@@ -80,12 +79,10 @@ class SelfReports:
 
 
 def sent(reports: Iterable[RobotReport]) -> tuple[int, int]:
-    """Messages and bytes that robots have broadcast so far."""
     told = list(reports)
     return bounded(sum(report.sent for report in told)), bounded(sum(report.bytes for report in told))
 
 
 def rejected(reports: Iterable[RobotReport]) -> dict[str, int]:
-    """Messages that robots have refused so far, by reason."""
     counts = sum((Counter(report.rejected) for report in reports), Counter[str]())
     return {reason: bounded(count) for reason, count in counts.items()}

@@ -109,7 +109,6 @@ class WorldBodies:
         return self._standing
 
     def states(self) -> tuple[Body, ...]:
-        """Every body, by id."""
         rows = enumerate(self.positions.tolist())
         return tuple(Body(tuple(row), self._end(robot), self._answered[robot]) for robot, row in rows)
 

@@ -40,7 +40,6 @@ EARLY = 0.1  # share of a period by which a reading of the sensors may come earl
 
 
 def with_router(config: SwarmConfig) -> SwarmConfig:
-    """The configuration with the usual router, if it has none."""
     ros = config.ros2.model_copy(update={"router": config.ros2.router or ROUTER})
     return config.model_copy(update={"ros2": ros})
 
@@ -71,7 +70,6 @@ class Stamps:
         self._told_ns = min(max(0, stamp_ns), LATEST_NS)
 
     def of(self, wall_s: float) -> int:
-        """The stamp of a moment by the wall clock."""
         wall_ns = round(wall_s * NS)
         if not self._sim:
             return wall_ns
@@ -158,7 +156,6 @@ class Bridge:
             self.nodes.show_paths(view, stamp_ns)
 
     def view(self) -> TeamView | None:
-        """The team as it is now; None before the first reading."""
         state, mission = self.observer.state(), self.observer.mission
         if state is None:
             return None
@@ -179,7 +176,6 @@ class Bridge:
             self.nodes.show_diagnostics(self.findings(), stamp_ns)
 
     def state_json(self) -> dict[str, Any]:
-        """The protocol's state, as observed."""
         observer = self.observer
         mission = observer.mission
         state = observer.state()
@@ -210,7 +206,6 @@ class Bridge:
         }
 
     def findings(self) -> list[Finding]:
-        """What diagnostics say."""
         observer = self.observer
         gone = observer.min_separation < observer.mission.safe_distance * (1 - 1e-6)
         team: dict[str, object] = {

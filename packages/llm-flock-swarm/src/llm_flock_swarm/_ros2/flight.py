@@ -62,7 +62,6 @@ class FlightShow:
                 self._nodes.show_paths(view, stamp_ns)
 
     def show_rest(self, diagnose: bool) -> None:
-        """Show markers and state, and diagnostics where they are due."""
         if (view := self._team.view()) is not None:
             self._nodes.show_markers(view, time.time_ns())
             self._nodes.show_state({**self._team.state_json(), "flight": self._told()})
@@ -147,7 +146,6 @@ def _turn(found: Any) -> tuple[float, float, float, float] | None:
 
 
 def poses_of(config: Ros2Config, drones: Sequence[str]) -> RosPoses:
-    """The source of these drones' poses."""
     return RosPoses(config, TEAM, drones)
 
 

@@ -39,7 +39,6 @@ class Publisher:
         self.send(to_cdr(message, self._type))
 
     def send(self, data: bytes) -> None:
-        """Send a message that is encoded already."""
         self._count += 1
         attachment = Attachment(self._count, time.time_ns(), self._gid)
         self._publisher.put(data, attachment=attachment.encode())
@@ -113,7 +112,6 @@ class Graph:
             raise InputError("ros_namespace", namespace.removeprefix("/"), says=says)
 
     def node(self, namespace: str, name: str) -> Node:
-        """A node; the namespace begins with a slash."""
         number = self.number()
         named = NodeName(domain=self._domain, session=self._id, number=number, namespace=namespace, name=name)
         return Node(self, named)

@@ -33,7 +33,6 @@ class Refused:
         self._told = 0
 
     def take(self, topic: str, error: MessageError) -> None:
-        """Count one message."""
         self.counts[error.reason] += 1
         self._last[error.reason] = f"{topic}: {error.detail}"
 
@@ -110,5 +109,4 @@ class TeamNodes:
 
     @property
     def frame_of_team(self) -> str:
-        """The team's namespace without its slash."""
         return self.namespace[1:]

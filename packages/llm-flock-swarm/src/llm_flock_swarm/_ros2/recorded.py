@@ -74,7 +74,6 @@ class RecordedTeam:
         return replace(view, positions=measured)
 
     def state_json(self) -> dict[str, Any]:
-        """The protocol's state."""
         state, mission = self.state, self._mission
         if state is None or mission is None:
             return {}
@@ -90,5 +89,4 @@ class RecordedTeam:
 
 
 def positions_of(sample: BodySample) -> list[Position]:
-    """Where the drones of a flight measured themselves [m]."""
     return [(x, y, z) for x, y, z in ((*row, 0.0, 0.0, 0.0)[:3] for row in sample.measured)]

@@ -64,17 +64,13 @@ def most_claims(places: int) -> int:
 class Verifier(Protocol):
     """Checks signatures."""
 
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
-        ...
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool: ...
 
 
 class Authenticator(Verifier, Protocol):
     """Signs as its robot, and checks the signatures of others."""
 
-    def sign(self, statement: bytes) -> bytes:
-        """The own signature on a statement."""
-        ...
+    def sign(self, statement: bytes) -> bytes: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,7 +274,6 @@ def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...],
 
 
 def wrap(message: bytes, proofs: Proofs) -> bytes:
-    """A message with its certificates, as bytes."""
     return bytes([WIRE_SIGNED]) + _ENCODER.encode(_Signed(message, proofs))
 
 

@@ -34,7 +34,6 @@ class Departures:
         self._causes: dict[tuple[int, int], LastClaim] = {}
 
     def outdate(self, slot: int, entry: BidEntry) -> None:
-        """Note that an owner has another claim since."""
         self._outdated.add((slot, entry))
 
     def explain(self, cause: LastClaim) -> None:
@@ -86,11 +85,9 @@ class Departures:
             self._left.setdefault(robot, set()).add((slot, version))
 
     def suspects(self, robot: int) -> bool:
-        """Whether a departure of this robot is known."""
         return robot in self._left
 
     def restless(self, places: int) -> Sequence[int]:
-        """Who has left too often."""
         most = MOST_DEPARTURES + (most_exchanges(places) if self._exchanges else 0)
         return [robot for robot, left in self._left.items() if len(left) > most]
 
@@ -104,7 +101,6 @@ class Departures:
         self._words.setdefault(robot, {})[witness] = signature
 
     def words(self) -> Sequence[RestlessWord]:
-        """All words known."""
         return [
             RestlessWord(robot, witness, signature)
             for robot, words in sorted(self._words.items())

@@ -24,7 +24,6 @@ class Equivocations:
         return frozenset(self._proofs) if mission == self._mission else frozenset()
 
     def proofs(self, mission: MissionStamp) -> tuple[Equivocation, ...]:
-        """A proof against each of them."""
         return tuple(self._proofs.values()) if mission == self._mission else ()
 
     def note(self, origin: Provenance, plan: str, signature: bytes) -> None:

@@ -249,7 +249,6 @@ class Evidence:
         return changed(table, new)
 
     def draw(self, slot: int, version: int) -> float:
-        """This robot's bid for a slot of a version above 0."""
         return drawn_bid(self._context, slot, version, self._robot)
 
     def freed(self, slot: int, version: int) -> bool:

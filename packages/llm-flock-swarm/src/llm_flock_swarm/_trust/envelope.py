@@ -26,9 +26,7 @@ class Signer(Authenticator, Protocol):
     """Signs as a member, and checks the signatures of others."""
 
     @property
-    def member(self) -> int:
-        """Own id."""
-        ...
+    def member(self) -> int: ...
 
 
 class _Letter(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):

@@ -43,7 +43,6 @@ class PublicKeys:
     public: Mapping[int, Ed25519PublicKey]
 
     def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
         key = self.public.get(member)
         if key is None:
             return False
@@ -59,7 +58,6 @@ class PublicKeys:
 
     @property
     def robots(self) -> int:
-        """Number of robots that the team has keys for."""
         return sum(member >= 0 for member in self.public)
 
 
@@ -71,7 +69,6 @@ class Keyring(PublicKeys):
     _secret: Ed25519PrivateKey = field(repr=False)
 
     def sign(self, statement: bytes) -> bytes:
-        """The own signature on a statement of this team."""
         return self._secret.sign(self.swarm + statement)
 
 
