@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 import msgspec
 
 from llm_flock.arrays import Point
+from llm_flock.message import Authorization
 from llm_flock.mission import Mission
-from llm_flock.protocol._messages.channel import Authorization
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 

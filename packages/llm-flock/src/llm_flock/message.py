@@ -139,6 +139,13 @@ NO_MISSION = MissionStamp(0, "0" * 16)
 """The stamp of a message that names no mission."""
 
 
+class Authorization(msgspec.Struct, frozen=True, kw_only=True):
+    """The operator's signature on a mission's digest and on the time of the order, `counter`."""
+
+    counter: int
+    signature: bytes
+
+
 class Provenance(_OnWire, frozen=True, kw_only=True):
     """Where a plan comes from: fixed when it is proposed, and carried along unchanged.
 

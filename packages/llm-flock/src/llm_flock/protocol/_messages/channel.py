@@ -11,15 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
-from llm_flock.message import Message, MissionStamp, decode
+from llm_flock.message import Authorization, Message, MissionStamp, decode
 from llm_flock.mission import Mission
-
-
-class Authorization(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator's signature on a mission's digest and on the time of the order, `counter`."""
-
-    counter: int
-    signature: bytes
 
 
 class Inbound(msgspec.Struct, frozen=True, kw_only=True):
