@@ -25,14 +25,10 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.plan import Coordinate, Plan
 
-LOGICAL_BITS = 16
-"""Lowest bits of an order's time, which count orders within a millisecond."""
+LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
+LATEST = 2**60  #: Above every time of an order: far enough in the future, and below the largest machine integer.
 
-LATEST = 2**60
-"""Above every time of an order: far enough in the future, and below the largest machine integer."""
-
-MOST_AHEAD_MS = 24 * 3600 * 1000
-"""A time that others tell is believed if it is at most this far ahead of the own clock [ms]; no liar sets the clock."""
+MOST_AHEAD_MS = 24 * 3600 * 1000  #: Others' times are believed if at most this far ahead of the own clock [ms].
 
 
 def order_time(milliseconds: int, count: int = 0) -> int:
@@ -67,27 +63,15 @@ def time_text(time: int) -> str:
 
 WIRE_VERSION = 8
 
-MAX_BID = 10 * MAX_COORDINATE
-"""Largest distance between two points of the largest arena [units]."""
+MAX_BID = 10 * MAX_COORDINATE  #: Largest distance between two points of the largest arena [units].
 
 NO_OWNER = -1
-BLOCKED = -2
-"""Owner of a slot that no robot can take, because a body that does not move stands there."""
-
-LAST_ROUND = 1023
-"""Largest round number in a position report."""
-
-MOST_LOOKS = 64
-"""Largest number of visits to a vacant slot in an entry."""
-
-MOST_EPOCHS = 32
-"""Largest epoch: plans for one mission that follow on each other."""
-
-HIGHEST = 15
-"""Highest level of a right of way."""
-
-MOST_STOPS = 4
-"""Most points of a course."""
+BLOCKED = -2  #: Owner of a slot that no robot can take, because a body that does not move stands there.
+LAST_ROUND = 1023  #: Largest round number in a position report.
+MOST_LOOKS = 64  #: Largest number of visits to a vacant slot in an entry.
+MOST_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each other.
+HIGHEST = 15  #: Highest level of a right of way.
+MOST_STOPS = 4  #: Most points of a course.
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -106,8 +90,7 @@ slot."""
 
 BidTable: TypeAlias = tuple[BidEntry, ...]
 
-UNSAID: BidEntry = (0, 0.0, NO_OWNER)
-"""The entry of lowest rank: merging it changes nothing, so it stands for slots that a message leaves out."""
+UNSAID: BidEntry = (0, 0.0, NO_OWNER)  #: The entry of lowest rank, for slots left out: merging it changes nothing.
 
 Claims: TypeAlias = tuple[tuple[Id, Counter, Bid, Owner], ...]
 """The entries of a bid table that a message spells out: slot, version, bid and owner of each."""
@@ -135,8 +118,7 @@ class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     digest: Digest
 
 
-NO_MISSION = MissionStamp(0, "0" * 16)
-"""The stamp of a message that names no mission."""
+NO_MISSION = MissionStamp(0, "0" * 16)  #: The stamp of a message that names no mission.
 
 
 class Authorization(msgspec.Struct, frozen=True, kw_only=True):

@@ -25,18 +25,15 @@ if TYPE_CHECKING:
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
 
-ORIENTATIONS = 72
-"""Number of evenly spaced orientations in which the shape is tried among the obstacles."""
+ORIENTATIONS = 72  #: Number of evenly spaced orientations in which the shape is tried among the obstacles.
 
 CENTER_TOLERANCE = 0.05
 """Largest distance of the mean of a plan's places from the centre, as a share of the spacing: half a unit at the
 paper's spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
 
-SHIFTS = 8
-"""Directions in which the shape is also shifted, by a little less than that, if no orientation fits."""
+SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less than that, if no orientation fits.
 
-START_DENSITY = 0.35
-"""Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
+START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
 
 def start_volume(n_robots: int, dim: int, safe_distance: float) -> float:

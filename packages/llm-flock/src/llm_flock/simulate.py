@@ -19,8 +19,7 @@ from llm_flock.obstacles import clearance
 
 StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
-MAX_DRAWS = 10_000
-"""Tries to place one robot before the arena counts as full."""
+MAX_DRAWS = 10_000  #: Tries to place one robot before the arena counts as full.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,8 +30,7 @@ class Sensing:
     sensed: Mapping[int, Point]
 
 
-Area: TypeAlias = tuple[Point, Point] | None
-"""Two opposite corners of a part of the arena [units]; None for all of it."""
+Area: TypeAlias = tuple[Point, Point] | None  #: Two opposite corners in the arena [units]; None for all of it.
 
 
 def start_positions(
