@@ -116,7 +116,6 @@ class Mission(BaseModel):
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
         self._check_velocity()
-        self._check_places()
         self._check_room()
         self.check_shape()
         self._check_obstacles()
@@ -137,15 +136,12 @@ class Mission(BaseModel):
                 f"places (here {speed:.4g})",
             )
 
-    def _check_places(self) -> None:
-        """Check that messages have room for all places."""
+    def _check_room(self) -> None:
+        """Check that messages have room for all places, and the arena for random starts `safe_distance` apart."""
         most = max_places(self.n_robots)
         if self.n_places > most:
             says = f"at most {most} for {self.n_robots} robots: their messages have room for no more"
             raise InputError("places", self.n_places, says)
-
-    def _check_room(self) -> None:
-        """Check that random starts at least `safe_distance` apart exist, and that drawing can find them."""
         low, high = self.arena
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
         most = max(1, int(volume / start_volume(1, len(low), self.safe_distance)))
