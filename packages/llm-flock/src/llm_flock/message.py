@@ -129,23 +129,14 @@ class Authorization(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Provenance(_OnWire, frozen=True, kw_only=True):
-    """Where a plan comes from: fixed when it is proposed, and carried along unchanged.
+    """Where a plan comes from: fixed when it is proposed, and carried along unchanged."""
 
-    Attributes:
-        mission: time of the order for the mission that the plan was made for.
-        mission_digest: content of that mission.
-        epoch: counter of plans for that mission.
-        degree: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
-        proposer: id of the robot that proposed.
-        sequence: counts the proposals of that robot.
-    """
-
-    mission: OrderTime
-    mission_digest: Digest
-    epoch: Counter
-    degree: Id
-    proposer: Id
-    sequence: Counter
+    mission: OrderTime  #: Time of the order for the mission that the plan was made for.
+    mission_digest: Digest  #: Content of that mission.
+    epoch: Counter  #: Counter of plans for that mission.
+    degree: Id  #: Number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
+    proposer: Id  #: Id of the robot that proposed.
+    sequence: Counter  #: Counts the proposals of that robot.
 
     @property
     def stamp(self) -> MissionStamp:
@@ -172,16 +163,12 @@ class Offer(_OnWire, frozen=True, kw_only=True):
 
 
 class Course(_OnWire, frozen=True, kw_only=True):
-    """Where a robot that others block will be in the next rounds.
+    """Where a robot that others block will be in the next rounds."""
 
-    Attributes:
-        level: rises with the time for which the right of way has been missing.
-        of: the robot whose right it is: the sender, or one that the sender makes way for.
-        path: next corners of the sender's way [units; world frame].
-    """
-
+    #: Rises with the time for which the right of way has been missing.
     level: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
-    of: Id
+    of: Id  #: The robot whose right it is: the sender, or one that the sender makes way for.
+    #: Next corners of the sender's way [units; world frame].
     path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MOST_STOPS)]
 
 

@@ -34,28 +34,17 @@ NO_COURSES: Mapping[int, Course] = {}
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True):
-    """Positions that a robot observes in a round.
-
-    Attributes:
-        position: the robot's believed position [units; world frame].
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        observed: positions of other robots for the planner's question [units; world frame].
-        drift: displacement of the mission's frame so far [units]; empty if the mission stands still.
-        ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
-        courses: ways that others ask to be left free, by sender.
-        still: bodies in sight that do not move [units; world frame].
-        period: heartbeat period; None where each round counts as one.
-    """
+    """Positions that a robot observes in a round."""
 
     round: int = 1
-    position: Point
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...] = ()
-    drift: Point = ()
-    ahead: Point = ()
-    courses: Mapping[int, Course] = NO_COURSES
-    still: tuple[Point, ...] = ()
-    period: int | None = None
+    position: Point  #: The robot's believed position [units; world frame].
+    sensed: Mapping[int, Point]  #: Believed positions of the robots within sensing range, by id [units; world frame].
+    observed: tuple[Point, ...] = ()  #: Positions of other robots for the planner's question [units; world frame].
+    drift: Point = ()  #: Displacement of the mission's frame so far [units]; empty if the mission stands still.
+    ahead: Point = ()  #: Displacement at the end of the round, for which goals are given [units]; empty as `drift`.
+    courses: Mapping[int, Course] = NO_COURSES  #: Ways that others ask to be left free, by sender.
+    still: tuple[Point, ...] = ()  #: Bodies in sight that do not move [units; world frame].
+    period: int | None = None  #: Heartbeat period; None where each round counts as one.
 
     def seen(self, point: Point) -> Point:
         """A point of the world frame in the present frame of the mission."""
@@ -196,17 +185,12 @@ class Safety:
 
 
 class Checker:
-    """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything.
+    """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything."""
 
-    Attributes:
-        verify: whether anything is checked.
-        any_size: whether a plan may have fewer places than the mission, as plans for a smaller team do.
-    """
-
-    verify: bool = False
+    verify: bool = False  #: Whether anything is checked.
 
     def __init__(self, *, any_size: bool = False) -> None:
-        self.any_size = any_size
+        self.any_size = any_size  #: Whether a plan may have fewer places than the mission, as for a smaller team.
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
         """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
@@ -231,20 +215,12 @@ class Checker:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
-    """What one robot is made of. Rules are pure functions; every other part keeps state, and belongs to one robot.
+    """What one robot is made of. Rules are pure functions; every other part keeps state, and belongs to one robot."""
 
-    Attributes:
-        consensus: which plan to follow.
-        assignment: which place of it to claim.
-        channel: between the radio's bytes and the agreement; None for one that believes every well-formed message.
-        membership: who is in the team, and where to look for them.
-        safety: what waypoints become before they are flown.
-        verifier: checks of plans and waypoints.
-    """
-
-    consensus: ConsensusRule = field(default_factory=NoConsensus)
-    assignment: AssignmentRule = field(default_factory=IndexAssignment)
+    consensus: ConsensusRule = field(default_factory=NoConsensus)  #: Which plan to follow.
+    assignment: AssignmentRule = field(default_factory=IndexAssignment)  #: Which place of it to claim.
+    #: Between the radio's bytes and the agreement; None for one that believes every well-formed message.
     channel: Channel | None = None
-    membership: Membership = field(default_factory=Membership)
-    safety: Safety = field(default_factory=Safety)
-    verifier: Checker = field(default_factory=Checker)
+    membership: Membership = field(default_factory=Membership)  #: Who is in the team, and where to look for them.
+    safety: Safety = field(default_factory=Safety)  #: What waypoints become before they are flown.
+    verifier: Checker = field(default_factory=Checker)  #: Checks of plans and waypoints.
