@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.events import MissionGiven, Note
-from llm_flock.message import Course, Message, MissionStamp, received_mission
+from llm_flock.message import Course, Message, MissionStamp, received_mission, time_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.agreement import Agreement
@@ -152,8 +152,6 @@ class Messaging:
         stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
         try:
             if stamp <= current:  # first: an older signature must not replace that of the mission in force
-                from llm_flock.message import time_text
-
                 later = f"an order of {time_text(current.counter)} is in force, this one is of"
                 raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
             self.channel.check_mission(stamp, signed)

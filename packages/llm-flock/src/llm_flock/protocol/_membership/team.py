@@ -33,26 +33,17 @@ MOST_WAIT = 6
 
 
 class TeamMembership(Membership):
-    """Heartbeats, joint assignments, the search for missing robots, and plans for those that are left.
-
-    Args:
-        robot: own id.
-        mission: its limits; no message changes the number of robots.
-        time_out: rounds without a heartbeat after which a robot counts as dead.
-        gaps: report slots that no living robot can take, or plan again.
-        joint: whether robots report positions and are assigned together.
-        liars: number of robots that may lie together.
-    """
+    """Heartbeats, joint assignments, the search for missing robots, and plans for those that are left."""
 
     def __init__(
         self,
         robot: int,
         mission: Mission,
         *,
-        time_out: int = TIME_OUT,
-        gaps: Gaps = "report",
-        joint: bool = True,
-        liars: int = 0,
+        time_out: int = TIME_OUT,  # rounds without a heartbeat after which a robot counts as dead
+        gaps: Gaps = "report",  # report slots that no living robot can take, or plan again
+        joint: bool = True,  # whether robots report positions and are assigned together
+        liars: int = 0,  # number of robots that may lie together
     ) -> None:
         n_robots = mission.n_robots
         self.gaps: Gaps = gaps
