@@ -30,10 +30,7 @@ class BreakerState(StrEnum):
 
 
 class CircuitBreaker:
-    """Decides whether a robot asks its model, for one kind of question; a disabled one never opens, and only counts.
-
-    Call `asks` before each question, then `usable` or `refused` with what became of it.
-    """
+    """Decides whether a robot asks its model; call `asks` before each question, then `usable` or `refused`."""
 
     def __init__(self, question: QuestionKind, *, enabled: bool) -> None:
         self.state = BreakerState.CLOSED

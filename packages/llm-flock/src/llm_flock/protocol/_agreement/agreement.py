@@ -73,10 +73,7 @@ class Agreement(Situation):
         return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
-        """Whether this robot may propose a plan with so many places now: once in an epoch.
-
-        A plan of the last epoch is replaced only by one with more places.
-        """
+        """Whether it may propose a plan of this size now: once in an epoch, in the last only one with more places."""
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False
         last = self.provenance is not None and self.provenance.epoch == MOST_EPOCHS

@@ -159,10 +159,7 @@ def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
 
 
 def _keep_one(now: AssignmentInput, table: BidTable, among: Iterable[int]) -> tuple[BidTable, int | None]:
-    """Of several slots owned (of `among`), keep the one of highest version, bid and lowest index; release the rest.
-
-    Signed claims have a precedence that every robot knows; those that do not count are then freed together.
-    """
+    """Of slots owned (of `among`), keep that of highest version, bid and lowest index, or of signed precedence."""
     robot, precedence = now.robot, now.precedence
     if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
@@ -212,10 +209,7 @@ def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
 
 
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """By how much exchanging slots with a robot at `there` lowers the sum of the squared path lengths [units^2].
-
-    Paths lead along the formation, or, if `straight`, only round obstacles.
-    """
+    """How much an exchange with a robot at `there` lowers the sum of squared ways [units^2], straight or by places."""
 
     def left(here: Point) -> list[float]:
         if straight:

@@ -167,10 +167,7 @@ class Messaging:
         return self._agreement.begin_mission(mission, stamp)
 
     def drain(self) -> list[Message]:
-        """The newest message of each sender in this communication round, in ascending order of senders.
-
-        Call once before a decision: it counts the heartbeats of all messages.
-        """
+        """The newest message of each sender, in ascending order. Call once before a decision: it counts heartbeats."""
         heard = self.channel.hold([self._newest[sender] for sender in sorted(self._newest)])
         self._membership.hear_beats(self._beats)
         for message in heard:

@@ -35,10 +35,9 @@ class ConnectivityRecovery:
         return self._search.given_up
 
     def route(self, now: Situation, *, placed: bool) -> tuple[Point | None, tuple[int, ...], list[Note]]:
-        """The next intermediate target, None to fly straight to the place. Call once a round.
+        """The next target, None to fly straight; slots just visited without meeting a robot; notes. Call once a round.
 
-        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round. Also
-        returns vacant slots just visited without meeting a robot, and notes.
+        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
         """
         mission, plan, slot, table, here = now.mission, now.plan, now.claim.slot, now.claim.table, now.position
         assert plan is not None and slot is not None, "a robot without a place has no way to it"

@@ -108,8 +108,7 @@ class JointAssignment:
     ) -> dict[int, PositionReport] | None:
         """The reports to broadcast: new ones, and all that are known in the `greeting`, the first broadcast of a round.
 
-        The own report is of the own position, while waiting of where the robot waits. None where there is nothing to
-        say: the table places all robots, or there is no circle to wait on.
+        None where there is nothing to say: the table places all robots, or there is no circle to wait on.
         """
         if not self.collecting or placed(table) >= self._n:
             self._news = {}
@@ -133,10 +132,7 @@ class JointAssignment:
     def positions(
         self, mission: Mission, plan: Plan, table: BidTable | None, silent: Collection[int]
     ) -> TeamPositions | None:
-        """Where the known robots are that live, if they are more than the table of this plan places; else None.
-
-        In a small team a robot of which nothing new was heard is taken to have flown on to its place.
-        """
+        """Where the living are that are known, moved on by now, if they are more than the table places; else None."""
         if not self.collecting or (self._large and len(self.known) < self._n):
             return None
         ids = sorted(self.known.keys() - silent)

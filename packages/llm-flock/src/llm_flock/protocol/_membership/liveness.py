@@ -26,10 +26,7 @@ def patience(time_out: int, n_robots: int) -> int:
 
 
 class Liveness:
-    """The heartbeats of the team that one robot knows: `silent` robots were heard of, `strangers` never were.
-
-    A stranger whose body stayed within radio range for the time-out without being heard is silent too.
-    """
+    """The heartbeats that one robot knows: `silent` ones were heard of, `strangers` never, nor seen mute nearby."""
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
         self._robot = robot
@@ -59,10 +56,7 @@ class Liveness:
 
     @property
     def living(self) -> frozenset[int]:
-        """Robots whose counter has advanced since they were first heard of, and which are not silent.
-
-        A counter alone is no sign of life: late joiners also hear the counters of dead robots.
-        """
+        """Robots, not silent, whose counter has advanced since: late joiners also hear the counters of dead robots."""
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
     @property
@@ -92,10 +86,7 @@ class Liveness:
         self._look()
 
     def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
-        """Merge the counters of a communication round's messages, each of shape (N,).
-
-        A robot that hears of its own former life counts on from there: its new heartbeats would else go unnoticed.
-        """
+        """Merge counters, each of shape (N,). A robot counts on from those of its own former life, to be noticed."""
         if not heard:
             return
         highest = heard[0]

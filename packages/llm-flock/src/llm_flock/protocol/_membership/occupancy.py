@@ -66,10 +66,7 @@ def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blo
 def waiting_place(
     mission: Mission, position: Point, plan: Plan, others: Sequence[Point], blocked: Collection[int] = ()
 ) -> Point:
-    """The nearest point that is clear of places, others, walls and obstacles; `position` itself where none is.
-
-    In sight of the nearest blocked slot where possible: no other robot may be near enough to see it come free.
-    """
+    """The nearest point clear of everything, if possible in sight of the nearest blocked slot; else `position`."""
     clear = CLEARANCE * mission.safe_distance
     watched = min((plan.points[a] for a in blocked), key=lambda place: math.dist(position, place), default=position)
     reach = sight(mission)

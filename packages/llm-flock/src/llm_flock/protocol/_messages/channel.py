@@ -40,10 +40,7 @@ class Channel:
         return Counter()
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Verify and decode a payload; `sender` signed the transmission, where the transport knows.
-
-        A MessageError as from `decode`, or `own_id` if the sender claims to be this robot.
-        """
+        """Verify and decode a payload, signed by `sender` where known; a MessageError as `decode`, or `own_id`."""
         inbound = _decoded(payload, self._n_robots, self._dim)
         self._check_sender(inbound.message)
         return inbound

@@ -77,10 +77,7 @@ class Dissemination:
         return self._greeting
 
     def compose(self, whole: Message, table: BidTable | None, mission: Mission) -> bytes:
-        """The bytes to broadcast; equal ones as long as there is nothing else to say.
-
-        `whole` has everything spelled out but the table, heartbeats in a greeting only; its `sequence` is set here.
-        """
+        """The bytes to broadcast: equal ones as long as nothing is new. `whole` spells out all but the table."""
         self._note_changes(table)
         plan, digest = whole.plan, whole.plan_digest
         mine = _KNOWLEDGE(whole)
