@@ -28,6 +28,7 @@ from typing import Any, get_args
 
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.docutils import SphinxDirective
 from state_diagram import draw
 
@@ -207,12 +208,12 @@ class ResultColumns(SphinxDirective):
 
 
 class MessageFields(SphinxDirective):
-    """The fields of a protocol message, from its docstring."""
+    """The fields of a protocol message, from the comments beside them."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.message import Message
-
-        return [table(("Field", "Meaning"), attributes(Message), 1)]
+        found = ModuleAnalyzer.for_module("llm_flock.message").find_attr_docs()
+        rows = [(name, " ".join(lines).strip()) for (owner, name), lines in found.items() if owner == "Message"]
+        return [table(("Field", "Meaning"), rows, 1)]
 
 
 class Shapes(SphinxDirective):

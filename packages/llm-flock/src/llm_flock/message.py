@@ -173,46 +173,27 @@ class Course(_OnWire, frozen=True, kw_only=True):
 
 
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):
-    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`.
+    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`."""
 
-    Attributes:
-        sender: id of the robot.
-        sequence: counts the changes of the content; equal content is equal bytes.
-        degree: number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
-        stamp: the sender's mission; None with a provenance, which has it.
-        provenance: origin of the plan that the sender follows, present with it.
-        places: number of places of that plan; that of `plan` if left out.
-        plan_digest: digest of that plan; that of `plan` if left out.
-        slot: index of the claimed place.
-        table_digest: digest of the sender's whole bid table (auction only).
-        claims: entries of that table, in ascending order of slots (auction only).
-        offer: an exchange that the sender offers (auction only).
-        course: the way that the sender asks others to leave free; None if nothing is in its way.
-        beats: heartbeat counters of the team, by id; None if not spelled out.
-        plan: the plan spelled out; None before the sender has one, or if only the digest is given.
-        mission_text: the mission spelled out as JSON; None if not.
-        positions: position reports of the team, by id; None if not spelled out.
-        plan_class: class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
-        proofs: signatures that came with the message (teams with keys only); never part of the message itself.
-    """
-
-    sender: Id
-    sequence: Counter
-    degree: Id
-    stamp: MissionStamp | None = None
-    provenance: Provenance | None = None
+    sender: Id  #: Id of the robot.
+    sequence: Counter  #: Counts the changes of the content; equal content is equal bytes.
+    degree: Id  #: Number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
+    stamp: MissionStamp | None = None  #: The sender's mission; None with a provenance, which has it.
+    provenance: Provenance | None = None  #: Origin of the plan that the sender follows, present with it.
+    #: Number of places of that plan; that of `plan` if left out.
     places: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROBOTS)] = 0
-    plan_digest: Digest | None = None
-    slot: Id | None = None
-    table_digest: TableDigest | None = None
-    claims: Claims | None = None
-    offer: Offer | None = None
-    course: Course | None = None
-    beats: tuple[Counter, ...] | None = None
-    plan: Plan | None = None
-    mission_text: str | None = None
-    positions: dict[Id, PositionReport] | None = None
-    plan_class: int = 0
+    plan_digest: Digest | None = None  #: Digest of that plan; that of `plan` if left out.
+    slot: Id | None = None  #: Index of the claimed place.
+    table_digest: TableDigest | None = None  #: Digest of the sender's whole bid table (auction only).
+    claims: Claims | None = None  #: Entries of that table, in ascending order of slots (auction only).
+    offer: Offer | None = None  #: An exchange that the sender offers (auction only).
+    course: Course | None = None  #: The way that the sender asks others to leave free; None if nothing is in its way.
+    beats: tuple[Counter, ...] | None = None  #: Heartbeat counters of the team, by id; None if not spelled out.
+    plan: Plan | None = None  #: The plan spelled out; None before the sender has one, or if only the digest is given.
+    mission_text: str | None = None  #: The mission spelled out as JSON; None if not.
+    positions: dict[Id, PositionReport] | None = None  #: Position reports of the team, by id; None if not spelled out.
+    plan_class: int = 0  #: Class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
+    #: Signatures that came with the message (teams with keys only); never part of the message itself.
     proofs: object = None
 
     def __post_init__(self) -> None:
