@@ -127,14 +127,10 @@ class Mission(BaseModel):
             return
         if len(self.velocity) != self.dim:
             raise InputError("velocity", list(self.velocity), f"{self.dim} numbers, as the centre has")
-        speed = math.hypot(*self.velocity)
-        if speed > self.max_step / 2 + 1e-9:
-            raise InputError(
-                "velocity",
-                list(self.velocity),
-                f"at most max_step / 2 = {self.max_step / 2:g} per round, so that robots can catch up with their "
-                f"places (here {speed:.4g})",
-            )
+        speed, most = math.hypot(*self.velocity), self.max_step / 2
+        if speed > most + 1e-9:
+            why = f"so that robots can catch up with their places (here {speed:.4g})"
+            raise InputError("velocity", list(self.velocity), f"at most max_step / 2 = {most:g} per round, {why}")
 
     def _check_room(self) -> None:
         """Check that messages have room for all places, and the arena for random starts `safe_distance` apart."""
@@ -177,13 +173,9 @@ class Mission(BaseModel):
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
-            raise InputError(
-                "arena",
-                [list(low), list(high)],
-                f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of "
-                f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g} "
-                f"(here {room:.4g})",
-            )
+            size = f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g}"
+            needed = f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of {size}"
+            raise InputError("arena", [list(low), list(high)], f"{needed} (here {room:.4g})")
 
     def _check_obstacles(self) -> None:
         """Check that obstacles have the mission's dimension and leave room for the shape in some orientation."""
@@ -198,11 +190,10 @@ class Mission(BaseModel):
         if not self.obstacles or self.ideal is None:
             return
         if next(self.placements(), None) is None:
+            room = f"obstacles that leave room for '{self.shape}' around the centre in some orientation"
+            clear = f"with every place at least safe_distance / 2 = {self.body_radius:g} from every obstacle"
             raise InputError(
-                "obstacles",
-                f"{len(self.obstacles)} obstacles",
-                f"obstacles that leave room for '{self.shape}' around the centre in some orientation, with every place "
-                f"at least safe_distance / 2 = {self.body_radius:g} from every obstacle, and a way between any two",
+                "obstacles", f"{len(self.obstacles)} obstacles", f"{room}, {clear}, and a way between any two"
             )
 
     def placements(self, angle_rad: float = 0.0) -> Iterator[Points]:
@@ -364,12 +355,9 @@ class Mission(BaseModel):
         """
         needed = self.safe_distance + 2 * self.max_step
         if self.sensing < needed:
-            raise InputError(
-                "sense_range",
-                self.sensing,
-                f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on "
-                "(raise sense_range or comm_range, lower max_step, or switch the shield off)",
-            )
+            ways = "(raise sense_range or comm_range, lower max_step, or switch the shield off)"
+            allowed = f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on {ways}"
+            raise InputError("sense_range", self.sensing, allowed)
 
 
 def _unchecked(mission: Mission, **fields: Any) -> Mission:
