@@ -58,11 +58,8 @@ def start_positions(
     outside = np.flatnonzero(((array < low) | (array > high)).any(axis=1))
     if outside.size:
         robot = int(outside[0])
-        raise InputError(
-            "start_positions",
-            array[robot].tolist(),
-            f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not",
-        )
+        allowed = f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not"
+        raise InputError("start_positions", array[robot].tolist(), allowed)
     return array
 
 
