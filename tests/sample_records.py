@@ -135,7 +135,7 @@ class FakeRun:
                 goals=goals.tolist() if number else none,
                 slots=list(range(n)) if number else none,
                 plan_ids=[self.plans[leader].digest for leader in leaders] if number else none,
-                influence=graph.influence(positions, self.mission.comm_range).tolist(),
+                influence=graph.adjacency(positions, self.mission.comm_range).mean(axis=1).tolist(),
                 waypoints=positions.tolist() if number else none,
                 origins=["model" if number else "start"] * n,
                 phases=["idle"] * n,

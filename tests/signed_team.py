@@ -59,7 +59,7 @@ Sends = Callable[[], Sequence[bytes]]
 
 def channel_of(agent: Agent) -> SignedChannel:
     """The signed channel of an agent with keys."""
-    channel = agent._messaging._channel
+    channel = agent._messaging.channel
     assert isinstance(channel, SignedChannel)
     return channel
 

@@ -28,6 +28,7 @@ from typing import Any, get_args
 
 from docutils import nodes
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.docutils import SphinxDirective
 from state_diagram import draw
 
@@ -207,12 +208,12 @@ class ResultColumns(SphinxDirective):
 
 
 class MessageFields(SphinxDirective):
-    """The fields of a protocol message, from its docstring."""
+    """The fields of a protocol message, from the comments beside them."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.message import Message
-
-        return [table(("Field", "Meaning"), attributes(Message), 1)]
+        found = ModuleAnalyzer.for_module("llm_flock.message").find_attr_docs()
+        rows = [(name, " ".join(lines).strip()) for (owner, name), lines in found.items() if owner == "Message"]
+        return [table(("Field", "Meaning"), rows, 1)]
 
 
 class Shapes(SphinxDirective):
@@ -337,17 +338,19 @@ def layers() -> list[str]:
 
 
 def constants(module: Path) -> list[tuple[str, str, str]]:
-    """Name, value and docstring of every documented public constant of a module."""
-    body = ast.parse(module.read_text(encoding="utf-8")).body
+    """Name, value and meaning of every public constant of a module with a docstring, or a comment in its line."""
+    text = module.read_text(encoding="utf-8")
+    lines, body = text.splitlines(), ast.parse(text).body
     found: list[tuple[str, str, str]] = []
-    for node, after in pairwise(body):
+    for node, after in pairwise([*body, ast.Pass()]):
         if not isinstance(node, ast.Assign | ast.AnnAssign) or node.value is None:
             continue
-        if not isinstance(after, ast.Expr) or not isinstance(after.value, ast.Constant):
-            continue
+        meaning = lines[node.lineno - 1].partition("  # ")[2]
+        if isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant):
+            meaning = " ".join(str(after.value.value).split())
         name = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target).strip("()")
-        if re.fullmatch(r"[A-Z][A-Z0-9_]*(, [A-Z][A-Z0-9_]*)*", name):
-            found.append((name, ast.unparse(node.value), " ".join(str(after.value.value).split())))
+        if meaning and re.fullmatch(r"[A-Z][A-Z0-9_]*(, [A-Z][A-Z0-9_]*)*", name):
+            found.append((name, ast.unparse(node.value), f"{meaning[0].upper()}{meaning[1:].rstrip('.')}."))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 from pathlib import Path
 
@@ -34,7 +35,7 @@ def test_five_processes_form_and_leave_a_record(tmp_path: Path) -> None:
 def test_a_killed_robot_is_done_without() -> None:
     async def strike(swarm: Swarm) -> None:
         await asyncio.sleep(2.0)
-        swarm.signal("robot-2", signal.SIGKILL)
+        os.kill(swarm.pids["robot-2"], signal.SIGKILL)
         await asyncio.sleep(0.5)
 
     check(fly(swarm_config(5), strike, until=lambda o: formed(o) and len(o.robots) == 4), 4)
@@ -43,7 +44,7 @@ def test_a_killed_robot_is_done_without() -> None:
 def test_a_killed_recorder_is_not_missed(tmp_path: Path) -> None:
     async def strike(swarm: Swarm) -> None:
         await asyncio.sleep(3.0)
-        swarm.signal("recorder", signal.SIGKILL)
+        os.kill(swarm.pids["recorder"], signal.SIGKILL)
 
     check(fly(swarm_config(5, out=str(tmp_path)), strike), 5)
     found = read_record(tmp_path / "run.mcap")
@@ -53,9 +54,9 @@ def test_a_killed_recorder_is_not_missed(tmp_path: Path) -> None:
 def test_a_stopped_robot_goes_on_where_it_was() -> None:
     async def strike(swarm: Swarm) -> None:
         await asyncio.sleep(2.0)
-        swarm.signal("robot-1", signal.SIGSTOP)
+        os.kill(swarm.pids["robot-1"], signal.SIGSTOP)
         await asyncio.sleep(3.0)
-        swarm.signal("robot-1", signal.SIGCONT)
+        os.kill(swarm.pids["robot-1"], signal.SIGCONT)
         await asyncio.sleep(2.5)
 
     check(fly(swarm_config(5), strike, until=lambda o: formed(o) and len(o.robots) == 5), 5)
@@ -78,7 +79,7 @@ def test_a_late_robot_finds_its_place() -> None:
 def test_a_killed_robot_that_starts_again_takes_its_place() -> None:
     async def strike(swarm: Swarm) -> None:
         await asyncio.sleep(2.0)
-        swarm.signal("robot-2", signal.SIGKILL)
+        os.kill(swarm.pids["robot-2"], signal.SIGKILL)
         await asyncio.sleep(1.0)
         await swarm.start_robot(2)
         await asyncio.sleep(2.0)

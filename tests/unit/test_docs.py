@@ -228,8 +228,11 @@ def test_the_layers_are_those_of_the_import_contract() -> None:
 
 def test_constants_are_read_with_value_and_meaning(tmp_path: Path) -> None:
     module = tmp_path / "module.py"
-    module.write_text('A = 3\n"""Rounds\nto wait."""\nB = 4\n_C = 5\n"""Private."""\nD, E = 1, 2\n"""Two."""\n')
-    assert from_code.constants(module) == [("A", "3", "Rounds to wait."), ("D, E", "(1, 2)", "Two.")]
+    module.write_text(
+        'A = 3\n"""Rounds\nto wait."""\nB = 4\n_C = 5\n"""Private."""\nD, E = 1, 2\n"""Two."""\nF = 6  # a share\n'
+    )
+    two = ("D, E", "(1, 2)", "Two.")
+    assert from_code.constants(module) == [("A", "3", "Rounds to wait."), two, ("F", "6", "A share.")]
 
 
 def test_events_that_every_phase_takes_are_drawn_once() -> None:

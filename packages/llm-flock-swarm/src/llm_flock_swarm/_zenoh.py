@@ -1,11 +1,8 @@
 """A network of peers: eclipse-zenoh sessions without router, multicast or server.
 
-Every process is a peer that listens on its own endpoint and connects to a few others (one is enough): zenoh's gossip
-names the rest, and all peers connect to each other, so no peer is a single point of failure. A lease of two seconds
-ends a link whose other side has fallen silent; the end of a process is noticed within milliseconds.
-
-zenoh calls back in the thread that received the bytes: one more thread per subscription would be woken for every
-message. `ZenohLink` hands everything over to the event loop, where payloads are opened.
+Every process listens on its own endpoint and connects to one or a few others: zenoh's gossip names the rest. A lease
+ends a link whose other side has fallen silent. zenoh calls back in the thread that received the bytes: one more thread
+per subscription would be woken for every message. `ZenohLink` hands everything over to the event loop.
 """
 
 from __future__ import annotations
@@ -27,23 +24,18 @@ if TYPE_CHECKING:
     import zenoh
 
 ROOT = "llm-flock"
-MAX_SEALED_BYTES = 1 << 20
-"""Largest sealed message that is opened [bytes]; protocol messages have a far lower limit."""
+MAX_SEALED_BYTES = 1 << 20  # largest sealed message that is opened [bytes]; protocol messages have a far lower limit
 
 THREADS = "(rx: (worker_threads: 1), net: (handover: tx), acc: (handover: tx), app: (handover: tx))"
 """zenoh's threads: one to receive and one for all else. With more, each message wakes two or three of them."""
 
-KEEP_ALIVES = 4
-"""Signs of life per lease."""
+KEEP_ALIVES = 4  # signs of life per lease
 
 
 def settings(
     *, listen: Sequence[str], connect: Sequence[str], lease_s: float, security: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """A peer's configuration, by path: its own endpoints, those of peers that may be there already, and TLS.
-
-    Endpoints are like `tcp/127.0.0.1:7447`; port 0 takes a free one. A link is given up after `lease_s` of silence [s].
-    """
+    """A peer's configuration, by path; endpoints are like `tcp/127.0.0.1:7447`, and port 0 takes a free one."""
     return {
         "mode": "peer",
         "scouting/multicast/enabled": False,
@@ -60,10 +52,9 @@ def settings(
 
 
 def access_control(allowed: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """The part of a configuration that lets members send under their own keys only, by the names in their certificates.
+    """Lets members send under their own keys only, by the names in their certificates; everybody may listen.
 
-    `allowed` are the key expressions that each may write to and be alive under. Everybody may listen. What others send
-    is dropped as it comes in, before anything of this program looks at it.
+    What others send is dropped as it comes in, before anything of this program looks at it.
     """
     to_all: list[dict[str, Any]] = [
         {
@@ -93,11 +84,7 @@ def access_control(allowed: Mapping[str, Sequence[str]]) -> dict[str, Any]:
 
 
 def open_session(values: Mapping[str, Any]) -> zenoh.Session:
-    """Open a session.
-
-    Raises:
-        InputError: zenoh is not installed, or does not take the configuration (an endpoint that is in use, say).
-    """
+    """Open a session; an InputError if zenoh does not take the configuration (an endpoint that is in use, say)."""
     os.environ.setdefault("ZENOH_RUNTIME", THREADS)
     require("network", "a swarm")
     import zenoh
@@ -127,11 +114,8 @@ class LinkTraffic:
     refused: Counter[str] = field(default_factory=Counter[str])
 
 
-MOST_TOPICS = 1 << 14
-"""Most topics whose messages are counted; a team of 1,000 has some 4,000."""
-
-BURST_S = 2.0
-"""A topic may bring as much at once as it may in this time [s]."""
+MOST_TOPICS = 1 << 14  # most topics whose messages are counted; a team of 1,000 has some 4,000
+BURST_S = 2.0  # a topic may bring as much at once as it may in this time [s]
 
 
 class Allowance:
@@ -163,11 +147,7 @@ class Seal(Protocol):
         ...
 
     def open(self, sealed: bytes, topic: str) -> tuple[int, bytes]:
-        """The member that sent it under this topic, and the payload.
-
-        Raises:
-            MessageError: it cannot be trusted; the reason is counted.
-        """
+        """The member that sent it under this topic, and the payload; a MessageError if it cannot be trusted."""
         ...
 
 
@@ -178,11 +158,9 @@ class PlainSeal:
         self._head = sender.to_bytes(_ID_BYTES, "big", signed=True)
 
     def seal(self, payload: bytes, topic: str) -> bytes:
-        """The sender's id, then the payload."""
         return self._head + payload
 
     def open(self, sealed: bytes, topic: str) -> tuple[int, bytes]:
-        """The sender's id, and the payload."""
         if len(sealed) < _ID_BYTES:
             raise MessageError("malformed", "no sender")
         return int.from_bytes(sealed[:_ID_BYTES], "big", signed=True), sealed[_ID_BYTES:]
@@ -197,10 +175,9 @@ def sealed_topic(topic: str, contexts: Mapping[str, str]) -> str:
 class ZenohLink:
     """Connects one process to a swarm's network. A topic is `kind/id`; other swarms, and own messages, are ignored.
 
-    A payload is dropped, not delayed, where a receiver does not keep up, or where its topic brings more than `rates`
-    allow: messages a second under one topic, by kind. That is counted as `too_many`, before a signature is checked.
-    The seal of a kind with a context covers it too: senders and receivers must have the same. Handlers run in `loop`;
-    while one runs, `at_hand` is the message as it came, sealed. The session is closed by `close`.
+    A payload is dropped where a receiver does not keep up, or where its topic brings more than `rates` allow: messages
+    a second under one topic, by kind, counted as `too_many` before a signature is checked. The seal of a kind with a
+    context covers it too. While a handler runs in `loop`, `at_hand` is the message as it came, sealed.
     """
 
     def __init__(
@@ -247,8 +224,7 @@ class ZenohLink:
     def listen(self, kind: str, number: int | None, handler: Callable[[int, bytes], None]) -> None:
         """Call the handler in the event loop with sender and payload of each message of a kind, to one number or all.
 
-        A message under another number than that of the sender that its seal names is refused, unless the topic belongs
-        to the receiver (`number` is given).
+        A message under another number than its seal's sender is refused, unless the topic is the receiver's (`number`).
         """
 
         def open_sealed(topic: str, sealed: bytes) -> None:
@@ -301,7 +277,6 @@ class ZenohLink:
             self._loop.call_soon(function, *args)
 
     def declare_alive(self, number: int) -> None:
-        """Announce this number for as long as the process runs."""
         self._kept.append(self._session.liveliness().declare_token(f"{self._root}/alive/{number}"))
 
     def watch_alive(self, handler: Callable[[int, bool], None]) -> None:

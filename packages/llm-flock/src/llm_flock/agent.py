@@ -11,29 +11,9 @@ import math
 from collections import Counter
 from typing import assert_never
 
+from llm_flock import events
 from llm_flock.arrays import Point, moved
-from llm_flock.events import (
-    TRANSITIONS,
-    AgreementEnded,
-    Arrived,
-    AskPlan,
-    AskStep,
-    Broadcast,
-    CommRoundBegan,
-    CommRoundEnded,
-    Decided,
-    Effect,
-    Event,
-    HeartbeatDue,
-    MissionGiven,
-    Note,
-    Phase,
-    Planned,
-    Received,
-    RoundBegan,
-    Sensed,
-    Stopped,
-)
+from llm_flock.events import TRANSITIONS, Effect, Event, Note, Phase
 from llm_flock.message import MissionStamp, Provenance
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
@@ -89,7 +69,7 @@ class Agent:
         }
         self._fallback: Fallback = fallback
         self._scene: Observation | None = None
-        self._seen: tuple[int, RoundBegan | Sensed] | None = None
+        self._seen: tuple[int, events.Sensed] | None = None
         self._asked_about: object = None
 
     @property
@@ -115,7 +95,7 @@ class Agent:
     @property
     def authorization(self) -> bytes:
         """The operator's signature on that order; empty for the first mission, and in teams without keys."""
-        return self._messaging.order
+        return self._messaging.channel.order
 
     @property
     def open_breakers(self) -> tuple[QuestionKind, ...]:
@@ -177,29 +157,29 @@ class Agent:
         phase = self.phase
         effects: list[Effect] = []
         match event:
-            case Received():
+            case events.Received():
                 effects = self._receive(event)
-            case CommRoundBegan():
-                effects = [Broadcast(self._messaging.broadcast(self._pilot.course))]
-            case CommRoundEnded():
+            case events.CommRoundBegan():
+                effects = [events.Broadcast(self._messaging.broadcast(self._pilot.course))]
+            case events.CommRoundEnded():
                 phase, effects = self._settle()
-            case Sensed():
-                self._look_about(event)
-            case HeartbeatDue():
+            case events.HeartbeatDue():
                 self._begin_period(event.period)
-            case MissionGiven():
+            case events.MissionGiven():
                 effects = self._give_mission(event)
-            case RoundBegan():
+            case events.RoundBegan():
                 phase, effects = self._begin(event)
-            case Planned():
+            case events.Sensed():
+                self._look_about(event)
+            case events.Planned():
                 phase, effects = Phase.AGREEING, list[Effect](self._proposals.take(event.answer))
-            case AgreementEnded():
+            case events.AgreementEnded():
                 phase, effects = self._decide()
-            case Decided():
+            case events.Decided():
                 phase, effects = self._take_step(event.answer)
-            case Arrived():
+            case events.Arrived():
                 phase = Phase.IDLE
-            case Stopped():
+            case events.Stopped():
                 phase = Phase.STOPPED
             case _:
                 assert_never(event)
@@ -207,14 +187,14 @@ class Agent:
         self.phase = phase
         return effects
 
-    def _begin(self, event: RoundBegan) -> tuple[Phase, list[Effect]]:
+    def _begin(self, event: events.RoundBegan) -> tuple[Phase, list[Effect]]:
         listening = event.degree > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
         self._look(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
         effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
-        return (Phase.PLANNING if effects and isinstance(effects[-1], AskPlan) else Phase.AGREEING), effects
+        return (Phase.PLANNING if effects and isinstance(effects[-1], events.AskPlan) else Phase.AGREEING), effects
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
@@ -229,17 +209,10 @@ class Agent:
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
         agreement.begin_round(event.degree)
-        self._membership.begin_round(
-            number,
-            near,
-            mission=agreement.mission,
-            plan=agreement.plan,
-            claim=agreement.claim,
-            cannot_fly=self._pilot.breaker.is_open,
-        )
+        self._membership.begin_round(number, near, agreement, cannot_fly=self._pilot.breaker.is_open)
         self._messaging.begin_round()
 
-    def _look_about(self, event: Sensed) -> None:
+    def _look_about(self, event: events.Sensed) -> None:
         """Take sensor values between rounds; a pending step will be flown from these."""
         self._look(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
@@ -248,7 +221,7 @@ class Agent:
     def _settle(self) -> tuple[Phase, list[Effect]]:
         """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
         heard = self._messaging.drain()
-        notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.void)]
+        notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.channel.void(self._agreement.stamp))]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
             return self.phase, notes
         phase, effects = self._decide()
@@ -261,7 +234,7 @@ class Agent:
         phase, effects = self._decide()
         return phase, [Note("stale_answer", {"about": "step"}), *effects]
 
-    def _look(self, number: int, event: RoundBegan | Sensed) -> None:
+    def _look(self, number: int, event: events.Sensed) -> None:
         """Take sensor values, in the frame of the mission in force."""
         mission = self.mission
         moving = mission.velocity is not None
@@ -280,14 +253,14 @@ class Agent:
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
         self._agreement.sense(scene.here, sensed)
 
-    def _give_mission(self, event: MissionGiven) -> list[Effect]:
+    def _give_mission(self, event: events.MissionGiven) -> list[Effect]:
         before = self.mission
         note = self._messaging.give_mission(event)
         if self.mission is not before:
             self._begin_mission()
         return [note]
 
-    def _receive(self, event: Received) -> list[Effect]:
+    def _receive(self, event: events.Received) -> list[Effect]:
         before = self.mission
         notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
         if self.mission is not before:
@@ -303,30 +276,23 @@ class Agent:
 
     def _decide(self) -> tuple[Phase, list[Effect]]:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
+        membership, agreement = self._membership, self._agreement
         assert scene is not None, "a round has begun"
         effects, target, idle = list[Effect](), None, None
-        if plan is None and self._fallback != "hold" and self._proposals.breaker.refusals:
-            # It goes where others will look for it, and takes the first acceptable plan that it hears.
-            target = self._membership.seek(self.mission, scene.here)
-            if target is not None:
-                return Phase.MOVING, self._pilot.seek(scene, self.mission, target)
-            idle = "no plan yet: waiting to be found"
-        elif plan is None:
-            idle = "no plan yet"
-        elif slot is None and self._membership.lost and (away := self._membership.seek(self.mission, scene.here)):
-            # What it knows of the places is old: it goes where the others will be.
-            return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
+        refused = self._fallback != "hold" and self._proposals.breaker.refusals > 0
+        if refused if plan is None else slot is None and membership.lost:
+            # It goes where others will look for it: it has no plan, or what it knows of the places is old.
+            away = membership.seek(agreement)
+            if away is not None:
+                return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
+        if plan is None:
+            idle = "no plan yet: waiting to be found" if refused else "no plan yet"
         elif slot is None:
             # A spare robot waits near the formation, and travels along with it.
-            others = [scene.seen(x) for x in scene.sensed.values()]
-            target = self._membership.wait(self.mission, plan, self.claim, scene.here, others)
+            target = membership.wait(agreement)
             idle = "every place is taken by others" if target == scene.here and not scene.ahead else None
         else:
-            bodies = [scene.seen(x) for x in scene.sensed.values()]
-            agreement = self._agreement
-            target, agreement.claim, notes = self._membership.route(
-                self.mission, plan, agreement.claim, scene.here, bodies
-            )
+            target, agreement.claim, notes = membership.route(agreement)
             effects.extend(notes)
         if plan is None or idle is not None:
             self._pilot.forget()
@@ -334,4 +300,4 @@ class Agent:
         told = self.mission.at(scene.round).resized(len(plan))
         self._asked_about = self._topic
         effects.extend(self._pilot.decide(scene, told, plan, slot, target))
-        return (Phase.DECIDING if isinstance(effects[-1], AskStep) else Phase.MOVING), effects
+        return (Phase.DECIDING if isinstance(effects[-1], events.AskStep) else Phase.MOVING), effects

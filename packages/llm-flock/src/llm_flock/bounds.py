@@ -6,20 +6,11 @@ MAX_ROBOTS = 2_000
 """Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
 one round can take a minute, and the time grows with about the third power of the team size."""
 
-MAX_OBSTACLES = 500
-"""Most obstacles of a mission: each robot examines all of them in each round."""
-
-MAX_CORNERS = 1_024
-"""Most corners of all polygons of a mission together."""
-
-MAX_POLYGON_CORNERS = 128
-"""Most corners of one polygon: the time to divide it into convex pieces grows with their cube, here 0.2 s."""
-
-MIN_LENGTH = 1e-3
-"""Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it."""
-
-MAX_LENGTH = 1e9
-"""Largest length in a mission [units]: far more than any arena, and its square is no trouble for a double."""
+MAX_OBSTACLES = 500  #: Most obstacles of a mission: each robot examines all of them in each round.
+MAX_CORNERS = 1_024  #: Most corners of all polygons of a mission together.
+MAX_POLYGON_CORNERS = 128  #: Most corners of one polygon: dividing it takes the cube of their number, here 0.2 s.
+MIN_LENGTH = 1e-3  #: Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it.
+MAX_LENGTH = 1e9  #: Largest length in a mission [units]: far more than any arena, and small enough to be squared.
 
 TIME_OUT = 10
 """Default of the rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave

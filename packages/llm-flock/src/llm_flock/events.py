@@ -12,8 +12,8 @@ from typing import Any, TypeAlias
 import msgspec
 
 from llm_flock.arrays import Point
+from llm_flock.message import Authorization
 from llm_flock.mission import Mission
-from llm_flock.protocol._messages.channel import Authorization
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 
@@ -43,31 +43,19 @@ class Origin(StrEnum):
 # Events: what happens to the robot.
 
 
-class RoundBegan(msgspec.Struct, frozen=True, kw_only=True):
-    """A motion round begins, with the values of the sensors.
+class Sensed(msgspec.Struct, frozen=True, kw_only=True):
+    """Sensor values; between two rounds, for a robot that is not in step with the others."""
 
-    Attributes:
-        round: number of the round, from 1.
-        position: own believed position [units; world frame].
-        degree: number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        observed: positions to tell the planner, in ascending order of ids (usually those of `sensed`).
-    """
+    position: Point  #: Own believed position [units; world frame].
+    degree: int  #: Number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
+    sensed: Mapping[int, Point]  #: Believed positions of the robots within sensing range, by id [units; world frame].
+    observed: tuple[Point, ...]  #: Positions to tell the planner, in order of ids (usually those of `sensed`).
+
+
+class RoundBegan(Sensed, frozen=True, kw_only=True):
+    """A motion round begins, numbered from 1, with the values of the sensors."""
 
     round: int
-    position: Point
-    degree: int
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...]
-
-
-class Sensed(msgspec.Struct, frozen=True, kw_only=True):
-    """Sensor values between two rounds, for a robot that is not in step with the others; as in RoundBegan."""
-
-    position: Point
-    degree: int
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...]
 
 
 class HeartbeatDue(msgspec.Struct, frozen=True):
@@ -80,17 +68,13 @@ class HeartbeatDue(msgspec.Struct, frozen=True):
 
 
 class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator gives this robot another mission; the robot passes it on.
-
-    Attributes:
-        mission: the mission.
-        ordered_at: the operator's own time of the order, higher than that of every earlier order: see
-            `llm_flock.message`. Not used where the order is signed.
-        authorization: the operator's signature, which covers its time; in teams with keys only.
-    """
+    """The operator gives this robot another mission; the robot passes it on."""
 
     mission: Mission
+    #: The operator's own time of the order, higher than that of every earlier order: see `llm_flock.message`. Not used
+    #: where the order is signed.
     ordered_at: int
+    #: The operator's signature, which covers its time; in teams with keys only.
     authorization: Authorization | None = None
 
 

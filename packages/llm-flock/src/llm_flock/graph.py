@@ -7,11 +7,10 @@ symmetric, shape (n, n); its diagonal does not matter.
 from __future__ import annotations
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Mask, Pairwise, Vector
+from llm_flock.arrays import Mask, Pairwise
 
 
 def distances(positions: ArrayLike) -> Pairwise:
@@ -31,12 +30,6 @@ def neighbors(positions: ArrayLike, comm_range: float) -> tuple[tuple[int, ...],
     return tuple(tuple(np.flatnonzero(row).tolist()) for row in adjacency(positions, comm_range))
 
 
-def influence(positions: ArrayLike, comm_range: float) -> Vector:
-    """Influence I_i = |N_i| / N of each robot (paper, equation 1), shape (n,), 0 .. (N - 1) / N."""
-    near = adjacency(positions, comm_range)
-    return near.sum(axis=1) / len(near)
-
-
 def is_connected(adjacent: Mask) -> bool:
     """Whether there is a path between any two robots; True for a single robot."""
     reached = np.zeros(len(adjacent), dtype=np.bool_)
@@ -46,15 +39,3 @@ def is_connected(adjacent: Mask) -> bool:
         reached |= front
         front = adjacent[front].any(axis=0) & ~reached
     return bool(reached.all())
-
-
-def diameter(adjacent: Mask) -> int | None:
-    """Largest number of hops between two robots; None if the graph is not connected.
-
-    On a fixed graph without message loss, max-consensus on plans takes this many communication rounds.
-    """
-    hops = np.asarray(
-        scipy.sparse.csgraph.shortest_path(scipy.sparse.csr_array(adjacent), directed=False, unweighted=True)
-    )
-    longest = float(hops.max())
-    return int(longest) if longest < np.inf else None

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-OPERATOR = -2
-"""Gives missions."""
-
-WORLD = -1
-"""Stands for sensors and bodies where the robots are simulated, and writes the record."""
-
-WATCHER = -3
-"""Only listens."""
+OPERATOR = -2  #: Gives missions.
+WORLD = -1  #: Stands for sensors and bodies where the robots are simulated, and writes the record.
+WATCHER = -3  #: Only listens.
 
 OTHERS = {OPERATOR: "operator", WORLD: "world", WATCHER: "watcher"}
 

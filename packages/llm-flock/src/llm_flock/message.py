@@ -25,14 +25,10 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.plan import Coordinate, Plan
 
-LOGICAL_BITS = 16
-"""Lowest bits of an order's time, which count orders within a millisecond."""
+LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
+LATEST = 2**60  #: Above every time of an order: far enough in the future, and below the largest machine integer.
 
-LATEST = 2**60
-"""Above every time of an order: far enough in the future, and below the largest machine integer."""
-
-MOST_AHEAD_MS = 24 * 3600 * 1000
-"""A time that others tell is believed if it is at most this far ahead of the own clock [ms]; no liar sets the clock."""
+MOST_AHEAD_MS = 24 * 3600 * 1000  #: Others' times are believed if at most this far ahead of the own clock [ms].
 
 
 def order_time(milliseconds: int, count: int = 0) -> int:
@@ -67,27 +63,15 @@ def time_text(time: int) -> str:
 
 WIRE_VERSION = 8
 
-MAX_BID = 10 * MAX_COORDINATE
-"""Largest distance between two points of the largest arena [units]."""
+MAX_BID = 10 * MAX_COORDINATE  #: Largest distance between two points of the largest arena [units].
 
 NO_OWNER = -1
-BLOCKED = -2
-"""Owner of a slot that no robot can take, because a body that does not move stands there."""
-
-LAST_ROUND = 1023
-"""Largest round number in a position report."""
-
-MOST_LOOKS = 64
-"""Largest number of visits to a vacant slot in an entry."""
-
-MOST_EPOCHS = 32
-"""Largest epoch: plans for one mission that follow on each other."""
-
-HIGHEST = 15
-"""Highest level of a right of way."""
-
-MOST_STOPS = 4
-"""Most points of a course."""
+BLOCKED = -2  #: Owner of a slot that no robot can take, because a body that does not move stands there.
+LAST_ROUND = 1023  #: Largest round number in a position report.
+MOST_LOOKS = 64  #: Largest number of visits to a vacant slot in an entry.
+MOST_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each other.
+HIGHEST = 15  #: Highest level of a right of way.
+MOST_STOPS = 4  #: Most points of a course.
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -106,8 +90,7 @@ slot."""
 
 BidTable: TypeAlias = tuple[BidEntry, ...]
 
-UNSAID: BidEntry = (0, 0.0, NO_OWNER)
-"""The entry of lowest rank: merging it changes nothing, so it stands for slots that a message leaves out."""
+UNSAID: BidEntry = (0, 0.0, NO_OWNER)  #: The entry of lowest rank, for slots left out: merging it changes nothing.
 
 Claims: TypeAlias = tuple[tuple[Id, Counter, Bid, Owner], ...]
 """The entries of a bid table that a message spells out: slot, version, bid and owner of each."""
@@ -135,28 +118,25 @@ class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
     digest: Digest
 
 
-NO_MISSION = MissionStamp(0, "0" * 16)
-"""The stamp of a message that names no mission."""
+NO_MISSION = MissionStamp(0, "0" * 16)  #: The stamp of a message that names no mission.
+
+
+class Authorization(msgspec.Struct, frozen=True, kw_only=True):
+    """The operator's signature on a mission's digest and on the time of the order, `counter`."""
+
+    counter: int
+    signature: bytes
 
 
 class Provenance(_OnWire, frozen=True, kw_only=True):
-    """Where a plan comes from: fixed when it is proposed, and carried along unchanged.
+    """Where a plan comes from: fixed when it is proposed, and carried along unchanged."""
 
-    Attributes:
-        mission: time of the order for the mission that the plan was made for.
-        mission_digest: content of that mission.
-        epoch: counter of plans for that mission.
-        degree: number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
-        proposer: id of the robot that proposed.
-        sequence: counts the proposals of that robot.
-    """
-
-    mission: OrderTime
-    mission_digest: Digest
-    epoch: Counter
-    degree: Id
-    proposer: Id
-    sequence: Counter
+    mission: OrderTime  #: Time of the order for the mission that the plan was made for.
+    mission_digest: Digest  #: Content of that mission.
+    epoch: Counter  #: Counter of plans for that mission.
+    degree: Id  #: Number of neighbours of the proposer, that is N times its influence (paper, eq. 1).
+    proposer: Id  #: Id of the robot that proposed.
+    sequence: Counter  #: Counts the proposals of that robot.
 
     @property
     def stamp(self) -> MissionStamp:
@@ -183,60 +163,37 @@ class Offer(_OnWire, frozen=True, kw_only=True):
 
 
 class Course(_OnWire, frozen=True, kw_only=True):
-    """Where a robot that others block will be in the next rounds.
+    """Where a robot that others block will be in the next rounds."""
 
-    Attributes:
-        level: rises with the time for which the right of way has been missing.
-        of: the robot whose right it is: the sender, or one that the sender makes way for.
-        path: next corners of the sender's way [units; world frame].
-    """
-
+    #: Rises with the time for which the right of way has been missing.
     level: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
-    of: Id
+    of: Id  #: The robot whose right it is: the sender, or one that the sender makes way for.
+    #: Next corners of the sender's way [units; world frame].
     path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MOST_STOPS)]
 
 
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):
-    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`.
+    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`."""
 
-    Attributes:
-        sender: id of the robot.
-        sequence: counts the changes of the content; equal content is equal bytes.
-        degree: number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
-        stamp: the sender's mission; None with a provenance, which has it.
-        provenance: origin of the plan that the sender follows, present with it.
-        places: number of places of that plan; that of `plan` if left out.
-        plan_digest: digest of that plan; that of `plan` if left out.
-        slot: index of the claimed place.
-        table_digest: digest of the sender's whole bid table (auction only).
-        claims: entries of that table, in ascending order of slots (auction only).
-        offer: an exchange that the sender offers (auction only).
-        course: the way that the sender asks others to leave free; None if nothing is in its way.
-        beats: heartbeat counters of the team, by id; None if not spelled out.
-        plan: the plan spelled out; None before the sender has one, or if only the digest is given.
-        mission_text: the mission spelled out as JSON; None if not.
-        positions: position reports of the team, by id; None if not spelled out.
-        plan_class: class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
-        proofs: signatures that came with the message (teams with keys only); never part of the message itself.
-    """
-
-    sender: Id
-    sequence: Counter
-    degree: Id
-    stamp: MissionStamp | None = None
-    provenance: Provenance | None = None
+    sender: Id  #: Id of the robot.
+    sequence: Counter  #: Counts the changes of the content; equal content is equal bytes.
+    degree: Id  #: Number of robots within the sender's radio range; its influence is degree / N (paper, eq. 1).
+    stamp: MissionStamp | None = None  #: The sender's mission; None with a provenance, which has it.
+    provenance: Provenance | None = None  #: Origin of the plan that the sender follows, present with it.
+    #: Number of places of that plan; that of `plan` if left out.
     places: Annotated[int, msgspec.Meta(ge=0, le=MAX_ROBOTS)] = 0
-    plan_digest: Digest | None = None
-    slot: Id | None = None
-    table_digest: TableDigest | None = None
-    claims: Claims | None = None
-    offer: Offer | None = None
-    course: Course | None = None
-    beats: tuple[Counter, ...] | None = None
-    plan: Plan | None = None
-    mission_text: str | None = None
-    positions: dict[Id, PositionReport] | None = None
-    plan_class: int = 0
+    plan_digest: Digest | None = None  #: Digest of that plan; that of `plan` if left out.
+    slot: Id | None = None  #: Index of the claimed place.
+    table_digest: TableDigest | None = None  #: Digest of the sender's whole bid table (auction only).
+    claims: Claims | None = None  #: Entries of that table, in ascending order of slots (auction only).
+    offer: Offer | None = None  #: An exchange that the sender offers (auction only).
+    course: Course | None = None  #: The way that the sender asks others to leave free; None if nothing is in its way.
+    beats: tuple[Counter, ...] | None = None  #: Heartbeat counters of the team, by id; None if not spelled out.
+    plan: Plan | None = None  #: The plan spelled out; None before the sender has one, or if only the digest is given.
+    mission_text: str | None = None  #: The mission spelled out as JSON; None if not.
+    positions: dict[Id, PositionReport] | None = None  #: Position reports of the team, by id; None if not spelled out.
+    plan_class: int = 0  #: Class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
+    #: Signatures that came with the message (teams with keys only); never part of the message itself.
     proofs: object = None
 
     def __post_init__(self) -> None:

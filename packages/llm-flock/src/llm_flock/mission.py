@@ -25,18 +25,15 @@ if TYPE_CHECKING:
 Coordinate = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=MIN_LENGTH, le=MAX_LENGTH, allow_inf_nan=False)]
 
-ORIENTATIONS = 72
-"""Number of evenly spaced orientations in which the shape is tried among the obstacles."""
+ORIENTATIONS = 72  #: Number of evenly spaced orientations in which the shape is tried among the obstacles.
 
 CENTER_TOLERANCE = 0.05
 """Largest distance of the mean of a plan's places from the centre, as a share of the spacing: half a unit at the
 paper's spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
 
-SHIFTS = 8
-"""Directions in which the shape is also shifted, by a little less than that, if no orientation fits."""
+SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less than that, if no orientation fits.
 
-START_DENSITY = 0.35
-"""Largest share of the arena that discs of the safe distance may cover, so that random starts can be drawn."""
+START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
 
 def start_volume(n_robots: int, dim: int, safe_distance: float) -> float:
@@ -119,7 +116,6 @@ class Mission(BaseModel):
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
         self._check_velocity()
-        self._check_places()
         self._check_room()
         self.check_shape()
         self._check_obstacles()
@@ -131,24 +127,17 @@ class Mission(BaseModel):
             return
         if len(self.velocity) != self.dim:
             raise InputError("velocity", list(self.velocity), f"{self.dim} numbers, as the centre has")
-        speed = math.hypot(*self.velocity)
-        if speed > self.max_step / 2 + 1e-9:
-            raise InputError(
-                "velocity",
-                list(self.velocity),
-                f"at most max_step / 2 = {self.max_step / 2:g} per round, so that robots can catch up with their "
-                f"places (here {speed:.4g})",
-            )
+        speed, most = math.hypot(*self.velocity), self.max_step / 2
+        if speed > most + 1e-9:
+            why = f"so that robots can catch up with their places (here {speed:.4g})"
+            raise InputError("velocity", list(self.velocity), f"at most max_step / 2 = {most:g} per round, {why}")
 
-    def _check_places(self) -> None:
-        """Check that messages have room for all places."""
+    def _check_room(self) -> None:
+        """Check that messages have room for all places, and the arena for random starts `safe_distance` apart."""
         most = max_places(self.n_robots)
         if self.n_places > most:
             says = f"at most {most} for {self.n_robots} robots: their messages have room for no more"
             raise InputError("places", self.n_places, says)
-
-    def _check_room(self) -> None:
-        """Check that random starts at least `safe_distance` apart exist, and that drawing can find them."""
         low, high = self.arena
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
         most = max(1, int(volume / start_volume(1, len(low), self.safe_distance)))
@@ -184,13 +173,9 @@ class Mission(BaseModel):
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
-            raise InputError(
-                "arena",
-                [list(low), list(high)],
-                f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of "
-                f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g} "
-                f"(here {room:.4g})",
-            )
+            size = f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g}"
+            needed = f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of {size}"
+            raise InputError("arena", [list(low), list(high)], f"{needed} (here {room:.4g})")
 
     def _check_obstacles(self) -> None:
         """Check that obstacles have the mission's dimension and leave room for the shape in some orientation."""
@@ -205,11 +190,10 @@ class Mission(BaseModel):
         if not self.obstacles or self.ideal is None:
             return
         if next(self.placements(), None) is None:
+            room = f"obstacles that leave room for '{self.shape}' around the centre in some orientation"
+            clear = f"with every place at least safe_distance / 2 = {self.body_radius:g} from every obstacle"
             raise InputError(
-                "obstacles",
-                f"{len(self.obstacles)} obstacles",
-                f"obstacles that leave room for '{self.shape}' around the centre in some orientation, with every place "
-                f"at least safe_distance / 2 = {self.body_radius:g} from every obstacle, and a way between any two",
+                "obstacles", f"{len(self.obstacles)} obstacles", f"{room}, {clear}, and a way between any two"
             )
 
     def placements(self, angle_rad: float = 0.0) -> Iterator[Points]:
@@ -371,12 +355,9 @@ class Mission(BaseModel):
         """
         needed = self.safe_distance + 2 * self.max_step
         if self.sensing < needed:
-            raise InputError(
-                "sense_range",
-                self.sensing,
-                f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on "
-                "(raise sense_range or comm_range, lower max_step, or switch the shield off)",
-            )
+            ways = "(raise sense_range or comm_range, lower max_step, or switch the shield off)"
+            allowed = f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on {ways}"
+            raise InputError("sense_range", self.sensing, allowed)
 
 
 def _unchecked(mission: Mission, **fields: Any) -> Mission:

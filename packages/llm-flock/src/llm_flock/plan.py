@@ -12,8 +12,7 @@ import numpy as np
 
 from llm_flock.arrays import MAX_COORDINATE, Points
 
-DECIMALS = 6
-"""Decimals of plan coordinates, so that equal plans are equal on every robot."""
+DECIMALS = 6  #: Decimals of plan coordinates, so that equal plans are equal on every robot.
 
 Coordinate = Annotated[float, msgspec.Meta(ge=-MAX_COORDINATE, le=MAX_COORDINATE)]
 """A coordinate that a message may have; the bounds are checked when it is decoded."""

@@ -19,8 +19,7 @@ from llm_flock.obstacles import clearance
 
 StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
-MAX_DRAWS = 10_000
-"""Tries to place one robot before the arena counts as full."""
+MAX_DRAWS = 10_000  #: Tries to place one robot before the arena counts as full.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,8 +30,7 @@ class Sensing:
     sensed: Mapping[int, Point]
 
 
-Area: TypeAlias = tuple[Point, Point] | None
-"""Two opposite corners of a part of the arena [units]; None for all of it."""
+Area: TypeAlias = tuple[Point, Point] | None  #: Two opposite corners in the arena [units]; None for all of it.
 
 
 def start_positions(
@@ -60,11 +58,8 @@ def start_positions(
     outside = np.flatnonzero(((array < low) | (array > high)).any(axis=1))
     if outside.size:
         robot = int(outside[0])
-        raise InputError(
-            "start_positions",
-            array[robot].tolist(),
-            f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not",
-        )
+        allowed = f"every robot inside the arena {low.tolist()} .. {high.tolist()}; robot {robot} is not"
+        raise InputError("start_positions", array[robot].tolist(), allowed)
     return array
 
 

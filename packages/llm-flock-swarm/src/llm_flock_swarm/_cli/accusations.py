@@ -18,8 +18,7 @@ if TYPE_CHECKING:
     from llm_flock_swarm._network.accusations import Judge
 
 
-MOST_SHOWN = 64
-"""Accusations of a record that are checked and shown."""
+MOST_SHOWN = 64  # accusations of a record that are checked and shown
 
 
 def show_accusations(
@@ -33,9 +32,6 @@ def show_accusations(
     """Print a line for each accusation in a record; with a team's folder, whether its proof holds.
 
     What the accuser says is not shown, only what the proof says: a record may come from anywhere.
-
-    Raises:
-        InputError: the folder has no public keys.
     """
     judge = None if keys is None else _judge(record, keys)
     missions = [] if judge is None else _missions(record)

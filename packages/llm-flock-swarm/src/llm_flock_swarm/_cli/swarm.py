@@ -42,14 +42,9 @@ if TYPE_CHECKING:
     from llm_flock_swarm._network.config import SwarmConfig
     from llm_flock_swarm._network.swarm import SwarmResult
 
-BAG = "bag"
-"""Folder of a bag."""
-
-ROUTER = "tcp/127.0.0.1:7447"
-"""Where a swarm's peers find each other unless the configuration says otherwise."""
-
-PATIENCE_S = 2.0
-"""Longest wait for a router [s]."""
+BAG = "bag"  # folder of a bag
+ROUTER = "tcp/127.0.0.1:7447"  # where a swarm's peers find each other unless the configuration says otherwise
+PATIENCE_S = 2.0  # longest wait for a router [s]
 
 NOBODY = "no swarm answers there; `robot` and `swarm` take the same --connect and --swarm"
 
@@ -68,11 +63,7 @@ BODIES_ELSEWHERE = (*NOT_IN_SWARMS, "ros_poses", "ros_pose_topic")
 
 
 def _load(config: Path | None, flags: Mapping[str, Any]) -> SwarmConfig:
-    """The configuration of a command that may show its team in ROS 2.
-
-    Raises:
-        InputError: a value is not allowed, or a flag of ROS 2 was typed and there is no --ros2.
-    """
+    """The configuration of a command that may show its team in ROS 2; no flag of ROS 2 goes without --ros2."""
     from llm_flock.runtime import refuse_ros2
     from llm_flock_swarm._network.config import SwarmConfig
 
@@ -182,14 +173,9 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()
-    delays = (result.latency_p50_s, result.latency_p99_s)
-    latency = (
-        "not known"
-        if None in delays
-        else "median {:.1f} ms, 99th percentile {:.1f} ms".format(
-            *(1000 * delay for delay in delays if delay is not None)
-        )
-    )
+    p50, p99, latency = result.latency_p50_s, result.latency_p99_s, "not known"
+    if p50 is not None and p99 is not None:
+        latency = f"median {1000 * p50:.1f} ms, 99th percentile {1000 * p99:.1f} ms"
     plan = f"robot {result.plan_robot}, by {result.plan_by}" if result.plan_robot is not None else "none in force"
     separation, limit = result.min_separation, settings.mission.safe_distance
     rows = [

@@ -1,7 +1,6 @@
 """Accusations: a robot that was sent what no honest robot sends shows that message, sealed by its sender, to observers.
 
-The signature on the envelope is the proof. Robots do not listen to accusations: lies lose without that, and those that
-slow a team, about what a robot sees, cannot be proven.
+Robots do not listen to accusations: lies lose without, and those that slow a team, about what is seen, have no proof.
 """
 
 from __future__ import annotations
@@ -22,21 +21,13 @@ from llm_flock_swarm._signed.certificates import Verifier
 from llm_flock_swarm._signed.guilt import guilt
 from llm_flock_swarm._zenoh import sealed_topic
 
-MOST_PROOF_BYTES = 1 << 18
-"""Largest message that is shown: reports have a limit too."""
-
-MOST_JUDGED = 64
-"""Messages of one sender that a robot judges for a mission: each takes several signatures."""
-
-REMEMBERED = 4
-"""Newest messages of each sender between two exchanges that may be judged."""
+MOST_PROOF_BYTES = 1 << 18  # largest message that is shown: reports have a limit too
+MOST_JUDGED = 64  # messages of one sender that a robot judges for a mission: each takes several signatures
+REMEMBERED = 4  # newest messages of each sender between two exchanges that may be judged
 
 
 def contexts(config: SwarmConfig) -> dict[str, str]:
-    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends.
-
-    Robots that are configured differently do not hear each other, and a message of another flight proves nothing.
-    """
+    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends."""
     network, protocol, mission = config.network, config.protocol, config.mission
     about = (network.swarm, mission.n_robots, mission.dim, network.liars, protocol.gaps, protocol.verify)
     return {"say": hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest()}

@@ -1,8 +1,7 @@
 """Drives one agent at its own pace: it asks its model as soon as it may, and waits for no other robot.
 
-Three loops share one event loop: motion rounds (ask, decide, fly), message exchanges at a fixed period, and control of
-the body at another. All of them give events to one state machine, one at a time. A heartbeat period has as many
-exchanges as a lockstep round: heartbeats and their time-out, counted in rounds there, are counted in periods here.
+Motion rounds, message exchanges at a fixed period, and control of the body at another share one event loop. A heartbeat
+period has as many exchanges as a lockstep round: heartbeats and time-outs are counted in periods here.
 """
 
 from __future__ import annotations
@@ -32,33 +31,17 @@ from llm_flock_swarm._network.process import PeriodClock, phase_s
 from llm_flock_swarm._network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock_swarm._zenoh import LinkTraffic
 
-SETTLED_EXCHANGES = 2
-"""Exchanges without another slot for this robot after which agreement about a new plan counts as settled."""
-
-LATEST = 2.0
-"""A move ends at the latest after this multiple of its unhindered duration."""
-
-MOST_NOTES = 256
-"""Events in one report; more of them, in a flood of bad messages say, are only counted."""
-
-MOST_REASON = 2000
-"""Longest reason in a report [characters]."""
-
-MOST_FAULTS = 20
-"""Exchanges in a row that meet an error in this program before the robot gives up."""
-
-RETELL = 25
-"""One report in this many names the plan's places and the mission again, for observers that came later."""
-
-STUCK_S = 0.3
-"""A body that has not moved for this long cannot get any nearer [s]."""
+SETTLED_EXCHANGES = 2  # exchanges without another slot after which agreement about a new plan counts as settled
+LATEST = 2.0  # a move ends at the latest after this multiple of its unhindered duration
+MOST_NOTES = 256  # events in one report; more of them, in a flood of bad messages say, are only counted
+MOST_REASON = 2000  # longest reason in a report [characters]
+MOST_FAULTS = 20  # exchanges in a row that meet an error in this program before the robot gives up
+RETELL = 25  # one report in this many names the plan's places and the mission again, for observers that came later
+STUCK_S = 0.3  # a body that has not moved for this long cannot get any nearer [s]
 
 
 class AgentLoop:
-    """Drives one agent: `planner` answers its questions, `radio` hears and sees, `broadcast` sends its messages.
-
-    In a team with keys, `accuser` shows observers what no honest robot sends.
-    """
+    """Drives one agent; in a team with keys, `accuser` shows observers what no honest robot sends."""
 
     def __init__(
         self,
@@ -112,12 +95,10 @@ class AgentLoop:
             self._dropped_notes += 1
 
     def look(self) -> None:
-        """Give the agent the newest sensor readings."""
         if self._radio.position is not None and self.agent.phase is not Phase.STOPPED:
             self.handle(events.Sensed(**self._sight()))
 
     def receive(self, payload: bytes, sender: int) -> None:
-        """Take a message of another robot."""
         if self.agent.position and self.agent.phase is not Phase.STOPPED:
             self.handle(events.Received(payload, sender))
 
@@ -183,7 +164,6 @@ class AgentLoop:
         return agent.mission.digest, None if agent.plan is None else agent.plan.digest, agent.claim.slot
 
     async def live(self) -> None:
-        """Fly motion rounds until cancelled."""
         try:
             while True:
                 await self._fly_round()

@@ -11,18 +11,12 @@ from llm_flock.protocol import Sighting, clip, project_async, static_half_spaces
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.wire import Body, Command
 
-STILL = 1e-6
-"""Shorter moves count as none [units]."""
-
-ANSWER_S = 0.25
-"""A command without an answer for this long was lost [s]."""
+STILL = 1e-6  # shorter moves count as none [units]
+ANSWER_S = 0.25  # a command without an answer for this long was lost [s]
 
 
 class BodyControl:
-    """Steers one body. Call `fly_to` to set out, `update` on every reading of the sensors, `control` in every period.
-
-    With the shield on, every move is projected on what is safe.
-    """
+    """Steers one body; with the shield on, every move is projected on what is safe. Call `control` in every period."""
 
     def __init__(self, config: SwarmConfig) -> None:
         self.waypoint: Point | None = None  # where to fly; None to stand still [units; world frame]
@@ -40,19 +34,16 @@ class BodyControl:
         return None if self._body is None else self._body.end
 
     def fly_to(self, waypoint: Point) -> None:
-        """Set out for a place [units; world frame]."""
         self.waypoint = waypoint
         self.news.set()
 
     def update(self, body: Body) -> None:
-        """Take the newest reading of the own body."""
         self._body = body
         self.news.set()
         self._number = max(self._number, body.command)
 
     @property
     def arrived(self) -> bool:
-        """Whether the body stands at the waypoint."""
         body, target = self._body, self.waypoint
         return body is not None and target is not None and math.dist(body.position, target) <= STILL
 
@@ -64,10 +55,7 @@ class BodyControl:
         return body.command >= self._number or now - self._given >= ANSWER_S
 
     def control(self, now: float, sightings: Sequence[Sighting], unseen_s: float) -> Command | None:
-        """The next command; None with nothing to fly, no safe move, or a command under way.
-
-        `now` is by the wall clock [s]; bodies without a sighting were out of sight `unseen_s` ago.
-        """
+        """The next command at `now`, by the wall clock [s]; None with nothing to fly, no safe move, or one given."""
         body, waypoint = self._body, self.waypoint
         if body is None or waypoint is None or not self.is_free(now):
             return None

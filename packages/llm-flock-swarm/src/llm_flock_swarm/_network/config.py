@@ -136,7 +136,6 @@ def warn_of_spacing(config: SwarmConfig) -> None:
 
 
 def endpoints(text: str) -> list[str]:
-    """Endpoints from a list separated by commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 

@@ -35,21 +35,11 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 
-FAULT = "fault"
-"""Reason under which input is counted that met an error in this program."""
-
-REPORT_S = 0.2
-"""Time between two reports to observers [s]."""
-
-ORDER_S = 1.0
-"""Shortest time between two orders of an operator, in the long run [s]."""
-
-LOGGED = 3
-"""Faults that are logged; a flood of them must not fill the disk."""
-
-
-SPARE = 4.0
-"""A sender may send this many times as often as the configuration says: late messages come together."""
+FAULT = "fault"  # reason under which input is counted that met an error in this program
+REPORT_S = 0.2  # time between two reports to observers [s]
+ORDER_S = 1.0  # shortest time between two orders of an operator, in the long run [s]
+LOGGED = 3  # faults that are logged; a flood of them must not fill the disk
+SPARE = 4.0  # a sender may send this many times as often as the configuration says: late messages come together
 
 
 def rates(config: SwarmConfig) -> dict[str, float]:
@@ -78,11 +68,7 @@ def _may_send(config: SwarmConfig) -> dict[str, list[str]]:
 
 
 def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
-    """A member's keys; None where the swarm uses none.
-
-    Raises:
-        InputError: they are missing, damaged, or of another team size.
-    """
+    """A member's keys; None where the swarm uses none. InputError: missing, damaged, or of another team size."""
     folder = config.network.keys
     if folder is None:
         return None
@@ -99,9 +85,6 @@ def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> Ze
     """Join as a robot, or as WORLD, OPERATOR or WATCHER; call in a running event loop.
 
     With keys every endpoint uses TLS, however it is written. `listen` replaces the configuration's own endpoints.
-
-    Raises:
-        InputError: the keys cannot be used, or an endpoint cannot be opened.
     """
     network, keys = config.network, load_keys(config, member)
     listens, connects = endpoints(network.listen if listen is None else listen), endpoints(network.connect)
@@ -133,9 +116,8 @@ def receive(
 ) -> None:
     """Have a handler called in the event loop with the sender and content of every message of a kind.
 
-    A message that cannot be decoded, or that the handler refuses with a `MessageError`, is counted by its reason, and
-    one that meets an error in this program as `fault`: no message ends the process. With a `number`, only messages to
-    this id count, on a topic that belongs to its receiver; with a `sender`, only its own.
+    With a `number`, only messages to this id count, on a topic that belongs to its receiver; with a `sender`, only its
+    own. What cannot be decoded, is refused, or meets an error in this program is counted: no message ends the process.
     """
 
     def take(source: int, payload: bytes) -> None:
@@ -169,11 +151,7 @@ def refusing(refused: Counter[str]) -> Generator[None]:
 
 
 def mission_order(config: SwarmConfig, fields: dict[str, Any], ordered_at: int) -> MissionOrder:
-    """An order that changes these fields of the mission, given at this time of the operator's clock.
-
-    With keys the operator signs it, and it holds the whole mission: that of the configuration with these fields
-    changed.
-    """
+    """An order that changes these fields of the mission; with keys it is signed, and holds the whole mission."""
     keys, counter = load_keys(config, OPERATOR), ordered_at
     if keys is None:
         return MissionOrder(fields=fields, counter=counter)

@@ -1,7 +1,7 @@
 """Starts the processes of a swarm by forking, so that everything they all import is imported once and shared.
 
-It reads one line of JSON per process to start, and writes one line of JSON per start and per end, and one when it or
-the world is ready. It has one thread and no network session. Its children end with it, and it ends with the launcher.
+It reads a line of JSON per process to start, and writes one per start and end, and one when it or the world is ready.
+It has one thread and no network session. Its children end with it, and it with the launcher.
 """
 
 from __future__ import annotations
@@ -26,18 +26,14 @@ from llm_flock_swarm._network.robot import run_robot
 from llm_flock_swarm._network.watch import run_watch
 from llm_flock_swarm._network.world import run_world
 
-REAP_S = 0.05
-"""Time between two checks for children that have ended [s]."""
+REAP_S = 0.05  # time between two checks for children that have ended [s]
 
 EXAMPLE = {"mission": {"shape": "circle", "n_robots": 1}}
 """Building its planner loads the prompts that every robot would otherwise read by itself."""
 
 
 def main() -> None:
-    """Serve until the launcher closes standard input.
-
-    The arguments name modules to import and share beside those of all swarms.
-    """
+    """Serve until the launcher closes standard input; the arguments name more modules to import and share."""
     end_with_parent()
     children: dict[int, str] = {}
     load_solvers()

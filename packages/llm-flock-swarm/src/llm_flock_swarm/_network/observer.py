@@ -1,8 +1,8 @@
 """Turns world states and robot reports into measurements, a record, and whether the team has formed.
 
-An observer only listens. A swarm flies the same with one, several, or none. It believes a robot about itself and
-nothing else: positions are the sensors', a mission needs the operator's signature where the team has keys, a plan's
-places are those that its digest names, and a place counts as blocked once one robot more than may lie says so.
+An observer only listens, and believes a robot about itself and nothing else: positions are the sensors', a mission
+needs the operator's signature where the team has keys, places are those that a plan's digest names, and a place counts
+as blocked once one robot more than may lie says so.
 """
 
 from __future__ import annotations
@@ -32,19 +32,15 @@ from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.self_reports import SelfReports, rejected, sent
 from llm_flock_swarm._network.wire import RobotReport, WorldState
 
-SILENT_S = 1.0
-"""A robot that reports is there; it is gone once it has left the network and has been silent for this long [s]."""
-
-MOST_UNPROVEN = 8
-"""Accusations of one robot that prove nothing, after which no more of them are judged: each takes time."""
+SILENT_S = 1.0  # a robot that reports is there; it is gone once it has left and has been silent for this long [s]
+MOST_UNPROVEN = 8  # accusations of one robot that prove nothing, after which none are judged: each takes time
 
 
 class Observer:
     """Follows one swarm. Give it what arrives, and call `check` again and again.
 
-    It writes the record to `sink`, and calls `on_row` with every row of it. `signed` tells whether the operator signed
-    a mission, and `judge` whether an accusation is proven; None in a team without keys, where every process is trusted
-    and nothing can be proven. `clock` is the wall clock [s].
+    `signed` tells whether the operator signed a mission, and `judge` whether an accusation is proven; None in a team
+    without keys, where every process is trusted and nothing can be proven. `clock` is the wall clock [s].
     """
 
     def __init__(
@@ -92,10 +88,7 @@ class Observer:
         self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:
-        """Take note that a process came, or left the network: the team has to form again.
-
-        One that goes on to report has not left: a member can only speak for itself.
-        """
+        """Take note that a process came, or left the network; one that goes on to report has not left."""
         if not 0 <= robot < self.mission.n_robots:
             return
         if not alive:
@@ -120,7 +113,6 @@ class Observer:
         self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
 
     def world(self, state: WorldState) -> None:
-        """Take the true positions of all bodies."""
         if len(state.bodies) != self.mission.n_robots:
             return
         self._world = state
@@ -131,11 +123,7 @@ class Observer:
             self.on_world(state)
 
     def report(self, robot: int, report: RobotReport) -> None:
-        """Take a robot's report.
-
-        Raises:
-            MessageError: no honest robot of this team reports like this; nothing of it is taken.
-        """
+        """Take a robot's report; nothing of it is taken if no honest robot of this team reports like this."""
         if not 0 <= robot < self.mission.n_robots:
             raise MessageError("unknown_id", f"a report of member {robot}")
         now_s = self._clock()
@@ -199,11 +187,7 @@ class Observer:
         self._sink.write(PlanInfo(round=max(self._row, 0), plan_id=plan_id, proposer=proposer, points=places))
 
     def _take_mission(self, report: RobotReport) -> None:
-        """Follow the team to another mission.
-
-        Raises:
-            MessageError: it cannot be one of this team, or the operator has not signed it.
-        """
+        """Follow the team to another mission; a MessageError if it cannot be its, or the operator has not signed it."""
         counter, digest = report.mission
         if report.shape is None or counter <= self._counter:
             return
@@ -228,7 +212,6 @@ class Observer:
 
     @property
     def ordered_at(self) -> int:
-        """Time of the order for the present mission; 0 for the first one."""
         return self._counter
 
     def state(self) -> State | None:
@@ -283,7 +266,6 @@ class Observer:
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Messages that the robots refused so far, by reason."""
         return rejected(self.reports.values())
 
     @property

@@ -22,18 +22,13 @@ PR_SET_PDEATHSIG = 1
 
 
 class PeriodClock:
-    """Fires once per period, at the moments `phase_s + k * period_s` of the event loop's clock.
-
-    A moment that has passed is skipped, not made up for. Clocks of equal period and phase fire together, so messages
-    sent on them leave together.
-    """
+    """Fires once per period, at `phase_s + k * period_s` of the event loop's clock; missed moments are skipped."""
 
     def __init__(self, period_s: float, phase_s: float = 0.0) -> None:
         self._period_s, self._phase_s = period_s, phase_s
         self._count = -math.inf
 
     async def next(self) -> None:
-        """Wait for the next moment."""
         loop = asyncio.get_running_loop()
         passed = math.floor((loop.time() - self._phase_s) / self._period_s)
         self._count = max(self._count, passed) + 1  # a timer may fire slightly early and must not count twice
@@ -41,25 +36,17 @@ class PeriodClock:
 
 
 def phase_s(robot: int, n_robots: int, period_s: float) -> float:
-    """Offset of a robot's periods, by its id [s].
-
-    Robots on one machine begin together. Without offsets they would all wake, send and receive in the same millisecond,
-    and wait for each other's processor time.
-    """
+    """Offset of a robot's periods [s], or all robots of a machine would wake, send and wait in one millisecond."""
     return robot / n_robots * period_s
 
 
 def run(work: Coroutine[Any, Any, None]) -> None:
-    """Run a process's work in a new event loop."""
     with asyncio.Runner(loop_factory=new_event_loop) as runner:
         runner.run(work)
 
 
 def end_with_parent(parent: int | None = None) -> None:
-    """End together with the parent process, even while stopped (on Linux); leave Ctrl-C to the parent.
-
-    `parent` is its id: a process whose parent ended before this call ends at once.
-    """
+    """End together with the parent (by its id), even while stopped (on Linux); leave Ctrl-C to it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if sys.platform == "linux":
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)

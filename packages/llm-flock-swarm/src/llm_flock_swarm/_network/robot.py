@@ -24,14 +24,9 @@ from llm_flock_swarm._zenoh import ZenohLink
 
 logger = logging.getLogger(__name__)
 
-MOST_LATENCIES = 1024
-"""Latencies in one report: a flood of beacons is not told beacon by beacon."""
-
-LONGEST_LATENCY_S = 60.0
-"""Later beacons count as this late [s]."""
-
-BEACON_DUE = 0.9
-"""Share of a beacon period after which a message's beacon no longer replaces the next one."""
+MOST_LATENCIES = 1024  # latencies in one report: a flood of beacons is not told beacon by beacon
+LONGEST_LATENCY_S = 60.0  # later beacons count as this late [s]
+BEACON_DUE = 0.9  # share of a beacon period after which a message's beacon no longer replaces the next one
 
 
 class RobotProcess:
@@ -204,12 +199,7 @@ def _first(error: Exception) -> Exception:
 
 
 async def run_robot(config: SwarmConfig, robot: int) -> None:
-    """Run one robot until the process is stopped.
-
-    Raises:
-        InputError: no such robot, or an endpoint that cannot be opened.
-        FlockError: the robot cannot go on; its body stops where its last command ends.
-    """
+    """Run one robot until the process is stopped, or cannot go on: its body stops where its last command ends."""
     mission = config.mission
     if not 0 <= robot < mission.n_robots:
         raise InputError("id", robot, says=f"there are robots 0 to {mission.n_robots - 1}")

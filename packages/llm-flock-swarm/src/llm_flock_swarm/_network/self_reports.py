@@ -13,17 +13,10 @@ from llm_flock.record import LARGEST_WHOLE, LlmEntry
 from llm_flock_swarm._network.wire import RobotReport
 from llm_flock_swarm._zenoh import Allowance
 
-MOST_PLANS = 256
-"""Most plans of which one robot tells the places, or the supplier: far more than an honest one knows."""
-
-LONGEST_ID = 64
-"""Longest name of a plan."""
-
-RECORDED = 512 * 1024
-"""Events and calls of each robot that are taken [bytes/s], and those of two seconds at once: records fit on disks."""
-
-MOST_LATENCIES = 16_384
-"""Latest latencies of each robot that are kept."""
+MOST_PLANS = 256  # most plans of which one robot tells the places, or the supplier: far more than an honest one knows
+LONGEST_ID = 64  # longest name of a plan
+RECORDED = 512 * 1024  # events and calls of each robot that are taken [bytes/s]: records fit on disks
+MOST_LATENCIES = 16_384  # latest latencies of each robot that are kept
 
 
 def bounded(count: int) -> int:
@@ -32,11 +25,7 @@ def bounded(count: int) -> int:
 
 
 class SelfReports:
-    """Sums over all reports of a swarm, and the plans in them.
-
-    `models` names the model of each robot. `breakers_opened` are the robots whose model was not asked for a while,
-    `places` those of every plan that a robot has named, by its digest [units].
-    """
+    """Sums over all reports of a swarm, and the plans in them; `models` names the model of each robot."""
 
     def __init__(self, models: Sequence[str]) -> None:
         self.calls = self.calls_failed = self.tokens = 0
@@ -56,7 +45,6 @@ class SelfReports:
         return self._allowances.setdefault(robot, Allowance(RECORDED)).spend(now, size)
 
     def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
-        """Add a robot's report, whose calls have been checked."""
         if report.breakers:
             self.breakers_opened.add(robot)
         supplied = self._suppliers.setdefault(robot, {})
@@ -91,12 +79,10 @@ class SelfReports:
 
 
 def sent(reports: Iterable[RobotReport]) -> tuple[int, int]:
-    """Messages and bytes that robots have broadcast so far."""
     told = list(reports)
     return bounded(sum(report.sent for report in told)), bounded(sum(report.bytes for report in told))
 
 
 def rejected(reports: Iterable[RobotReport]) -> dict[str, int]:
-    """Messages that robots have refused so far, by reason."""
     counts = sum((Counter(report.rejected) for report in reports), Counter[str]())
     return {reason: bounded(count) for reason, count in counts.items()}

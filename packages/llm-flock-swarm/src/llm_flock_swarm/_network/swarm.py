@@ -1,8 +1,4 @@
-"""Launches a swarm on this machine: a world, N robots and a recorder, each as a process.
-
-The launcher commands no robot. It watches like any observer, and ends the processes when the team has formed, when the
-time is over, or when it is interrupted.
-"""
+"""Launches a swarm on this machine: a world, N robots and a recorder, each as a process; commands no robot."""
 
 from __future__ import annotations
 
@@ -30,11 +26,8 @@ from llm_flock_swarm._network.connection import load_keys
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.watch import CHECK_S, observing
 
-START_S = 60.0
-"""Longest start of a process [s]."""
-
-END_S = 3.0
-"""Longest wait for processes to end after SIGTERM [s]."""
+START_S = 60.0  # longest start of a process [s]
+END_S = 3.0  # longest wait for processes to end after SIGTERM [s]
 
 
 class SwarmError(FlockError):
@@ -126,7 +119,6 @@ class Swarm:
             await self._news.wait_for(condition)
 
     async def start(self, name: str, kind: str, **more: Any) -> None:
-        """Start a process."""
         line = self._forkserver.stdin
         assert line is not None
         config = world_config(self.config) if kind == "world" else self.config
@@ -148,10 +140,6 @@ class Swarm:
         if "world" not in self.ready:
             raise SwarmError("the world did not start")
 
-    def signal(self, name: str, number: signal.Signals) -> None:
-        """Send a signal to one process."""
-        os.kill(self.pids[name], number)
-
     async def end(self) -> None:
         """Tell every process to end, and wait a little for that."""
         for name, pid in self.pids.items():
@@ -162,12 +150,7 @@ class Swarm:
             await self.wait_until(lambda: self.pids.keys() <= self.ended.keys(), END_S)
 
     async def run(self, until: Callable[[Observer], bool] = lambda observer: observer.formed_s is not None) -> str:
-        """Watch until the team has formed (or `until`), the time is over, no model gives a plan, or all robots ended.
-
-        Returns which: `formed`, `time`, `no_plan` or `ended`.
-
-        Raises `SwarmError` if the world process ends.
-        """
+        """Watch until `formed` (or `until`), `time` is over, no model gives a plan (`no_plan`), or all `ended`."""
         deadline = time.monotonic() + self.config.network.max_s
         while time.monotonic() < deadline:
             self.observer.check(time.time())
@@ -184,7 +167,6 @@ class Swarm:
         return "time"
 
     def result(self, stopped: str) -> SwarmResult:
-        """The outcome so far."""
         observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
         seconds = sum(max(0.0, heard - (began or heard)) for heard in observer.heard_s.values())
         ages = sorted(observer.said.latencies_s)
@@ -241,12 +223,7 @@ async def launched(
     """A swarm whose processes are running, all but `absent` robots; all have ended when the context is left.
 
     With `out`, a recorder writes `run.mcap` there. An empty `connect` takes a free port. `on_row` is called once per
-    step time; a `sink` takes what the launcher observes, as a record has it. `on_launch` is called once everything has
-    been checked, before the first process starts.
-
-    Raises:
-        SwarmError: a process did not start.
-        InputError: the configuration does not work here.
+    step time; a `sink` takes what the launcher observes. `on_launch` is called before the first process starts.
     """
     await check_robots(config)
     warn_of_mission(config.mission)

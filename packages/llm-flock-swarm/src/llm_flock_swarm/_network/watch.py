@@ -19,21 +19,11 @@ from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
 from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
 
-CHECK_S = 0.1
-"""Time between two checks whether the team has formed [s]."""
-
-MEET_S = 5.0
-"""Longest search of an operator for a robot that takes a mission [s]."""
-
-HEAR_S = 0.5
-"""Time for which an operator listens to the robots' reports before it gives an order [s]: a few of each."""
-
-SEND_S = 0.3
-"""Time for a message to leave before its session is closed [s]."""
-
-
-FREE_PORT = "tcp/127.0.0.1:0"
-"""Where processes listen that are no part of the swarm."""
+CHECK_S = 0.1  # time between two checks whether the team has formed [s]
+MEET_S = 5.0  # longest search of an operator for a robot that takes a mission [s]
+HEAR_S = 0.5  # time for which an operator listens to the robots' reports before it gives an order [s]: a few of each
+SEND_S = 0.3  # time for a message to leave before its session is closed [s]
+FREE_PORT = "tcp/127.0.0.1:0"  # where processes listen that are no part of the swarm
 
 
 def observer_of(
@@ -47,11 +37,7 @@ def observer_of(
 
 @contextmanager
 def recording(config: SwarmConfig, record: Path | None, sink: RecordSink | None = None) -> Generator[RecordSink]:
-    """What writes the record of a swarm there, and to a sink, from its first entry on.
-
-    Raises:
-        InputError: the record exists already.
-    """
+    """What writes the record of a swarm there, and to a sink, from its first entry on."""
     with nullcontext(NullWriter()) if record is None else RecordWriter(record) as file:
         writer = file if sink is None else Tee(file, sink)
         writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
@@ -85,13 +71,7 @@ async def run_watch(
     sink: RecordSink | None = None,
     show: Callable[[SwarmConfig, Observer], None] | None = None,
 ) -> None:
-    """Watch, and with a path write a record, until the process is stopped.
-
-    A sink takes every entry too, and `show` is called with the observer first.
-
-    Raises:
-        InputError: the record exists already.
-    """
+    """Watch, and with a path write a record, until the process is stopped; `show` is called with the observer first."""
     with ExitStack() as stack:
         writer = stack.enter_context(recording(config, record, sink))
         observer = stack.enter_context(observing(config, writer, on_row))
@@ -111,8 +91,8 @@ async def run_watch(
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:
     """Give another mission to one robot, which passes it on; returns the robots it went to, none if nobody answers.
 
-    Where none is named, and the team has keys, one robot more than may lie is given it: a liar might keep it. The
-    order is later than those that robots report within `HEAR_S`, whatever the clock of this machine says.
+    Where none is named, and the team has keys, one robot more than may lie is given it. The order is later than those
+    that robots report within `HEAR_S`, whatever the clock of this machine says.
     """
     clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
     mission_order(config, dict(fields), clock.next())  # refuses what is not allowed before anybody is looked for

@@ -19,13 +19,11 @@ class WatchedSwarm:
         self.name = f"swarm {config.network.swarm}"
 
     async def follow(self, sink: RecordSink) -> None:
-        """See `WatchedTeam`."""
         sink.write(run_info(self.config, simulated=self.config.simulated, unrepeatable=self.config.unrepeatable))
         with observing(self.config, sink) as observer:
             await look(observer)
 
     async def give(self, fields: dict[str, object]) -> int:
-        """See `WatchedTeam`."""
         self.config.mission.change(**fields)
         takers = await give_mission(self.config, fields, None)
         if not takers:
@@ -34,9 +32,5 @@ class WatchedSwarm:
 
 
 def watch(file: Path | None, connect: str | None, name: str | None) -> WatchedSwarm:
-    """The swarm of a configuration file, at an endpoint, of a name; each overrides what the file says.
-
-    Raises:
-        InputError: a value is not allowed.
-    """
+    """The swarm of a configuration file, at an endpoint, of a name; each overrides what the file says."""
     return WatchedSwarm(SwarmConfig.load(file, connect=connect, swarm=name))

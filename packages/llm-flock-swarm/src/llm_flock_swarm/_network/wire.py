@@ -1,7 +1,4 @@
-"""Messages between the processes of a swarm other than those of the protocol, as MessagePack.
-
-docs/reference/wire.md has a table of their topics.
-"""
+"""Messages between the processes of a swarm other than those of the protocol: see docs/reference/wire.md."""
 
 from __future__ import annotations
 
@@ -16,17 +13,10 @@ from llm_flock_swarm._signed.certificates import Signature
 
 WIRE_VERSION = 3
 
-MOST_EVENTS = 4096
-"""Most events or calls in one report."""
-
-MOST_WORDS = 64
-"""Most entries of a dictionary by origin or by reason."""
-
-Place: TypeAlias = tuple[Coordinate, ...]
-"""One position as plain numbers; its receiver checks the length [units; world frame]."""
-
-Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]
-"""A moment by the wall clock [s]."""
+MOST_EVENTS = 4096  # most events or calls in one report
+MOST_WORDS = 64  # most entries of a dictionary by origin or by reason
+Place: TypeAlias = tuple[Coordinate, ...]  # one position; its receiver checks the length [units; world frame]
+Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]  # a moment by the wall clock [s]
 
 Amount = Annotated[float, msgspec.Meta(ge=0.0, le=1e12)]
 Count = Annotated[int, msgspec.Meta(ge=0, lt=2**53)]
@@ -101,11 +91,7 @@ Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MOST_EVENT
 
 
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame].
-
-    Observers believe a robot about itself and nothing else: a mission needs the operator's signature where the team has
-    keys, and a plan's places have to be those that its digest names.
-    """
+    """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame]."""
 
     round: Count  # own count of motion rounds
     period: Count  # own count of heartbeat periods

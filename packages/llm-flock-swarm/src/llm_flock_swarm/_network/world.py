@@ -1,9 +1,7 @@
 """The world process: every robot's simulated body and sensors. It knows no plan, no goal and no agent.
 
-Real robots need no such process: each has a body, and sensors or a motion-capture system.
-
 A body obeys a command that arrives in time and begins where the body will stop; it answers every command by its number.
-If the deadline passes before the end of the path, the body stops where it is, so no body moves on outdated commands.
+If the deadline passes before the end of the path, it stops where it is: no body moves on outdated commands.
 """
 
 from __future__ import annotations
@@ -27,18 +25,15 @@ from llm_flock_swarm._network.process import until_stopped
 from llm_flock_swarm._network.wire import Body, Command, WorldState, pack
 from llm_flock_swarm._zenoh import ZenohLink
 
-SUBSTEP_S = 0.01
-"""Longest piece of a path along which the separation is measured: paths have corners [s]."""
-
-SAME_POSITION = 1e-9
-"""Two positions this near are the same [units]."""
+SUBSTEP_S = 0.01  # longest piece of a path along which the separation is measured: paths have corners [s]
+SAME_POSITION = 1e-9  # two positions this near are the same [units]
 
 
 class WorldBodies:
-    """True positions of all bodies, and the path that each is flying.
+    """True positions of all bodies, and the path that each is flying [units; units/s].
 
-    All fly at `speed` [units/s] from `start`, of shape (n, d) [units]. A command is at most `lag_s` old on arrival; its
-    segment is to be flown in `period_s`, and its deadline is later by `lag_s`.
+    A command is at most `lag_s` old on arrival; its segment is to be flown in `period_s`, its deadline is later by
+    `lag_s`.
     """
 
     def __init__(self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float) -> None:
@@ -114,17 +109,12 @@ class WorldBodies:
         return self._standing
 
     def states(self) -> tuple[Body, ...]:
-        """Every body, by id."""
         rows = enumerate(self.positions.tolist())
         return tuple(Body(tuple(row), self._end(robot), self._answered[robot]) for robot, row in rows)
 
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
-    """Simulate the bodies until the process is stopped; `on_ready` is called once the endpoint is open.
-
-    Raises:
-        InputError: the endpoint cannot be opened, or there is no room for the starts.
-    """
+    """Simulate the bodies until the process is stopped; `on_ready` is called once the endpoint is open."""
     mission, network, trial = config.mission, config.network, config.trial
     rng = stream(trial.seed, Stream.START)
     start = start_positions(mission, trial.start_positions, trial.start, rng, trial.start_area)

@@ -1,7 +1,6 @@
 """Turns a record into a bag of ROS 2: MCAP with the profile `ros2`, and the topics that a bridge shows live.
 
-A bag begins at the time at which its run began, by that machine's clock. A round lasts a second, of a swarm `step_s`;
-a flight has its own times. A language model's answers stay in the record.
+A round lasts a second, of a swarm `step_s`; a flight has its own times. A language model's answers stay in the record.
 """
 
 from __future__ import annotations
@@ -27,23 +26,13 @@ from llm_flock_swarm._ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, TE
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
 
-VERSION = 9
-"""Of rosbag2's format: that of jazzy and later."""
-
-LATEST_S = 2.0**31
-"""Times in a bag end before this: seconds of ROS are 32 bits [s since 1970]."""
-
-Put = Callable[[str, str, int, object], None]
-"""Takes the topic, type, time and content of a message."""
+VERSION = 9  # of rosbag2's format: that of jazzy and later
+LATEST_S = 2.0**31  # times in a bag end before this: seconds of ROS are 32 bits [s since 1970]
+Put = Callable[[str, str, int, object], None]  # takes the topic, type, time and content of a message
 
 
 def write_bag(record: Path, out: Path, config: Ros2Config | None = None) -> Path:
-    """Write the bag of a record; `out` is its folder, which must not exist yet. `config` names topics and frame.
-
-    Raises:
-        InputError: rosbags is not installed, or the folder exists or cannot be made.
-        RecordError: the record cannot be read.
-    """
+    """Write the bag of a record into a folder that must not exist yet. `config` names topics and frame."""
     found = read_record(record)
     require("ros2", "export --ros2bag")
     from rosbags.rosbag2 import StoragePlugin, Writer

@@ -1,7 +1,6 @@
 """Shows a running swarm in ROS 2, and takes missions and poses from there.
 
-Poses leave with the reading of the sensors that they come from, at most `ros_rate_hz` times a second; paths follow in
-the same moment. Markers and the protocol's state follow slower, diagnostics once a second.
+Poses and paths leave with the reading of the sensors that they come from, at most `ros_rate_hz` times a second.
 """
 
 from __future__ import annotations
@@ -35,28 +34,18 @@ from llm_flock_swarm._ros2.sensors import SensedBodies
 from llm_flock_swarm._ros2.types import CLOCK, LATEST_NS, NS, POINTS, POSE, TEXT
 from llm_flock_swarm._ros2.wire import Attachment
 
-Show = Callable[[SwarmConfig, Observer], None]
-"""Begins to show a swarm that an observer follows."""
-
-ROUTER = "tcp/127.0.0.1:7447"
-"""Where rmw_zenohd listens unless told otherwise."""
-
-EARLY = 0.1
-"""Share of a period by which a reading of the sensors may come early and still counts for it."""
+Show = Callable[[SwarmConfig, Observer], None]  # begins to show a swarm that an observer follows
+ROUTER = "tcp/127.0.0.1:7447"  # where rmw_zenohd listens unless told otherwise
+EARLY = 0.1  # share of a period by which a reading of the sensors may come early and still counts for it
 
 
 def with_router(config: SwarmConfig) -> SwarmConfig:
-    """The configuration with the usual router, if it has none."""
     ros = config.ros2.model_copy(update={"router": config.ros2.router or ROUTER})
     return config.model_copy(update={"ros2": ros})
 
 
 def check_router(config: SwarmConfig) -> str:
-    """The router's endpoint.
-
-    Raises:
-        InputError: the swarm itself uses that endpoint.
-    """
+    """The router's endpoint; an InputError if the swarm itself uses it."""
     router = config.ros2.router or ROUTER
     own = {_plain(end) for end in (*endpoints(config.network.connect), *endpoints(config.network.listen))}
     if _plain(router) in own:
@@ -78,11 +67,9 @@ class Stamps:
         self._told_ns = 0
 
     def follow(self, stamp_ns: int) -> None:
-        """Take what /clock says."""
         self._told_ns = min(max(0, stamp_ns), LATEST_NS)
 
     def of(self, wall_s: float) -> int:
-        """The stamp of a moment by the wall clock."""
         wall_ns = round(wall_s * NS)
         if not self._sim:
             return wall_ns
@@ -117,11 +104,7 @@ class Bridge:
             graph.subscribe("/clock", CLOCK, self._take_clock, self.refused.take, rate=10_000.0)
 
     def take_missions(self) -> None:
-        """Take missions from ROS.
-
-        Raises:
-            InputError: the swarm has keys, and the operator's are not here.
-        """
+        """Take missions from ROS; an InputError if the swarm has keys, and the operator's are not here."""
         self._giver = MissionGiver(self.config, self.observer)
         for topic, kind, handler in (("mission", TEXT, self._take_mission), ("places", POINTS, self._take_places)):
             name = f"{self.nodes.namespace}/{topic}"
@@ -129,7 +112,6 @@ class Bridge:
             self._graph.subscribe(name, kind, handler, self.refused.take, rate=RATE)
 
     def take_poses(self, bodies: SensedBodies) -> None:
-        """Take the robots' poses from ROS."""
         self.bodies = bodies
         topic = self.config.ros2.pose_topic(self.config.network.swarm)
         head, _, tail = topic.partition(ROBOT)
@@ -174,7 +156,6 @@ class Bridge:
             self.nodes.show_paths(view, stamp_ns)
 
     def view(self) -> TeamView | None:
-        """The team as it is now; None before the first reading."""
         state, mission = self.observer.state(), self.observer.mission
         if state is None:
             return None
@@ -195,7 +176,6 @@ class Bridge:
             self.nodes.show_diagnostics(self.findings(), stamp_ns)
 
     def state_json(self) -> dict[str, Any]:
-        """The protocol's state, as observed."""
         observer = self.observer
         mission = observer.mission
         state = observer.state()
@@ -226,7 +206,6 @@ class Bridge:
         }
 
     def findings(self) -> list[Finding]:
-        """What diagnostics say."""
         observer = self.observer
         gone = observer.min_separation < observer.mission.safe_distance * (1 - 1e-6)
         team: dict[str, object] = {
@@ -255,19 +234,13 @@ class Bridge:
         return found
 
     def close(self) -> None:
-        """Leave the swarm, where this gave missions."""
         if self._giver is not None:
             self._giver.close()
 
 
 @asynccontextmanager
 async def showing(config: SwarmConfig) -> AsyncGenerator[Show | None]:
-    """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured.
-
-    Raises:
-        InputError: the router does not answer, or is where the swarm is, or the extra is not installed, or another
-            bridge shows this team already.
-    """
+    """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured."""
     if config.ros2.router is None:
         yield None
         return

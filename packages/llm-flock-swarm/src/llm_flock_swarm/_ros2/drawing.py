@@ -1,8 +1,4 @@
-"""The team as ROS 2 messages: poses, paths, markers, transforms, state and diagnostics. Live topics and bags share it.
-
-Positions are in metres in one frame, x forward, y left, z up; robots have no heading, so their orientation is that of
-the frame (REP 103). A mission in the plane lies at z = 0, unless a flight says at which height.
-"""
+"""The team as ROS 2 messages, for live topics and bags: in metres, x forward, y left, z up (REP 103), no headings."""
 
 from __future__ import annotations
 
@@ -31,25 +27,17 @@ from llm_flock_swarm._ros2.types import (
     to_cdr,
 )
 
-Position = tuple[float, float, float]
-"""A point in the frame [m]."""
-
-ToWorld = Callable[[Point], Position]
-"""Turns a point of the mission [units] into one of the frame [m]."""
-
-OK, WARN, ERROR = 0, 1, 2
-"""Levels of diagnostic_msgs/DiagnosticStatus."""
-
-LONGEST = 500
-"""Longest text of a diagnostic value [characters]: part of it may come from outside."""
+Position = tuple[float, float, float]  # a point in the frame [m]
+ToWorld = Callable[[Point], Position]  # turns a point of the mission [units] into one of the frame [m]
+OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
+LONGEST = 500  # longest text of a diagnostic value [characters]: part of it may come from outside
 
 _STAMP, _POINT = struct.Struct("<iI"), struct.Struct("<3d")
 _POSE_BYTES = 56
 
 _SPHERE_LIST, _LINE_LIST, _TEXT = 7, 5, 9
 _ADD, _DELETE = 0, 2
-_LINK_M = 0.1
-"""Width of a link, as a share of the safe distance."""
+_LINK_M = 0.1  # width of a link, as a share of the safe distance
 
 
 def scaled(unit_m: float) -> ToWorld:
@@ -120,9 +108,9 @@ def pose(at: Position, stamp_ns: int, frame: str) -> Any:
 
 
 class PoseEncoder:
-    """Encodes the poses of one frame: what `pose` gives as CDR, in a tenth of the time: poses are most of the work.
+    """Encodes what `pose` gives as CDR, in a tenth of the time: poses are most of the work.
 
-    In a PoseStamped only the stamp, behind the header of the CDR, and the position, 56 bytes before the end, change.
+    Only the stamp, behind the header of the CDR, and the position, 56 bytes before the end, change.
     """
 
     def __init__(self, frame: str) -> None:
@@ -166,11 +154,7 @@ def _colour(code: str, alpha: float = 1.0) -> Any:
 
 
 class MarkerDrawer:
-    """Draws a team as a MarkerArray, and keeps the colour of each plan.
-
-    Namespaces: `robots`, `safe_distance`, `goals`, `places` (of the plan that most follow), `links` and `ids`. Robots
-    have the colour of the plan that they follow; those without one are white, and dead ones are black.
-    """
+    """Draws a team as a MarkerArray. Robots have the colour of their plan, without one white, dead ones black."""
 
     def __init__(self, frame: str) -> None:
         self._frame = frame

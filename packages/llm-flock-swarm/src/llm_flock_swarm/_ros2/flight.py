@@ -1,7 +1,4 @@
-"""Shows a flight in ROS 2 while it happens: no fault here reaches a drone.
-
-Nothing comes in but the drones' poses, and those only with `pose_source = "ros2"`.
-"""
+"""Shows a flight in ROS 2; no fault here reaches a drone. Poses come in, only with `pose_source = "ros2"`."""
 
 from __future__ import annotations
 
@@ -27,11 +24,8 @@ from llm_flock_swarm._ros2.wire import Attachment
 
 __all__ = ["poses_of", "prepare", "showing_flight"]  # the plug-in, see llm_flock_flight._flight.shown
 
-TEAM = "flock"
-"""Namespace of a flight's topics, unless configured."""
-
-RECENT_S = 1.0
-"""A second publisher that was heard in this time is named [s]."""
+TEAM = "flock"  # namespace of a flight's topics, unless configured
+RECENT_S = 1.0  # a second publisher that was heard in this time is named [s]
 
 
 class FlightShow:
@@ -68,7 +62,6 @@ class FlightShow:
                 self._nodes.show_paths(view, stamp_ns)
 
     def show_rest(self, diagnose: bool) -> None:
-        """Show markers and state, and diagnostics where they are due."""
         if (view := self._team.view()) is not None:
             self._nodes.show_markers(view, time.time_ns())
             self._nodes.show_state({**self._team.state_json(), "flight": self._told()})
@@ -94,13 +87,7 @@ class FlightShow:
 
 
 class RosPoses:
-    """A source of poses for the drones' estimators: one topic for each drone, `geometry_msgs/PoseStamped`.
-
-    Args:
-        config: which names the topics and their frame.
-        team: namespace, if none is configured.
-        names: of the drones, by the number that stands in their topics.
-    """
+    """A source of poses for the drones' estimators: one topic for each drone, by its number in `names`."""
 
     def __init__(self, config: Ros2Config, team: str, names: Sequence[str]) -> None:
         self.refused: Counter[str] = Counter()
@@ -111,11 +98,6 @@ class RosPoses:
         self._others: dict[str, tuple[bytes, float]] = {}
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
-        """Listen from now on.
-
-        Raises:
-            InputError: the router does not answer, or the extra is not installed.
-        """
         router = self._config.router
         assert router is not None, "the flight's configuration sees to that"
         graph = self._graph = Graph(router, self._config.ros_domain)
@@ -132,11 +114,7 @@ class RosPoses:
             graph.subscribe(topic, POSE, heard, self._refuse, rate=POSE_RATE)
 
     def frame(self, name: str, message: Any, attached: Attachment) -> PoseFrame:
-        """The frame with one drone's message.
-
-        Raises:
-            MessageError: `wrong_frame`, `not_finite`, `out_of_range`, or `second_source`.
-        """
+        """The frame with one drone's message; a MessageError says why it is refused."""
         check_frame(message, self._config.ros_frame)
         if self._sources.setdefault(name, attached.gid) != attached.gid:
             self._others[name] = attached.gid, time.monotonic()
@@ -155,7 +133,6 @@ class RosPoses:
         self.refused[error.reason] += 1
 
     async def close(self) -> None:
-        """Leave the graph."""
         graph, self._graph = self._graph, None
         if graph is not None:
             graph.close()
@@ -169,7 +146,6 @@ def _turn(found: Any) -> tuple[float, float, float, float] | None:
 
 
 def poses_of(config: Ros2Config, drones: Sequence[str]) -> RosPoses:
-    """The source of these drones' poses."""
     return RosPoses(config, TEAM, drones)
 
 
@@ -177,11 +153,7 @@ def poses_of(config: Ros2Config, drones: Sequence[str]) -> RosPoses:
 async def showing_flight(
     config: Ros2Config, drones: Sequence[str], frame: MissionFrame, low_battery_v: float
 ) -> AsyncGenerator[RecordSink]:
-    """A sink that shows a flight in ROS 2, with a warning below this voltage.
-
-    Raises:
-        InputError: the router does not answer, or the extra is not installed, or another bridge shows this team.
-    """
+    """A sink that shows a flight in ROS 2, with a warning below this voltage."""
     assert config.router is not None, "without a router, nothing is shown"
     with closing(Graph(config.router, config.ros_domain)) as graph:
         graph.check_free(config.namespace(TEAM), TEAM_NODE)

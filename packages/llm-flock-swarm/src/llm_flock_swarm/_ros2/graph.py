@@ -1,8 +1,6 @@
-"""Nodes, publishers and subscribers in ROS 2's graph: one zenoh session, a client of the router.
+"""Nodes, publishers and subscribers in ROS 2's graph: one zenoh session, a client of the router, which forwards.
 
-A client, because the router forwards between it and the others; between peers it only introduces. An entity is seen by
-others by its liveliness token, without which `ros2 topic list` is blind to it. Losing the router is no error: zenoh
-connects again, and declares everything again.
+An entity is seen by others by its liveliness token. After a loss of the router zenoh declares everything again.
 """
 
 from __future__ import annotations
@@ -22,18 +20,12 @@ from llm_flock_swarm._zenoh import MOST_TOPICS, Allowance, open_session
 if TYPE_CHECKING:
     import zenoh
 
-WAIT_MS = 3000
-"""Longest wait for the router at the start [ms]."""
-
-Handler = Callable[[str, Any, Attachment], None]
-"""Takes the topic, the message and its attachment."""
+WAIT_MS = 3000  # longest wait for the router at the start [ms]
+Handler = Callable[[str, Any, Attachment], None]  # takes the topic, the message and its attachment
 
 
 class Publisher:
-    """Publishes one topic. Made by `Node.publisher`.
-
-    zenoh gathers messages for a millisecond, here and in the router; an `express` one takes all before it along.
-    """
+    """Publishes one topic. zenoh gathers messages for a millisecond; an `express` one takes all before it along."""
 
     def __init__(self, session: Any, key: str, type_name: str, token: str, *, express: bool) -> None:
         import zenoh
@@ -47,7 +39,6 @@ class Publisher:
         self.send(to_cdr(message, self._type))
 
     def send(self, data: bytes) -> None:
-        """Send a message that is encoded already."""
         self._count += 1
         attachment = Attachment(self._count, time.time_ns(), self._gid)
         self._publisher.put(data, attachment=attachment.encode())
@@ -77,11 +68,7 @@ class Node:
 
 
 class Graph:
-    """A process in the graph of a ROS domain. Call in a running event loop; `close` leaves it.
-
-    Raises:
-        InputError: the extra is not installed, or what answers at the endpoint is no router.
-    """
+    """A process in the graph of a ROS domain. Call in a running event loop; an InputError if no router answers."""
 
     def __init__(self, router: str, domain: int) -> None:
         prepare()
@@ -112,7 +99,6 @@ class Graph:
         self._closed = False
 
     def number(self) -> int:
-        """The next number of an entity."""
         return next(self._numbers)
 
     def be_seen(self, token: str) -> None:
@@ -120,17 +106,12 @@ class Graph:
         self._kept.append(self.session.liveliness().declare_token(token))
 
     def check_free(self, namespace: str, name: str) -> None:
-        """Refuse a second node of one name: two bridges of one team would publish every topic twice.
-
-        Raises:
-            InputError: somebody is there with this name.
-        """
+        """Refuse a second node of one name: two bridges of one team would publish every topic twice."""
         if any(reply.ok for reply in self.session.liveliness().get(tokens_of(self._domain, namespace, name))):
             says = "another bridge shows a team by this name there; name another namespace"
             raise InputError("ros_namespace", namespace.removeprefix("/"), says=says)
 
     def node(self, namespace: str, name: str) -> Node:
-        """A node; the namespace begins with a slash."""
         number = self.number()
         named = NodeName(domain=self._domain, session=self._id, number=number, namespace=namespace, name=name)
         return Node(self, named)
@@ -140,9 +121,8 @@ class Graph:
     ) -> None:
         """Have a handler called in the event loop with every message of a topic; `$*` in it stands for any text.
 
-        What cannot be read, or what the handler refuses with a `MessageError`, goes to `refuse` with its topic; so does
-        what comes beyond `rate` messages a second under one topic, unread, and from a thread of zenoh's: a flood must
-        not wake the loop.
+        What cannot be read, or is refused with a `MessageError`, goes to `refuse`; so does what comes beyond `rate`
+        messages a second under one topic, unread, and from a thread of zenoh's: a flood must not wake the loop.
         """
         import zenoh
 
@@ -178,7 +158,6 @@ class Graph:
         self._kept.append(self.session.declare_subscriber(key, callback))
 
     def close(self) -> None:
-        """Leave the graph; harmless when called twice."""
         if not self._closed:
             self._closed = True
             self.session.close()

@@ -17,20 +17,11 @@ from llm_flock_swarm._ros2.drawing import LONGEST, OK, WARN, MarkerDrawer, PoseE
 from llm_flock_swarm._ros2.graph import Graph
 from llm_flock_swarm._ros2.types import CLOCK, DIAGNOSTICS, MARKERS, PATH, POSE, TEXT, TRANSFORMS, message_class
 
-TEAM_NODE = "team"
-"""Name of the team's node."""
-
-TOGETHER = 8
-"""Poses that leave together: one by one they cost more, all together the first ones wait for the last."""
-
-MARKERS_S = 0.5
-"""Time between two drawings, and two states of the protocol [s]."""
-
-DIAGNOSTICS_S = 1.0
-"""Time between two diagnostics [s]."""
-
-Finding = tuple[str, int, str, Mapping[str, object]]
-"""One line of diagnostics: name, level, message and values."""
+TEAM_NODE = "team"  # name of the team's node
+TOGETHER = 8  # poses that leave together: one by one they cost more, all together the first ones wait for the last
+MARKERS_S = 0.5  # time between two drawings, and two states of the protocol [s]
+DIAGNOSTICS_S = 1.0  # time between two diagnostics [s]
+Finding = tuple[str, int, str, Mapping[str, object]]  # one line of diagnostics: name, level, message and values
 
 
 class Refused:
@@ -42,7 +33,6 @@ class Refused:
         self._told = 0
 
     def take(self, topic: str, error: MessageError) -> None:
-        """Count one message."""
         self.counts[error.reason] += 1
         self._last[error.reason] = f"{topic}: {error.detail}"
 
@@ -70,10 +60,7 @@ async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
 
 
 class TeamNodes:
-    """Nodes of a team. `/flock/robot_3` has the node `robot` and its topics, `/flock` the node `team`.
-
-    Times are in nanoseconds, by the wall clock or the simulation's.
-    """
+    """Nodes of a team: `/flock/robot_3` has the node `robot` and its topics, `/flock` the node `team`."""
 
     def __init__(self, graph: Graph, config: Ros2Config, team: str, n_robots: int, *, clock: bool) -> None:
         space = self.namespace = config.namespace(team)
@@ -101,22 +88,18 @@ class TeamNodes:
             self._clock.publish(message_class(CLOCK)(clock=types.time(stamp_ns)))
 
     def show_poses(self, positions: Sequence[Position], stamp_ns: int) -> None:
-        """Publish where the robots are."""
         for publisher, at in zip(self._poses, positions, strict=True):
             publisher.send(self._encoder.encode(at, stamp_ns))
         self._transforms.publish(drawing.transforms(positions, self.frames, stamp_ns, self.frame))
 
     def show_paths(self, view: TeamView, stamp_ns: int) -> None:
-        """Publish where they are going."""
         for robot, publisher in enumerate(self._paths):
             publisher.publish(drawing.path(view, robot, stamp_ns, self.frame))
 
     def show_markers(self, view: TeamView, stamp_ns: int) -> None:
-        """Publish the drawing."""
         self._markers.publish(self._drawer.draw(view, stamp_ns))
 
     def show_state(self, content: Mapping[str, Any]) -> None:
-        """Publish the protocol's state as JSON."""
         self._state.publish(drawing.text(content))
 
     def show_diagnostics(self, found: Sequence[Finding], stamp_ns: int) -> None:
@@ -126,5 +109,4 @@ class TeamNodes:
 
     @property
     def frame_of_team(self) -> str:
-        """The team's namespace without its slash."""
         return self.namespace[1:]

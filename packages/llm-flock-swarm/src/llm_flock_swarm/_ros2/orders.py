@@ -1,7 +1,6 @@
 """Missions from ROS: read, checked, and given to the swarm as its operator gives them.
 
-With keys, the operator's key signs them, so it must be on this machine. Whoever may publish on the topics then speaks
-for the operator.
+With keys, the operator's key signs them: whoever may publish on the topics speaks for the operator.
 """
 
 from __future__ import annotations
@@ -28,22 +27,13 @@ from llm_flock_swarm._ros2.drawing import Position
 ORDERED = MISSION_FIELDS - {"velocity", "since"}
 """Fields that an order may change. Formations of a swarm of processes stand still."""
 
-MOST_TEXT = 1 << 16
-"""Longest text of a mission [characters]."""
-
-TAKERS = 3
-"""Robots that are given an order: one is enough, if it lives."""
-
-RATE, POSE_RATE = 1.0, 500.0
-"""Orders a second, in the long run, on each topic; and poses of one robot."""
+MOST_TEXT = 1 << 16  # longest text of a mission [characters]
+TAKERS = 3  # robots that are given an order: one is enough, if it lives
+RATE, POSE_RATE = 1.0, 500.0  # orders a second, in the long run, on each topic; and poses of one robot
 
 
 def mission_fields(text: str) -> dict[str, Any]:
-    """The fields of a mission in JSON or TOML, in a table `mission` or without; lengths are in mission units.
-
-    Raises:
-        MessageError: `bad_mission`: it is neither, or has other fields.
-    """
+    """Fields of a mission in JSON or TOML, in a table `mission` or without [units]; a MessageError `bad_mission`."""
     if len(text) > MOST_TEXT:
         raise MessageError("bad_mission", f"{len(text)} characters, more than {MOST_TEXT}")
     try:
@@ -62,11 +52,7 @@ def mission_fields(text: str) -> dict[str, Any]:
 
 
 def checked_position(point: Any) -> Position:
-    """The coordinates of a geometry_msgs/Point [m].
-
-    Raises:
-        MessageError: `not_finite` or `out_of_range`.
-    """
+    """The coordinates of a geometry_msgs/Point [m]; a MessageError `not_finite` or `out_of_range`."""
     found = float(point.x), float(point.y), float(point.z)
     if not all(map(math.isfinite, found)):
         raise MessageError("not_finite", f"position {found}")
@@ -76,21 +62,13 @@ def checked_position(point: Any) -> Position:
 
 
 def check_frame(message: Any, frame: str) -> None:
-    """Check that a message's header names this frame, or none.
-
-    Raises:
-        MessageError: `wrong_frame`.
-    """
+    """A MessageError `wrong_frame` unless a message's header names this frame, or none."""
     if message.header.frame_id.lstrip("/") not in ("", frame):
         raise MessageError("wrong_frame", f"{message.header.frame_id!a} instead of {frame!a}")
 
 
 def places_fields(message: Any, frame: str, unit_m: float, dim: int) -> dict[str, Any]:
-    """The fields of a mission whose places are the poses of a PoseArray [m]; their mean is its centre.
-
-    Raises:
-        MessageError: the array cannot be used.
-    """
+    """The fields of a mission whose places are the poses of a PoseArray [m]; their mean is its centre."""
     check_frame(message, frame)
     if not 1 <= len(message.poses) <= MAX_ROBOTS:
         raise MessageError("bad_mission", f"{len(message.poses)} points, not 1 to {MAX_ROBOTS}")
@@ -100,11 +78,7 @@ def places_fields(message: Any, frame: str, unit_m: float, dim: int) -> dict[str
 
 
 class MissionGiver:
-    """Gives missions to a running swarm. Call in a running event loop; `close` leaves the network.
-
-    Raises:
-        InputError: the swarm has keys, and the operator's are not here.
-    """
+    """Gives missions to a running swarm. Call in a running event loop; `close` leaves the network."""
 
     def __init__(self, config: SwarmConfig, observer: Observer) -> None:
         self._signed = signed_by_operator(config, OPERATOR)
@@ -113,11 +87,7 @@ class MissionGiver:
         self._link = open_link(config, OPERATOR, FREE_PORT)
 
     def give(self, fields: Mapping[str, Any]) -> Sequence[int]:
-        """Change these fields of the team's present mission. Returns the robots that were given the order.
-
-        Raises:
-            MessageError: `bad_mission`: it is not allowed; `nobody`: no robot is there.
-        """
+        """Change these fields of the team's present mission; a MessageError `bad_mission`, or `nobody` is there."""
         observer = self._observer
         try:
             observer.mission.change(**fields)
@@ -136,5 +106,4 @@ class MissionGiver:
         return takers
 
     def close(self) -> None:
-        """Leave the network."""
         self._link.close()

@@ -17,11 +17,7 @@ from llm_flock_swarm._ros2.drawing import Position, TeamView, ToWorld, scaled, v
 
 
 def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int) -> tuple[ToWorld, float]:
-    """How units become metres in `dim` dimensions, and the length of one [m]; a flight's record says it itself.
-
-    Raises:
-        RecordError: what it says cannot be used.
-    """
+    """How units become metres in `dim` dimensions, and the length of one [m]; a flight's record says it itself."""
     if "world" not in run.config or unit_m is not None:
         return scaled(unit_m or 1.0), unit_m or 1.0
     try:
@@ -37,11 +33,7 @@ def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int)
 
 
 class RecordedTeam:
-    """The newest state of a team, entry by entry.
-
-    Attributes:
-        state: the newest one; None before the first.
-    """
+    """The newest state of a team, entry by entry."""
 
     def __init__(self, to_world: ToWorld, unit_m: float) -> None:
         self.state: State | None = None
@@ -64,11 +56,6 @@ class RecordedTeam:
             case _:
                 pass
 
-    @property
-    def n_robots(self) -> int:
-        """Robots of the team; 0 before the first mission."""
-        return 0 if self._mission is None else int(self._mission.mission["n_robots"])
-
     def view(self) -> TeamView | None:
         """The team as of now, where drones measured themselves if they did; None before the first state."""
         if self.state is None or self._mission is None:
@@ -87,7 +74,6 @@ class RecordedTeam:
         return replace(view, positions=measured)
 
     def state_json(self) -> dict[str, Any]:
-        """The protocol's state."""
         state, mission = self.state, self._mission
         if state is None or mission is None:
             return {}
@@ -103,5 +89,4 @@ class RecordedTeam:
 
 
 def positions_of(sample: BodySample) -> list[Position]:
-    """Where the drones of a flight measured themselves [m]."""
     return [(x, y, z) for x, y, z in ((*row, 0.0, 0.0, 0.0)[:3] for row in sample.measured)]

@@ -33,11 +33,7 @@ async def swarm_shown(
     sink: RecordSink | None = None,
     on_launch: Callable[[], object] = lambda: None,
 ) -> SwarmResult:
-    """As `llm_flock_swarm._network.swarm.run_swarm`, shown in ROS 2 where a router is configured.
-
-    Raises:
-        InputError: the router does not answer.
-    """
+    """As `llm_flock_swarm._network.swarm.run_swarm`, shown in ROS 2 where a router is configured."""
     async with showing(config) as show:
 
         def begin(swarm: Swarm) -> None:
@@ -53,11 +49,7 @@ async def run_bridge(
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
 ) -> None:
-    """Show a swarm in ROS 2 until the process is stopped; with a path write a record. A sink takes every entry too.
-
-    Raises:
-        InputError: the router does not answer, a key is missing, or the record exists already.
-    """
+    """Show a swarm in ROS 2 until the process is stopped; with a path write a record. A sink takes every entry too."""
     if config.ros2.ros_poses:
         await _run_sensors(config, record, on_row)
         return

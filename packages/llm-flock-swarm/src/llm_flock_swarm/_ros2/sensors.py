@@ -1,7 +1,6 @@
 """Poses from ROS as the sensors of a swarm: the world process of bodies that something else moves.
 
-A motion capture or a simulator publishes where each robot is; the robots get their commands answered, and where a body
-is to fly goes to ROS as a set-point. A body that lags behind its set-point gets no further one, and one that does not
+Where a body is to fly goes to ROS as a set-point. One that lags behind it gets no further one, and one that does not
 follow at all is taken to stay where it is.
 """
 
@@ -20,20 +19,11 @@ from llm_flock_swarm._network.wire import Body, Command, WorldState
 from llm_flock_swarm._network.world import SAME_POSITION
 from llm_flock_swarm._ros2.wire import Attachment
 
-FRESH_S = 0.25
-"""Oldest pose that goes into a reading of the sensors [s]; without a younger one of every robot there is no reading."""
-
-LATE_S = 1.0
-"""Poses that were sent longer ago, by both machines' clocks, are refused [s]."""
-
-LOST_S = 1.0
-"""A source that is silent for this long may be followed by another one; a body that lags for this long stays [s]."""
-
-MOST_FAST = 2.0
-"""Poses that are farther apart than a body flies at this many times its largest speed are no poses of one body."""
-
-MOST_BEHIND = 1.0
-"""A body may be this many control periods of flight away from where it is to stop, and still gets a command."""
+FRESH_S = 0.25  # oldest pose in a reading of the sensors [s]; without a younger one of every robot there is none
+LATE_S = 1.0  # poses that were sent longer ago, by both machines' clocks, are refused [s]
+LOST_S = 1.0  # who is silent for this long may be followed by another source; a body that lags for it stays [s]
+MOST_FAST = 2.0  # poses farther apart than a body flies at this many times its largest speed are not of one body
+MOST_BEHIND = 1.0  # control periods of flight that a body may be behind its end, and still gets a command
 
 
 @dataclass(slots=True)
@@ -50,15 +40,7 @@ class _Track:
 
 
 class SensedBodies:
-    """Where all bodies are, by their sources, and where each is to stop.
-
-    Args:
-        n_robots: of the team.
-        speed: the largest of a body [units/s].
-        reach: what a body can fly in a control period and the longest delay of a command [units].
-        lag_s: commands that are older are refused [s].
-        clock: the wall clock [s].
-    """
+    """Where all bodies are, by their sources, and where each is to stop; `reach` is what a command covers [units]."""
 
     def __init__(self, n_robots: int, *, speed: float, reach: float, lag_s: float, clock: Callable[[], float]) -> None:
         self.late = 0
@@ -69,18 +51,12 @@ class SensedBodies:
 
     @property
     def missing(self) -> list[int]:
-        """Robots without a fresh pose."""
         now = self._clock()
         tracks = self._tracks
         return [j for j in range(self._n) if j not in tracks or now - tracks[j].stamp_s > FRESH_S]
 
     def sense(self, robot: int, position: Point, attached: Attachment) -> None:
-        """Take a pose [units].
-
-        Raises:
-            MessageError: `unknown_robot`, `late`, `out_of_order`, `second_source` (another publisher is heard too), or
-                `jump`: farther than a body flies. Where a body has been put elsewhere, it counts after `LOST_S`.
-        """
+        """Take a pose [units]; a MessageError says why not. A body that was put elsewhere counts after `LOST_S`."""
         if not 0 <= robot < self._n:
             raise MessageError("unknown_robot", f"robot {robot}, not 0 to {self._n - 1}")
         now = self._clock()

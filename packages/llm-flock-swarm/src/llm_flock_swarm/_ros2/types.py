@@ -1,7 +1,4 @@
-"""ROS 2's message types by rosbags: their hashes, and messages as CDR.
-
-The types that are used here have the same hashes in jazzy, kilted and lyrical; a test compares them.
-"""
+"""ROS 2's message types by rosbags, and messages as CDR. Hashes are equal in jazzy, kilted and lyrical, as tested."""
 
 from __future__ import annotations
 
@@ -23,24 +20,16 @@ POSE = "geometry_msgs/msg/PoseStamped"
 TEXT = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
-USED = (CLOCK, DIAGNOSTICS, MARKERS, PATH, POINTS, POSE, TEXT, TRANSFORMS)
-"""Every type that is sent, received or written to bags."""
-
-MOST_BYTES = 1 << 20
-"""Largest message that is read [bytes]."""
+USED = (CLOCK, DIAGNOSTICS, MARKERS, PATH, POINTS, POSE, TEXT, TRANSFORMS)  # every type sent, received or in bags
+MOST_BYTES = 1 << 20  # largest message that is read [bytes]
 
 NS = 1_000_000_000
-LATEST_NS = 2**31 * NS - 1
-"""Latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign."""
+LATEST_NS = 2**31 * NS - 1  # latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign
 
 
 @cache
 def type_store() -> Typestore:
-    """The types of ROS 2.
-
-    Raises:
-        InputError: rosbags is not installed.
-    """
+    """The types of ROS 2; an InputError if rosbags is not installed."""
     require("ros2", "ROS 2")
     from rosbags.typesys import Stores, get_typestore
 
@@ -48,11 +37,7 @@ def type_store() -> Typestore:
 
 
 def prepare() -> None:
-    """Make the code of all types now: for the first message it would hold up whoever sends it.
-
-    Raises:
-        InputError: rosbags is not installed.
-    """
+    """Make the code of all types now: for the first message it would hold up whoever sends it."""
     for name in USED:
         type_store().get_msgdef(name)
 
@@ -75,11 +60,7 @@ def to_cdr(message: object, name: str) -> bytes:
 
 
 def from_cdr(data: bytes, name: str) -> Any:
-    """The message that these bytes are.
-
-    Raises:
-        MessageError: `bad_cdr`, or `oversized`.
-    """
+    """The message that these bytes are; a MessageError `bad_cdr` or `oversized`."""
     if len(data) > MOST_BYTES:
         raise MessageError("oversized", f"{len(data)} bytes")
     from rosbags.serde import SerdeError

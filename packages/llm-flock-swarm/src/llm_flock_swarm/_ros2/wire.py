@@ -1,8 +1,4 @@
-"""What rmw_zenoh puts on the wire besides CDR: keys of topics, liveliness tokens, attachments.
-
-The format is that of rmw_zenoh since April 2025 (jazzy 0.2.4, kilted, lyrical); its docs/design.md describes keys and
-tokens. Before, attachments spelled out the names of their fields. PX4's Zenoh module writes the same.
-"""
+"""What rmw_zenoh puts on the wire besides CDR, since April 2025 (jazzy 0.2.4, kilted, lyrical); see its design.md."""
 
 from __future__ import annotations
 
@@ -12,14 +8,12 @@ from dataclasses import dataclass
 
 from llm_flock.errors import MessageError
 
-DEPTH = 10
-"""History depth of all topics. Everything else of the QoS is the default: reliable, volatile, keep last."""
+DEPTH = 10  # History depth of all topics. Everything else of the QoS is the default: reliable, volatile, keep last.
 
 QOS = f"::,{DEPTH}:,:,:,,"
 """That QoS as tokens write it: reliability, durability, history, deadline, lifespan, liveliness. Empty is default."""
 
-NODE, PUBLISHER, SUBSCRIBER = "NN", "MP", "MS"
-"""Kinds of entities in tokens."""
+NODE, PUBLISHER, SUBSCRIBER = "NN", "MP", "MS"  # kinds of entities in tokens
 
 NO_ENCLAVE = "%"
 _ADMIN = "@ros2_lv"
@@ -92,11 +86,7 @@ class Attachment:
 
     @classmethod
     def decode(cls, data: bytes) -> Attachment:
-        """The attachment that these bytes are.
-
-        Raises:
-            MessageError: `attachment`: they are none, or of an rmw_zenoh older than the present format.
-        """
+        """The attachment in these bytes; a MessageError `attachment` if they are none, or of an older rmw_zenoh."""
         if len(data) != _HEAD.size + GID_BYTES or data[_HEAD.size - 1] != GID_BYTES:
             raise MessageError("attachment", f"{len(data)} bytes: not in the format of rmw_zenoh since April 2025")
         sequence, stamp_ns, _ = _HEAD.unpack_from(data)

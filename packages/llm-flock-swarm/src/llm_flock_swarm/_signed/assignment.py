@@ -22,7 +22,6 @@ class SignedAssignment:
 
     @property
     def name(self) -> str:
-        """Name of the decorated rule."""
         return self._rule.name
 
     def take(self, now: AssignmentInput) -> Claim:
@@ -42,14 +41,12 @@ class SignedAssignment:
         return claim
 
     def _allowed(self, claim: Claim, robot: int) -> Claim:
-        """The claim without the places of excluded robots."""
         if claim.table is None or not self._evidence.excluded:
             return claim
         slot = None if robot in self._evidence.excluded else claim.slot
         return replace(claim, slot=slot, table=self._evidence.without_excluded(claim.table))
 
     def _admitted(self, now: AssignmentInput, table: BidTable) -> AssignmentInput:
-        """What may be merged into a table."""
         evidence = self._evidence
         heard = [
             evidence.admit(m, cast("Proofs | None", m.proofs) or NO_PROOFS, table)

@@ -1,12 +1,8 @@
 """Certificates: signatures under bid entries, offers, plan origins, heartbeats and missions, and how they are encoded.
 
-No robot raises the version of a slot alone. A slot is freed, or found blocked, by the statements of witnesses, one more
-than may lie; a claim on a free slot is signed by its owner and carries the statements that freed it. An exchange is
-signed by both robots, and counts only where no two robots may lie together. So at least one who signs is honest, and
-honest robots sign only what they hold true: no history has to be shown. A robot's claims on one plan are numbered, and
-the last one counts.
-
-Pure: keys are behind the `Authenticator`.
+A slot is freed, or found blocked, by witnesses, one more than may lie; a claim on it is signed by its owner and carries
+their statements. An exchange is signed by both robots, and counts only where no two may lie together. So one who signs
+is honest, and no history has to be shown. Of a robot's numbered claims on one plan the last one counts.
 """
 
 from __future__ import annotations
@@ -35,18 +31,10 @@ from llm_flock.message import (
     max_payload_bytes,
 )
 
-OPERATOR = -2
-"""Member id of the operator, who gives missions."""
-
-WIRE_SIGNED = 9
-"""First byte of a message with certificates."""
-
-LIARS = 1
-"""Robots that may lie together, unless a team is told otherwise."""
-
-
-LEFT = -3
-"""In a witness's statement: the slot is free because robot 0 left it; `left_by` gives that of every robot."""
+OPERATOR = -2  # member id of the operator, who gives missions
+WIRE_SIGNED = 9  # first byte of a message with certificates
+LIARS = 1  # robots that may lie together, unless a team is told otherwise
+LEFT = -3  # in a witness's statement: the slot is free because robot 0 left it; `left_by` gives that of every robot
 
 
 def left_by(robot: int) -> int:
@@ -65,10 +53,10 @@ def most_exchanges(places: int) -> int:
 
 
 def most_claims(places: int) -> int:
-    """Highest number of a claim on a plan that counts.
+    """Highest number of a claim on a plan that counts: far above what liars can drive an honest robot to.
 
-    Far above what liars can drive an honest robot to: one takes a place by `most_exchanges` exchanges at most, and each
-    by bids once a slot, or until its owner has drawn higher (`drawn_bid`).
+    One takes a place by `most_exchanges` exchanges at most, and each by bids once a slot, or until its owner has drawn
+    higher.
     """
     return (places + 4) * most_exchanges(places)
 
@@ -76,25 +64,18 @@ def most_claims(places: int) -> int:
 class Verifier(Protocol):
     """Checks signatures."""
 
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
-        ...
+    def check(self, member: int, statement: bytes, signature: bytes) -> bool: ...
 
 
 class Authenticator(Verifier, Protocol):
     """Signs as its robot, and checks the signatures of others."""
 
-    def sign(self, statement: bytes) -> bytes:
-        """The own signature on a statement."""
-        ...
+    def sign(self, statement: bytes) -> bytes: ...
 
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What a claim is about: the mission, the plan, and where the plan comes from.
-
-    A plan that comes back under another origin is another one: what was signed about it before counts no more.
-    """
+    """What a claim is about. A plan that comes back under another origin is another one: what was signed is void."""
 
     mission: MissionStamp
     plan: str
@@ -119,10 +100,7 @@ Count = Annotated[int, msgspec.Meta(ge=0, lt=2**41)]
 
 
 class ReleaseGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, tag=0):
-    """Statements of different robots that the slot is free, or blocked, from this version on.
-
-    `by` is who left it, if it is free for that; NO_OWNER otherwise.
-    """
+    """Statements that the slot is free, or blocked, from this version on; `by` is who left it, if that is why."""
 
     words: Annotated[tuple[tuple[Id, Signature], ...], msgspec.Meta(min_length=witnesses(LIARS), max_length=MAX_ROBOTS)]
     by: Annotated[int, msgspec.Meta(ge=NO_OWNER, lt=MAX_ROBOTS)] = NO_OWNER
@@ -152,7 +130,6 @@ class ExchangeGrant(msgspec.Struct, array_like=True, forbid_unknown_fields=True,
         }
 
     def offer(self) -> Offer:
-        """The offer that was accepted."""
         return Offer(
             to=self.to,
             give=self.give,
@@ -168,17 +145,11 @@ Grant: TypeAlias = ReleaseGrant | ExchangeGrant
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Certificate:
-    """Why an entry holds.
+    """Why an entry holds."""
 
-    Attributes:
-        number: number of the owner's claim; 0 for a slot without owner.
-        signature: the owner's signature on its claim; empty if the grant has it, or without owner.
-        grant: why the version was raised; None for version 0.
-    """
-
-    number: int
-    signature: bytes = b""
-    grant: Grant | None = None
+    number: int  # of the owner's claim; 0 for a slot without owner
+    signature: bytes = b""  # the owner's on its claim; empty if the grant has it, or without owner
+    grant: Grant | None = None  # why the version was raised; None for version 0
 
 
 class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
@@ -189,10 +160,7 @@ class _Claim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen
 
 
 class WitnessStatement(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """A robot's statement that a slot is free or blocked from a version on; others pass it on.
-
-    `owner` is NO_OWNER where its owner is silent or a body is gone, BLOCKED, or `left_by` a robot.
-    """
+    """A robot's statement that a slot is free or blocked from a version on; others pass it on."""
 
     witness: Id
     slot: Id
@@ -212,8 +180,8 @@ class RestlessWord(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
 class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     """A robot's claim with its certificate.
 
-    Shown to a robot that claims under a lower number: it has restarted, and does not know that it was its last one. And
-    shown where a claim does not count any more but has outbid another: it is the cause why that one's owner has gone.
+    Shown to a robot that claims under a lower number: it has restarted. And shown where a claim does not count any more
+    but has outbid another: it is the cause why that one's owner has gone.
     """
 
     slot: Id
@@ -226,17 +194,14 @@ class LastClaim(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fro
 
     @classmethod
     def of(cls, slot: int, entry: BidEntry, certificate: Certificate) -> LastClaim:
-        """A claim as it is shown to others."""
         return cls(slot, *entry, certificate.number, certificate.signature, certificate.grant)
 
     @property
     def entry(self) -> BidEntry:
-        """The claim as an entry of a table."""
         return (self.version, self.bid, self.owner)
 
     @property
     def certificate(self) -> Certificate:
-        """Why the claim holds."""
         return Certificate(number=self.number, signature=self.signature, grant=self.grant)
 
 
@@ -309,16 +274,11 @@ def claims_of(certificates: dict[int, Certificate]) -> tuple[tuple[_Claim, ...],
 
 
 def wrap(message: bytes, proofs: Proofs) -> bytes:
-    """A message with its certificates, as bytes."""
     return bytes([WIRE_SIGNED]) + _ENCODER.encode(_Signed(message, proofs))
 
 
 def unwrap(payload: bytes, n_robots: int, liars: int = LIARS) -> tuple[bytes, Proofs]:
-    """The message and its certificates in a payload from any member.
-
-    Raises:
-        MessageError: with reason `oversized`, `version` or `malformed`.
-    """
+    """Message and certificates in a payload from any member; a MessageError `oversized`, `version` or `malformed`."""
     most = max_signed_bytes(n_robots, liars)
     if len(payload) > most:
         raise MessageError("oversized", f"{len(payload)} bytes, at most {most} are allowed")

@@ -1,7 +1,4 @@
-"""The channel of a team with keys: who speaks, who proposed the plan, whose heart beats, and who gave the mission.
-
-Claims on places have signatures of their own, kept by `Evidence`.
-"""
+"""The channel of a team with keys: who speaks, who proposed the plan, whose heart beats, and who gave the mission."""
 
 from __future__ import annotations
 
@@ -29,17 +26,13 @@ from llm_flock_swarm._signed.certificates import (
 from llm_flock_swarm._signed.equivocations import Equivocations
 from llm_flock_swarm._signed.evidence import Evidence
 
-MOST_PENDING = 3
-"""Most signed heartbeats of one robot that are kept, the last ones: what is heard counts at the next exchange only."""
-
-REMEMBERED_ORIGINS = 1024
-"""Most plan origins whose signatures are kept."""
+MOST_PENDING = 3  # most signed heartbeats of one robot that are kept: what is heard counts at the next exchange
+REMEMBERED_ORIGINS = 1024  # most plan origins whose signatures are kept
 
 
 class SignedChannel(Channel):
-    """The channel of a team with keys.
+    """A channel that checks heartbeats only if `membership` says that they are news, and claims by `evidence`.
 
-    `evidence` has the signatures on claims, and `membership` tells which heartbeats are news: only those are checked.
     If the team `replans`, a plan of a later epoch may replace a faultless one.
     """
 
@@ -65,16 +58,10 @@ class SignedChannel(Channel):
 
     @property
     def rejected(self) -> Counter[str]:
-        """Claims without a certificate."""
         return self._evidence.refused
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Unwrap, decode and verify.
-
-        Raises:
-            MessageError: as `unwrap` and `Channel.open`, and with reason `impostor`, `forged_origin`, `many_plans` or
-                `uncertified`.
-        """
+        """Unwrap, decode and verify; more reasons are `impostor`, `forged_origin`, `many_plans` and `uncertified`."""
         content, proofs = unwrap(payload, self._n_robots, self._evidence.liars)
         message = decode(content, self._n_robots, self._dim)
         self._check_sender(message)
@@ -108,10 +95,7 @@ class SignedChannel(Channel):
         return self._equivocations.signature(origin, plan) or self._origins.get((origin, plan))
 
     def hold(self, heard: Sequence[Message]) -> list[Message]:
-        """The messages on which the next decision is made, without plans that are void; the others' origins are kept.
-
-        A plan that is adopted has to be passed on with its origin, also if its proposer floods the others with more.
-        """
+        """Without plans that are void; the others' origins are kept, to be passed on whatever else is proposed."""
         counting = [message for message in heard if self._consistent(message)]
         return [without_plan(message) if self._is_void(message.provenance) else message for message in counting]
 
@@ -133,7 +117,6 @@ class SignedChannel(Channel):
         return origin.proposer in self.void(origin.stamp)
 
     def void(self, mission: MissionStamp) -> frozenset[int]:
-        """Robots that have signed two plans for one epoch of this mission."""
         return self._equivocations.void(mission)
 
     def _remember(self, origin: Provenance, plan: str, signature: bytes) -> None:
@@ -143,29 +126,19 @@ class SignedChannel(Channel):
 
     @property
     def order(self) -> bytes:
-        """The operator's signature on the mission in force; empty for the first one."""
         return b"" if self._authorization is None else self._authorization.signature
 
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
-        """Check the operator's signature.
-
-        Raises:
-            MessageError: with reason `no_order`.
-        """
+        """A MessageError `no_order` unless the operator signed it."""
         statement = mission_statement(stamp)
         if authorization is None or not self._authenticator.check(OPERATOR, statement, authorization.signature):
             raise MessageError("no_order", f"the operator has not signed mission {stamp.counter}")
 
     def keep_order(self, authorization: Authorization | None) -> None:
-        """Pass on the order for the mission that is in force now."""
         self._authorization = authorization
 
     def _verified_beats(self, message: Message, proofs: Proofs) -> tuple[int, ...] | None:
-        """Heartbeats that are news and signed by the robot whose they are; 0 in place of those without signature.
-
-        Raises:
-            MessageError: with reason `uncertified` for the first that is signed by nobody.
-        """
+        """Heartbeats that are news and signed by the robot whose they are; 0 in place of those without signature."""
         known_beats = self._membership.beats
         if message.beats is None or not known_beats:
             return None

@@ -19,11 +19,8 @@ from llm_flock_swarm._signed.certificates import (
     word_statement,
 )
 
-SPARE = 4
-"""Numbers that a robot may use up between the decision to exchange and the exchange."""
-
-REMEMBERED = 4096
-"""Most signatures that are remembered as good."""
+SPARE = 4  # numbers that a robot may use up between the decision to exchange and the exchange
+REMEMBERED = 4096  # most signatures that are remembered as good
 
 
 class Uncertified(Exception):

@@ -1,10 +1,8 @@
 """Robots that keep leaving their places though nobody outbids them: their claims come to count for nothing.
 
-When a robot leaves its place, the version of the place rises, and all bids for it are drawn by lot again. Robots that
-lie could move on and on, and drive the honest from place to place. Witnesses that free a place because its owner has
-left it therefore name the owner, and these departures are counted. Every robot says of an owner that leaves too often
-that it is restless. When more robots have said so than may lie, the claims of the restless robot on this plan are
-ignored.
+A departure raises the version of the place, and all bids for it are drawn again: liars could drive the honest from
+place to place. So witnesses name who left, every robot counts, and says of who leaves too often that it is restless.
+When more have said so than may lie, its claims on this plan are ignored.
 """
 
 from __future__ import annotations
@@ -36,7 +34,6 @@ class Departures:
         self._causes: dict[tuple[int, int], LastClaim] = {}
 
     def outdate(self, slot: int, entry: BidEntry) -> None:
-        """Note that an owner has another claim since."""
         self._outdated.add((slot, entry))
 
     def explain(self, cause: LastClaim) -> None:
@@ -88,11 +85,9 @@ class Departures:
             self._left.setdefault(robot, set()).add((slot, version))
 
     def suspects(self, robot: int) -> bool:
-        """Whether a departure of this robot is known."""
         return robot in self._left
 
     def restless(self, places: int) -> Sequence[int]:
-        """Who has left too often."""
         most = MOST_DEPARTURES + (most_exchanges(places) if self._exchanges else 0)
         return [robot for robot, left in self._left.items() if len(left) > most]
 
@@ -106,7 +101,6 @@ class Departures:
         self._words.setdefault(robot, {})[witness] = signature
 
     def words(self) -> Sequence[RestlessWord]:
-        """All words known."""
         return [
             RestlessWord(robot, witness, signature)
             for robot, words in sorted(self._words.items())

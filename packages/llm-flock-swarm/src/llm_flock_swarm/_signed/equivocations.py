@@ -1,8 +1,6 @@
-"""Proposers whose plans do not count: each has signed two plans for one epoch of the mission.
+"""Proposers whose plans do not count: each has signed two plans for one epoch of the mission, and no honest robot does.
 
-Of two plans the one of higher key wins, so who proposes plan after plan could keep a team from agreeing for ever. An
-honest robot signs one plan for an epoch. Two are a proof against their proposer, which every robot checks by itself
-and passes on: all plans of that robot for this mission are void, also one that is in force.
+They could keep a team from agreeing for ever. The proof is passed on: all their plans for this mission are void.
 """
 
 from __future__ import annotations
@@ -26,7 +24,6 @@ class Equivocations:
         return frozenset(self._proofs) if mission == self._mission else frozenset()
 
     def proofs(self, mission: MissionStamp) -> tuple[Equivocation, ...]:
-        """A proof against each of them."""
         return tuple(self._proofs.values()) if mission == self._mission else ()
 
     def note(self, origin: Provenance, plan: str, signature: bytes) -> None:
@@ -46,11 +43,7 @@ class Equivocations:
         return first.signature if first is not None and same else None
 
     def hear(self, mission: MissionStamp, proofs: Proofs) -> None:
-        """Check the proofs that somebody shows, and keep those that are news.
-
-        Raises:
-            MessageError: with reason `uncertified` for the first that proves nothing: nobody honest passes it on.
-        """
+        """Check the proofs that somebody shows, and keep those that are news; a MessageError if one proves nothing."""
         self._turn_to(mission)
         for proof in proofs.equivocations:
             if proof.proposer in self._proofs:

@@ -1,7 +1,6 @@
 """Evidence of one robot: which claims of others it accepts, what it signs, and the certificates that it can show.
 
-Bid tables and their merging belong to `auction`; evidence decides which received entries may be merged, so a lying
-robot holds at most one slot and changes no other robot's. `certificates` and the page on security state the rules.
+A lying robot holds at most one slot and changes no other's. `certificates` and the page on security state the rules.
 """
 
 from __future__ import annotations
@@ -62,7 +61,6 @@ class Evidence:
 
     @property
     def liars(self) -> int:
-        """Robots that may lie together."""
         return self._checks.witnesses - 1
 
     @property
@@ -83,15 +81,13 @@ class Evidence:
         return self._page is not known
 
     def signed_by(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this."""
         return self._checks.signed_by(member, statement, signature)
 
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
-        It must be on the plan in question; `table` has the entries held now, of the same number of slots. No honest
-        robot sends a statement that nobody signed, so after the first such one nothing more of a message is looked at:
-        whoever signs nothing takes no more than one signature's time.
+        `table` has the entries held now, of the same plan. After the first statement that nobody signed, nothing more
+        of a message is looked at: whoever signs nothing takes no more than one signature's time.
         """
         certificates, entries = proofs.certificates(), [UNSAID] * len(message.table or ())
         offer = None
@@ -253,7 +249,6 @@ class Evidence:
         return changed(table, new)
 
     def draw(self, slot: int, version: int) -> float:
-        """This robot's bid for a slot of a version above 0."""
         return drawn_bid(self._context, slot, version, self._robot)
 
     def freed(self, slot: int, version: int) -> bool:

@@ -1,14 +1,13 @@
 """What a message proves about its sender, to anybody who has the public keys of the team.
 
-What an honest robot sends has passed its own checks, and carries every signature that they need. So a message that
-these checks refuse, whatever else the receiver knows, was not sent by an honest robot. Which checks those are is stated
-here; a sender that only changes its mind, or is wrong about what it sees, passes them.
+What an honest robot sends has passed its own checks, and carries every signature that they need: a message that these
+checks refuse was not sent by one. Who changes its mind, or is wrong about what it sees, passes them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import cast
 
 import msgspec
 
@@ -18,6 +17,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol import Checker, Inbound, TeamMembership
 from llm_flock_swarm._signed.certificates import (
     LIARS,
+    Authenticator,
     Context,
     Proofs,
     Verifier,
@@ -28,23 +28,7 @@ from llm_flock_swarm._signed.certificates import (
 from llm_flock_swarm._signed.channel import SignedChannel
 from llm_flock_swarm._signed.evidence import Evidence
 
-OUTSIDER = -1
-"""Id of somebody who judges and is no robot."""
-
-
-@dataclass(frozen=True)
-class _Outsider:
-    """Somebody without keys of its own."""
-
-    verifier: Verifier
-
-    def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
-        return self.verifier.check(member, statement, signature)
-
-    def sign(self, statement: bytes) -> bytes:
-        """Nothing is ever signed by who only judges."""
-        raise AssertionError(statement)
+OUTSIDER = -1  # id of somebody who judges and is no robot
 
 
 def guilt(
@@ -57,11 +41,11 @@ def guilt(
 ) -> str | None:
     """Why no honest robot sends this message, as a reason for refusals (docs/reference/wire.md); None if one could.
 
-    Call with a payload that `sender` has signed as a whole, and with one or more missions of the team: plans for
-    another mission are not checked. A message of another version proves nothing, and neither do more claims than
-    count, as liars can drive an honest robot from place to place.
+    `sender` has signed the payload as a whole. Plans are checked for these missions only. A message of another version
+    proves nothing, nor do more claims than count: liars can drive an honest robot from place to place.
     """
-    mission, authenticator = missions[0], _Outsider(verifier)
+    # Nothing is ever signed by who only judges.
+    mission, authenticator = missions[0], cast("Authenticator", verifier)
     evidence = Evidence(OUTSIDER, authenticator, liars)
     membership = TeamMembership(0, mission)
     channel = SignedChannel(OUTSIDER, mission, authenticator, evidence, membership, replans=validator.any_size)

@@ -12,8 +12,7 @@ from llm_flock_swarm._signed.certificates import LEFT, ReleaseGrant, WitnessStat
 Stated: TypeAlias = tuple[int, int, int]
 """Slot, version, and the `owner` of a witness's statement: NO_OWNER, BLOCKED, or `left_by` a robot."""
 
-MOST_PASSED_ON = 32
-"""Most statements of others of one kind in one message; they take turns."""
+MOST_PASSED_ON = 32  # most statements of others of one kind in one message; they take turns
 
 T = TypeVar("T")
 
@@ -28,11 +27,9 @@ class Words:
         self._own: Sequence[Stated] = ()
 
     def knows(self, word: WitnessStatement) -> bool:
-        """Whether this witness has been heard to say this."""
         return word.witness in self._said.get((word.slot, word.version, word.owner), {})
 
     def keep(self, word: WitnessStatement) -> None:
-        """Keep a checked statement."""
         self._said.setdefault((word.slot, word.version, word.owner), {})[word.witness] = word.signature
 
     def state(self, own: Iterable[Stated], sign: Callable[[Stated], bytes]) -> None:
@@ -53,7 +50,6 @@ class Words:
                 yield slot, version, owner, ReleaseGrant(tuple(sorted(words.items())[: self._enough]), by)
 
     def own(self) -> tuple[WitnessStatement, ...]:
-        """This robot's own statements."""
         return tuple(
             WitnessStatement(self._robot, *stated, self._said[stated][self._robot])
             for stated in self._own
@@ -61,7 +57,6 @@ class Words:
         )
 
     def of_others(self) -> Sequence[WitnessStatement]:
-        """Statements of other witnesses."""
         return [
             WitnessStatement(robot, *stated, signature)
             for stated, words in self._said.items()

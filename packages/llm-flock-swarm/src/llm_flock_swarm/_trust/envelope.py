@@ -1,8 +1,8 @@
 """A signed envelope around every payload: proves its sender and topic, and that it is new.
 
 One byte for the version, a MessagePack array (sender, session, sequence, payload), and the sender's Ed25519 signature
-on the team's name, the topic and all of that. A session is one start of a process; within it every envelope has a
-number. A receiver accepts each number once, in any order within a window, and nothing from before the newest session.
+on the team's name, the topic and all of that. A session is one start of a process. A receiver accepts each number once,
+in any order within a window, and nothing from before the newest session.
 """
 
 from __future__ import annotations
@@ -16,11 +16,8 @@ from llm_flock_swarm._signed.certificates import Authenticator, Verifier
 
 ENVELOPE_VERSION = 2
 SIGNATURE_BYTES = 64
-WINDOW = 1024
-"""Numbers up to this far behind the newest are still accepted, once."""
-
-OVERHEAD = 128
-"""No envelope is larger than its payload by more than this [bytes]."""
+WINDOW = 1024  # numbers up to this far behind the newest are still accepted, once
+OVERHEAD = 128  # no envelope is larger than its payload by more than this [bytes]
 
 Number = Annotated[int, msgspec.Meta(ge=0, lt=2**62)]
 
@@ -29,9 +26,7 @@ class Signer(Authenticator, Protocol):
     """Signs as a member, and checks the signatures of others."""
 
     @property
-    def member(self) -> int:
-        """Own id."""
-        ...
+    def member(self) -> int: ...
 
 
 class _Letter(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
@@ -63,7 +58,6 @@ class _Heard:
         return "replayed" if behind >= 0 and self.taken >> behind & 1 else None
 
     def take(self, letter: _Letter) -> None:
-        """Remember an accepted letter."""
         if letter.session != self.session:
             self.session, self.newest, self.taken = letter.session, letter.sequence, 1
             return
@@ -77,10 +71,7 @@ class _Heard:
 
 
 class Envelope:
-    """Seals payloads of one process, and opens those of others of at most `max_payload` [bytes].
-
-    The number of its session must be higher than that of every start before.
-    """
+    """Seals payloads of one process, and opens others'; its session's number must be higher than all before."""
 
     def __init__(self, keys: Signer, session: int, *, max_payload: int) -> None:
         self._keys = keys
@@ -97,12 +88,7 @@ class Envelope:
         return body + self._keys.sign(_statement(topic, body))
 
     def open(self, sealed: bytes, topic: str = "") -> tuple[int, bytes]:
-        """The sender, and the payload.
-
-        Raises:
-            MessageError: with reason `oversized`, `version`, `malformed`, `own_id`, `old_session`, `too_old`,
-                `replayed` or `bad_signature` (also of an unknown sender).
-        """
+        """The sender, and the payload; a MessageError says why not (`bad_signature` also for an unknown sender)."""
         if len(sealed) > self._max_payload + OVERHEAD:
             raise MessageError("oversized", f"{len(sealed)} bytes")
         letter = _letter(sealed)
@@ -120,11 +106,7 @@ class Envelope:
 
 
 def signed_payload(sealed: bytes, topic: str, verifier: Verifier) -> tuple[int, bytes]:
-    """The sender of an envelope, and its payload, new or not: for whoever judges messages afterwards.
-
-    Raises:
-        MessageError: with reason `version`, `malformed` or `bad_signature`.
-    """
+    """The sender of an envelope, and its payload, new or not: for whoever judges messages afterwards."""
     letter = _letter(sealed)
     _check_signature(letter, sealed, topic, verifier)
     return letter.sender, letter.payload

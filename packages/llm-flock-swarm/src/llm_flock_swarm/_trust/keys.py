@@ -43,7 +43,6 @@ class PublicKeys:
     public: Mapping[int, Ed25519PublicKey]
 
     def check(self, member: int, statement: bytes, signature: bytes) -> bool:
-        """Whether a member signed this statement."""
         key = self.public.get(member)
         if key is None:
             return False
@@ -59,7 +58,6 @@ class PublicKeys:
 
     @property
     def robots(self) -> int:
-        """Number of robots that the team has keys for."""
         return sum(member >= 0 for member in self.public)
 
 
@@ -71,16 +69,11 @@ class Keyring(PublicKeys):
     _secret: Ed25519PrivateKey = field(repr=False)
 
     def sign(self, statement: bytes) -> bytes:
-        """The own signature on a statement of this team."""
         return self._secret.sign(self.swarm + statement)
 
 
 def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
-    """Make the keys of a team, and certificates that are valid for some days; never overwrites a file.
-
-    Raises:
-        InputError: too many robots, or the folder is not empty or cannot be made.
-    """
+    """Make the keys of a team, and certificates that are valid for some days; never overwrites a file."""
     if not 1 <= n_robots <= MAX_ROBOTS:
         raise InputError("robots", n_robots, f"1 to {MAX_ROBOTS}")
     if not 1 <= days <= 3650:
@@ -108,11 +101,7 @@ def make_keys(folder: Path, n_robots: int, *, days: int = 365) -> None:
 
 
 def load_public_keys(folder: Path) -> PublicKeys:
-    """The public keys of a team; only `team.json` has to be there.
-
-    Raises:
-        InputError: the file is missing or damaged.
-    """
+    """The public keys of a team; only `team.json` has to be there. InputError: it is missing or damaged."""
     path = folder / "team.json"
     try:
         team = cast("dict[str, Any]", json.loads(path.read_bytes()))
@@ -131,11 +120,7 @@ def load_public_keys(folder: Path) -> PublicKeys:
 
 
 def load_keyring(folder: Path, member: int) -> Keyring:
-    """The keys that a member needs in flight.
-
-    Raises:
-        InputError: a file is missing, damaged, does not fit the others, or is secret but readable by other users.
-    """
+    """The keys of a member; an InputError if a file is missing, damaged, or secret but readable by other users."""
     team = load_public_keys(folder)
     swarm, public = team.swarm, team.public
     if member not in public:
@@ -153,10 +138,7 @@ def load_keyring(folder: Path, member: int) -> Keyring:
 
 
 def next_session(folder: Path, member: int, clock_s: float) -> int:
-    """The session number of this start of a member: higher than that of every start before, whatever the Unix time.
-
-    It is kept beside the member's own keys.
-    """
+    """The session number of this start of a member: higher than every one before, whatever the Unix time `clock_s`."""
     path = folder / member_name(member) / "session"
     try:
         last = int(path.read_text(encoding="ascii"))
@@ -174,12 +156,8 @@ def next_session(folder: Path, member: int, clock_s: float) -> int:
 def tls_config(folder: Path, member: int) -> dict[str, Any]:
     """The part of a zenoh configuration that admits only processes with a certificate of this team.
 
-    Endpoints are `tls/HOST:PORT`. Only the team's authority is trusted, and it signs only members, so the name in a
-    certificate need not be that of the machine: any member may run anywhere. The signature on each envelope tells which
-    member sent it. Keys are zenoh's paths into its configuration, values are plain.
-
-    Raises:
-        InputError: a file is missing, or other users can read the secret one.
+    Only members have one, so its name need not be that of the machine; the signature on each envelope tells who sent
+    it.
     """
     own = folder / member_name(member)
     authority, certificate, key = folder / "ca.pem", own / "tls.pem", own / "tls.key"

@@ -24,7 +24,7 @@ from llm_flock.events import (
 from llm_flock.message import Message, Provenance, encode
 from llm_flock.protocol._agreement.assignment import IndexAssignment
 from llm_flock.protocol._agreement.consensus import NoConsensus
-from llm_flock.protocol._membership.seeking import ALONE
+from llm_flock.protocol._membership.search import ALONE
 from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 
 

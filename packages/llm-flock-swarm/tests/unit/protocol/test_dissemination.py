@@ -117,46 +117,6 @@ def test_in_a_large_team_newcomers_are_told_only_what_they_turn_out_to_lack() ->
     assert answers == [True, False, True, False], "its answer is heard before the next broadcast but one"
 
 
-def test_the_last_payload_is_repeated_only_while_nothing_is_new() -> None:
-    """After each change the payload is composed again, until it repeats itself."""
-    sender = Sender(LARGE)
-    claims, changed = table_of(LARGE), table_of(LARGE, s3=(0, -1.0, 0))
-
-    def settle(whole: Message, claim: object) -> int:
-        """Communication rounds until the payload repeats itself."""
-        for count in range(6):
-            if sender.dissemination.unchanged(claim) is not None:
-                return count
-            sender.send(whole)
-        raise AssertionError("the payload is composed again in every communication round")
-
-    whole = standing(LARGE, table=claims)
-    assert settle(whole, claims) == 2, "a greeting, and what follows it"
-    assert sender.dissemination.unchanged(claims) == sender.dissemination.unchanged(claims)
-    sender.begin()
-    assert settle(whole, claims) == 2, "another round"
-    whole = standing(LARGE, table=changed)
-    assert settle(whole, changed) == 3, "a change is sent twice, and then no more"
-    sender.dissemination.hear(standing(LARGE, sender=1, table=changed))
-    assert settle(whole, changed) == 1, "a neighbour"
-    sender.dissemination.hear(standing(LARGE, sender=1, table=changed, slot=2))
-    assert settle(whole, changed) == 0, "a neighbour that knows no more and no less than before"
-    sender.dissemination.hear(standing(LARGE, sender=1, plan=plan_of(LARGE, 1.0), table=changed))
-    for _ in range(3):
-        assert sender.dissemination.unchanged(changed) is None, "a neighbour on another plan"
-        sender.send(whole)
-    assert sender.dissemination.unchanged(claims) is None, "another claim"
-
-
-def test_positions_are_sent_once() -> None:
-    sender = Sender()
-    sender.send(standing())
-    sender.send(standing())
-    assert sender.dissemination.unchanged() is not None
-    sender.send(replace(standing(), positions={0: (0, (1.0, 2.0), ())}))
-    assert sender.dissemination.unchanged() is None
-
-
 def test_in_a_small_team_every_round_begins_with_a_greeting() -> None:
     sender = Sender()
     sender.send(standing())

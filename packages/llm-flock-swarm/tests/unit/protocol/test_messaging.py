@@ -57,7 +57,7 @@ class Opened:
 
     def __init__(self, agent: Agent) -> None:
         self.payloads: list[bytes] = []
-        channel = agent._messaging._channel
+        channel = agent._messaging.channel
         opens = channel.open
 
         def opened(payload: bytes, sender: int | None) -> Inbound:

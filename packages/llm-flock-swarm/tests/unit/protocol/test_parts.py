@@ -14,7 +14,7 @@ from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import Claim, IndexAssignment, NearestAssignment
 from llm_flock.protocol._agreement.consensus import InfluenceConsensus, NoConsensus
 from llm_flock.protocol._membership.team import TeamMembership
-from llm_flock.protocol._parts import Checker, Membership, Observation, Parts, Safety
+from llm_flock.protocol._parts import Checker, Membership, Observation, Parts, Safety, Situation
 from llm_flock.protocol._planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 from llm_flock.runtime._config import RunConfig
@@ -67,22 +67,26 @@ def test_heartbeats_and_positions_of_others_change_nothing_in_the_papers_robot()
 
 
 def test_a_robot_that_knows_no_team_proposes_once_and_neither_seeks_nor_waits_elsewhere() -> None:
-    nobody, claim = Membership(), Claim(slot=None)
-    assert nobody.places(LINE, None, sees_bodies=True) == 3 and nobody.places(LINE, PLAN, sees_bodies=True) is None
-    assert nobody.seek(LINE, HERE) is None and nobody.wait(LINE, PLAN, claim, HERE, [BESIDE]) == HERE
-    assert nobody.still(LINE, {1: BESIDE}) == () and nobody.positions(LINE, PLAN, claim) is None
+    nobody, now = Membership(), Situation(LINE)
+    now.position, now.sensed = HERE, {1: BESIDE}
+    assert nobody.places(now) == 3
+    now.plan = PLAN
+    assert nobody.places(now) is None and nobody.seek(now) is None and nobody.wait(now) == HERE
+    assert nobody.still(now) == () and nobody.positions(now) is None
     assert not nobody.beats and not nobody.lost
 
 
 def test_a_far_place_is_approached_along_the_formation() -> None:
     line = Mission(shape="line", n_robots=9)
     plan = Plan.of(line.ideal or ())
-    before = Claim(slot=8)
-    target, claim, notes = Membership().route(line, plan, before, plan.points[0], [])
+    now, before = Situation(line), Claim(slot=8)
+    now.plan, now.claim, now.position = plan, before, plan.points[0]
+    target, claim, notes = Membership().route(now)
     assert target is not None and target not in plan.points and claim is before and not notes
-    moving = line.change(velocity=(1.0, 0.0))
-    assert Membership().route(moving, plan, before, plan.points[0], [])[0] == target
-    assert Membership().route(line, plan, Claim(slot=0), plan.points[0], [])[0] is None
+    now.mission = line.change(velocity=(1.0, 0.0))
+    assert Membership().route(now)[0] == target
+    now.claim = Claim(slot=0)
+    assert Membership().route(now)[0] is None
 
 
 def test_an_unverified_answer_is_used_as_it_is() -> None:
@@ -126,15 +130,16 @@ def test_signatures_are_parts_and_keep_the_rules() -> None:
 def test_a_team_with_keys_reports_no_positions() -> None:
     plain = Parts(membership=TeamMembership(0, LINE, gaps="replan"))
     signed = signed_parts(plain, 0, LINE, ToyKeys(0)).membership
-    claim = Claim(slot=None)
-    assert plain.membership.report(LINE, None, claim, HERE, greeting=True) == {0: (1, HERE, ())}
-    assert signed.report(LINE, None, claim, HERE, greeting=True) is None
+    now = Situation(LINE)
+    now.position = HERE
+    assert plain.membership.report(now, greeting=True) == {0: (1, HERE, ())}
+    assert signed.report(now, greeting=True) is None
     assert isinstance(signed, TeamMembership) and signed.gaps == "replan"
 
 
 def test_heartbeats_are_passed_over_where_none_are_counted() -> None:
     driven = DrivenAgent(Agent(0, LINE, parts=signed_parts(Parts(), 0, LINE, ToyKeys(0))))
-    channel = driven.agent._messaging._channel
+    channel = driven.agent._messaging.channel
     assert isinstance(channel, SignedChannel)
     message = decode(says(1, (0, 9, 9)), 3, 2)
     assert channel._verified_beats(message, Proofs()) is None

@@ -7,7 +7,7 @@ from driven_agent import LINE, PLAN, DrivenAgent, make, says
 
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._membership.replanning import MOST_WAIT, REPLAN_PATIENCE, Gaps
+from llm_flock.protocol._membership.team import MOST_WAIT, REPLAN_PATIENCE, Gaps
 
 
 @pytest.mark.parametrize(("robot", "waits"), [(0, 1), (2, 2)])

@@ -178,8 +178,8 @@ def test_one_place_offered_to_two_is_one_exchange(team: SignedTeam, liar: Liar) 
         # For this communication round the victim believes to be where the exchange pays.
         assert team.agents[0].plan is not None
         team.agents[victim]._agreement.position = team.agents[0].plan.points[slot]
-        there = {**team.agents[victim]._agreement._sensed, team.liar: team.agents[0].plan.points[theirs]}
-        team.agents[victim]._agreement._sensed = there
+        there = {**team.agents[victim]._agreement.sensed, team.liar: team.agents[0].plan.points[theirs]}
+        team.agents[victim]._agreement.sensed = there
         team.tell(victim, liar.says(offer=offer, offer_number=liar.number + victim, slot=slot), team.liar)
     team.comm_round()
     assert [team.slots[1], team.slots[2]] == [slot, slot]

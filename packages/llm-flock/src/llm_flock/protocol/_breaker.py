@@ -1,10 +1,7 @@
-"""The circuit breaker between a robot and its model: a model whose answers stay unusable is no longer asked.
+"""The circuit breaker between a robot and its model: one whose answers stay unusable is asked no longer, or rarely.
 
-The pattern is Nygard's (Release It!, 2007). A closed breaker passes questions on. After `THRESHOLD` refused questions
-in a row it opens: plain geometry answers, and costs nothing. It also opens for a model that is refused again and again
-with usable answers in between, which make up for a refusal only slowly (`RECOVERY`). After a wait the breaker is
-half-open and passes on one question, a probe without a second try. A usable answer closes the breaker; another refusal
-opens it for twice as long.
+The pattern is Nygard's (Release It!, 2007): open, geometry answers; half-open, one question without a second try is a
+probe; a usable answer closes it, and another refusal opens it for twice as long.
 """
 
 from __future__ import annotations
@@ -20,44 +17,25 @@ Fallback: TypeAlias = Literal["breaker", "hold", "geometry"]
 
 QuestionKind: TypeAlias = Literal["plan", "step"]
 
-THRESHOLD = 2
-"""Refused questions in a row that open a closed breaker. Each of them was asked again with the reason, so with the
-default of two retries a hopeless model costs six calls."""
-
-RECOVERY = 0.25
-"""Part of a refusal that a usable answer makes up for: four make up for one."""
-
-FIRST_WAIT = 2
-"""Rounds from the opening of a breaker to the first probe; each refused probe doubles the wait."""
-
-LONGEST_WAIT = 64
-"""Longest wait for a probe [rounds]."""
+THRESHOLD = 2  # refused questions in a row, each asked again with the reason, that open a closed breaker
+RECOVERY = 0.25  # part of a refusal that a usable answer makes up for: four make up for one
+FIRST_WAIT = 2  # rounds from the opening of a breaker to the first probe; each refused probe doubles the wait
+LONGEST_WAIT = 64  # longest wait for a probe [rounds]
 
 
 class BreakerState(StrEnum):
-    """State of a circuit breaker."""
-
     CLOSED = "closed"
     OPEN = "open"
     HALF_OPEN = "half_open"
 
 
 class CircuitBreaker:
-    """Decides whether a robot asks its model, for one kind of question.
-
-    Call `asks` before each question, then `usable` or `refused` with what became of it. A disabled breaker never opens,
-    and only counts.
-
-    Attributes:
-        state: `closed`, `open`, or `half_open` while a probe is under way.
-        refusals: refused questions since the last usable answer.
-        reason: why the last of them was refused; None without one.
-    """
+    """Decides whether a robot asks its model; call `asks` before each question, then `usable` or `refused`."""
 
     def __init__(self, question: QuestionKind, *, enabled: bool) -> None:
         self.state = BreakerState.CLOSED
-        self.refusals = 0
-        self.reason: NoAnswer | None = None
+        self.refusals = 0  # since the last usable answer
+        self.reason: NoAnswer | None = None  # of the last of them
         self._question, self._enabled = question, enabled
         self._wait = FIRST_WAIT
         self._due = 0

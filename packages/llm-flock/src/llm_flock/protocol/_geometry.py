@@ -10,7 +10,6 @@ import numpy as np
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import Point, Points
-from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
@@ -33,8 +32,8 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
     mission, reason = question.mission, ""
     if mission.ideal is None:
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-    placements = mission.placements(angle_rad) if mission.velocity is None else [_turned(mission, angle_rad)]
-    for points in placements:
+    only = [turned(np.array(mission.ideal), mission.center, angle_rad)]
+    for points in mission.placements(angle_rad) if mission.velocity is None else only:
         plan = Plan.of(points.tolist())
         objection = check_proposal(mission, plan, question.still, question.position)
         if objection is None:
@@ -42,10 +41,6 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         reason = reason or objection
     why = f"the first was refused: {reason}" if reason else "obstacles are in the way of all of them"
     return NoAnswer(cause="answer", reason=f"geometry found no orientation and shift that fits; {why}")
-
-
-def _turned(mission: Mission, angle_rad: float) -> Points:
-    return turned(np.array(mission.ideal), mission.center, angle_rad)
 
 
 def straight_path(question: StepQuestion) -> StepAnswer:
@@ -73,11 +68,9 @@ class GeometryPlanner:
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """As `geometric_plan`."""
         return geometric_plan(question, self._angle_rad)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """As `straight_path`."""
         return straight_path(question)
 
 
@@ -95,9 +88,7 @@ class KnownPlans:
         self._knows = knows
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """The model's plan where it knows one, else the shape in its reference orientation."""
         return await self._asking.plan(question) if self._knows(question) else plan_by_geometry(question)
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """The model's answer."""
         return await self._asking.step(question)

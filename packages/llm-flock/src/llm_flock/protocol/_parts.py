@@ -1,15 +1,14 @@
 """The exchangeable parts of a robot's decision process, each with a null part that does nothing of its own.
 
-`Parts()` with two rules is the paper's robot: it hears its neighbours, and knows of no team beyond them. The parts that
-do more are `membership.team.TeamMembership`, `motion.safety.ShieldedSafety`, `verification.validator.Validator`, and
-for teams with keys those of `signed.parts`.
+`Parts()` with two rules is the paper's robot. The parts that do more are `TeamMembership`, `ShieldedSafety` and
+`Validator`, and for teams with keys those of `llm_flock_swarm.signed_parts`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import msgspec
 import numpy as np
@@ -28,32 +27,24 @@ from llm_flock.protocol._path_length import next_stop
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 
+if TYPE_CHECKING:
+    from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
+
 NO_COURSES: Mapping[int, Course] = {}
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True):
-    """Positions that a robot observes in a round.
-
-    Attributes:
-        position: the robot's believed position [units; world frame].
-        sensed: believed positions of the robots within sensing range, by id [units; world frame].
-        observed: positions of other robots for the planner's question [units; world frame].
-        drift: displacement of the mission's frame so far [units]; empty if the mission stands still.
-        ahead: displacement at the end of the round, for which goals are given [units]; empty as `drift`.
-        courses: ways that others ask to be left free, by sender.
-        still: bodies in sight that do not move [units; world frame].
-        period: heartbeat period; None where each round counts as one.
-    """
+    """Positions that a robot observes in a round."""
 
     round: int = 1
-    position: Point
-    sensed: Mapping[int, Point]
-    observed: tuple[Point, ...] = ()
-    drift: Point = ()
-    ahead: Point = ()
-    courses: Mapping[int, Course] = NO_COURSES
-    still: tuple[Point, ...] = ()
-    period: int | None = None
+    position: Point  #: The robot's believed position [units; world frame].
+    sensed: Mapping[int, Point]  #: Believed positions of the robots within sensing range, by id [units; world frame].
+    observed: tuple[Point, ...] = ()  #: Positions of other robots for the planner's question [units; world frame].
+    drift: Point = ()  #: Displacement of the mission's frame so far [units]; empty if the mission stands still.
+    ahead: Point = ()  #: Displacement at the end of the round, for which goals are given [units]; empty as `drift`.
+    courses: Mapping[int, Course] = NO_COURSES  #: Ways that others ask to be left free, by sender.
+    still: tuple[Point, ...] = ()  #: Bodies in sight that do not move [units; world frame].
+    period: int | None = None  #: Heartbeat period; None where each round counts as one.
 
     def seen(self, point: Point) -> Point:
         """A point of the world frame in the present frame of the mission."""
@@ -70,15 +61,27 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
         return tuple(self.sensed.values())
 
 
-Gaps: TypeAlias = Literal["report", "replan"]
-"""What to do about slots that no living robot can take."""
+Gaps: TypeAlias = Literal["report", "replan"]  # what to do about slots that no living robot can take
+
+
+class Situation:
+    """What one robot holds true, with positions in the frame of the mission [units]; `Agreement` decides on it."""
+
+    def __init__(self, mission: Mission) -> None:
+        self.mission = mission
+        self.plan: Plan | None = None
+        self.claim = Claim(slot=None)
+        self.position: Point = ()
+        self.sensed: Mapping[int, Point] = {}
+
+    @property
+    def ways(self) -> Roadmap | None:
+        """The ways round obstacles; None where straight lines count, as for a formation that moves."""
+        return self.mission.roadmap if self.mission.velocity is None else None
 
 
 class Membership:
-    """What a robot knows of its team beyond the last messages of its neighbours; this part knows nothing.
-
-    Positions are in the frame of the mission [units].
-    """
+    """What a robot knows of its team beyond the last messages of its neighbours; this part knows nothing."""
 
     @property
     def beats(self) -> tuple[int, ...]:
@@ -87,7 +90,7 @@ class Membership:
 
     @property
     def lost(self) -> bool:
-        """Whether a robot without a place should look for the others."""
+        """Whether a robot without a place has been out of touch for so long that it should look for the others."""
         return False
 
     @property
@@ -101,16 +104,7 @@ class Membership:
     def begin_plan(self) -> None:
         """The robot follows another plan."""
 
-    def begin_round(
-        self,
-        period: int,
-        near: frozenset[int],
-        *,
-        mission: Mission,
-        plan: Plan | None,
-        claim: Claim,
-        cannot_fly: bool,
-    ) -> None:
+    def begin_round(self, period: int, near: frozenset[int], now: Situation, *, cannot_fly: bool) -> None:
         """Begin a round or heartbeat period; robots `near` are sensed within radio range."""
 
     def hear_beats(self, beats: Sequence[NDArray[np.int64]]) -> None:
@@ -122,59 +116,44 @@ class Membership:
     def hear_claims(self, heard: Sequence[Message], plan: Plan | None) -> None:
         """Take note of what the neighbours claim, after a decision; the robot follows `plan`."""
 
-    def report(
-        self, mission: Mission, plan: Plan | None, claim: Claim, position: Point, *, greeting: bool
-    ) -> dict[int, PositionReport] | None:
+    def report(self, now: Situation, *, greeting: bool) -> dict[int, PositionReport] | None:
         """The positions to broadcast; `greeting` is the first broadcast of a round."""
         return None
 
-    def places(self, mission: Mission, plan: Plan | None, *, sees_bodies: bool) -> int | None:
+    def places(self, now: Situation) -> int | None:
         """Number of places of the plan that the robot is to propose now; None while it need not propose."""
-        return mission.n_places if plan is None else None
+        return now.mission.n_places if now.plan is None else None
 
-    def still(self, mission: Mission, sensed: Mapping[int, Point]) -> tuple[Point, ...]:
+    def still(self, now: Situation) -> tuple[Point, ...]:
         """Bodies in sight whose heartbeats have stopped."""
         return ()
 
-    def occupancy(
-        self,
-        mission: Mission,
-        plan: Plan,
-        position: Point,
-        sensed: Mapping[int, Point],
-        *,
-        hears_others: bool,
-        knows_blocked: bool,
-    ) -> Occupancy | None:
-        """What sensors and heartbeats say about the slots of a plan. Call once a round."""
+    def occupancy(self, now: Situation, *, hears_others: bool, knows_blocked: bool) -> Occupancy | None:
+        """What sensors and heartbeats say about the slots of the plan. Call once a round."""
         return None
 
-    def positions(self, mission: Mission, plan: Plan, claim: Claim) -> TeamPositions | None:
+    def positions(self, now: Situation) -> TeamPositions | None:
         """Where the robots are that are to be assigned jointly; None where there is nothing new to assign."""
         return None
 
-    def route(
-        self, mission: Mission, plan: Plan, claim: Claim, here: Point, bodies: Sequence[Point]
-    ) -> tuple[Point | None, Claim, list[Note]]:
-        """The next intermediate target on the way to the claimed place, for a robot that sees these bodies.
+    def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
+        """The next intermediate target on the way to the claimed place, None to fly straight there. Call once a round.
 
-        Without a team to look for, a far place is approached along the formation, where neighbours are. Call once a
-        round.
-
-        Returns:
-            The target, None to fly straight to the place; the claim with what was found out on the way; and notes.
+        Without a team to look for, a far place is approached along the formation, where neighbours are. Also returns
+        the claim with what was found out on the way, and notes.
         """
-        assert claim.slot is not None, "a robot without a place has no way to it"
-        roadmap = mission.roadmap if mission.velocity is None else None
-        return next_stop(here, plan, claim.slot, mission.center, mission.spacing, roadmap), claim, []
+        assert now.plan is not None and now.claim.slot is not None, "a robot without a place has no way to it"
+        mission = now.mission
+        target = next_stop(now.position, now.plan, now.claim.slot, mission.center, mission.spacing, now.ways)
+        return target, now.claim, []
 
-    def seek(self, mission: Mission, here: Point) -> Point | None:
+    def seek(self, now: Situation) -> Point | None:
         """Where a robot looks for the others that is lost, or has no plan; None to wait. Call once a round."""
         return None
 
-    def wait(self, mission: Mission, plan: Plan, claim: Claim, here: Point, others: Sequence[Point]) -> Point:
-        """Where a spare robot waits, with other robots in sight at `others`."""
-        return here
+    def wait(self, now: Situation) -> Point:
+        """Where a spare robot waits."""
+        return now.position
 
 
 class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
@@ -206,17 +185,12 @@ class Safety:
 
 
 class Checker:
-    """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything.
+    """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything."""
 
-    Attributes:
-        verify: whether anything is checked.
-        any_size: whether a plan may have fewer places than the mission, as plans for a smaller team do.
-    """
-
-    verify: bool = False
+    verify: bool = False  #: Whether anything is checked.
 
     def __init__(self, *, any_size: bool = False) -> None:
-        self.any_size = any_size
+        self.any_size = any_size  #: Whether a plan may have fewer places than the mission, as for a smaller team.
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
         """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
@@ -241,20 +215,12 @@ class Checker:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
-    """What one robot is made of. Rules are pure functions; every other part keeps state, and belongs to one robot.
+    """What one robot is made of. Rules are pure functions; every other part keeps state, and belongs to one robot."""
 
-    Attributes:
-        consensus: which plan to follow.
-        assignment: which place of it to claim.
-        channel: between the radio's bytes and the agreement; None for one that believes every well-formed message.
-        membership: who is in the team, and where to look for them.
-        safety: what waypoints become before they are flown.
-        verifier: checks of plans and waypoints.
-    """
-
-    consensus: ConsensusRule = field(default_factory=NoConsensus)
-    assignment: AssignmentRule = field(default_factory=IndexAssignment)
+    consensus: ConsensusRule = field(default_factory=NoConsensus)  #: Which plan to follow.
+    assignment: AssignmentRule = field(default_factory=IndexAssignment)  #: Which place of it to claim.
+    #: Between the radio's bytes and the agreement; None for one that believes every well-formed message.
     channel: Channel | None = None
-    membership: Membership = field(default_factory=Membership)
-    safety: Safety = field(default_factory=Safety)
-    verifier: Checker = field(default_factory=Checker)
+    membership: Membership = field(default_factory=Membership)  #: Who is in the team, and where to look for them.
+    safety: Safety = field(default_factory=Safety)  #: What waypoints become before they are flown.
+    verifier: Checker = field(default_factory=Checker)  #: Checks of plans and waypoints.

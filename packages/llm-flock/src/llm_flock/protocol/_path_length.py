@@ -1,8 +1,7 @@
 """Path lengths to the places of a plan for a robot that stays near the formation.
 
-Across a large ring the straight line is the shortest path, and leads out of every robot's radio range. So a path may
-pass through any places of the plan, and a long hop between two of them counts more than its length: the cheapest path
-then leads along the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
+Across a large ring the straight line leads out of every robot's radio range. So a path may pass through any places, and
+a long hop counts more than its length: the cheapest path leads along the formation. Floyd: Algorithm 97 (CACM 1962).
 """
 
 from __future__ import annotations
@@ -23,24 +22,12 @@ from llm_flock.plan import Plan
 if TYPE_CHECKING:
     from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
-REACH = 1.5
-"""A hop of at most this many spacings counts as long as it is; one k times as long counts k times its length."""
-
-MOST_PLACES = 256
-"""In plans of more places the straight line is used: finding other paths takes the cube of their number."""
-
-FAR = 3.0
-"""A goal this many spacings away is approached along the formation, in stages of at most this length."""
-
-ACROSS = 8.0
-"""A robot in touch with the whole team flies straight, unless its goal is this many spacings away: it would be alone
-for long, where others could move up instead."""
-
-NO_WAY = 1e6
-"""Length that stands for a way that does not exist [units]: longer than any other."""
-
-BESIDE = 0.6
-"""Distance at which robots on such a path pass its places, on the side of the centre [spacings]."""
+REACH = 1.5  # a hop of at most this many spacings counts as long as it is, one k times as long k times its length
+MOST_PLACES = 256  # in larger plans the straight line is used: finding other paths takes the cube of their number
+FAR = 3.0  # a goal this many spacings away is approached along the formation, in stages of at most this length
+ACROSS = 8.0  # a robot in touch flies straight, unless its goal is this many spacings away: it would be alone for long
+NO_WAY = 1e6  # length that stands for a way that does not exist [units]: longer than any other
+BESIDE = 0.6  # distance at which robots on such a path pass its places, on the side of the centre [spacings]
 
 
 def ways(here: Point, places: Points, roadmap: Roadmap | None) -> Vector:
@@ -76,10 +63,7 @@ def _by_places(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None)
 def next_stop(
     here: Point, plan: Plan, slot: int, center: Point, spacing: float, roadmap: Roadmap | None = None
 ) -> Point | None:
-    """The next stop on the path from `here` to a far place, beside a place ahead [units; frame of the plan].
-
-    None where the straight line is the cheapest.
-    """
+    """Beside which place to stop on the path to a far one [units; frame of the plan]; None to fly straight."""
     if len(plan) > MOST_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
     left = _between(plan, spacing, roadmap)[slot]

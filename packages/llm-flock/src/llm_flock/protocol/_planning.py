@@ -12,49 +12,35 @@ from llm_flock.plan import Plan
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanQuestion:
-    """Propose a whole formation and your own place in it.
+    """Propose a whole formation and your own place in it."""
 
-    Attributes:
-        mission: the mission as it stands at the end of this round, with as many places as the plan should have.
-        robot: own id, from 0.
-        round: motion round of the question.
-        position: own believed position [units; world frame].
-        neighbors: believed positions of observed robots, in ascending order of their ids [units; world frame].
-        still: positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
-        probe: whether the planner gets one try only, because its last answers could not be used.
-    """
-
-    mission: Mission
-    robot: int
-    round: int
-    position: Point
+    mission: Mission  #: The mission as it stands at the end of this round, with as many places as the plan should have.
+    robot: int  #: Own id, from 0.
+    round: int  #: Motion round of the question.
+    position: Point  #: Own believed position [units; world frame].
+    #: Believed positions of observed robots, in ascending order of their ids [units; world frame].
     neighbors: tuple[Point, ...]
+    #: Positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
     still: tuple[Point, ...] = ()
-    probe: bool = False
+    probe: bool = False  #: Whether the planner gets one try only, because its last answers could not be used.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepQuestion:
-    """Choose the next waypoint, or several. Fields as in PlanQuestion, and further ones.
-
-    Attributes:
-        plan: the plan that is followed, as it stands at the end of this round.
-        slot: own slot in it; None for a spare robot, which goes to wait at `target`.
-        target: where to go instead of the own place, for example on a search; None otherwise [units; world frame].
-        corner: the next corner of the way there, where obstacles are in between; None otherwise [units; world frame].
-        horizon: largest number of waypoints in the answer, one for each round; 1 is the paper's question.
-    """
+    """Choose the next waypoint, or several. Fields as in PlanQuestion, and further ones."""
 
     mission: Mission
     robot: int
     round: int
     position: Point
     neighbors: tuple[Point, ...]
-    plan: Plan
-    slot: int | None
+    plan: Plan  #: The plan that is followed, as it stands at the end of this round.
+    slot: int | None  #: Own slot in it; None for a spare robot, which goes to wait at `target`.
+    #: Where to go instead of the own place, for example on a search; None otherwise [units; world frame].
     target: Point | None = None
+    #: The next corner of the way there, where obstacles are in between; None otherwise [units; world frame].
     corner: Point | None = None
-    horizon: int = 1
+    horizon: int = 1  #: Largest number of waypoints in the answer, one for each round; 1 is the paper's question.
     probe: bool = False
 
     @property
@@ -91,16 +77,11 @@ class StepAnswer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoAnswer:
-    """The planner could not answer this time.
+    """The planner could not answer this time."""
 
-    Attributes:
-        cause: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
-        reason: the full reason in words, for the record.
-        waypoint: the last waypoint that could be read but was rejected [units; world frame]; None without one.
-    """
-
-    cause: str
-    reason: str
+    cause: str  #: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
+    reason: str  #: The full reason in words, for the record.
+    #: The last waypoint that could be read but was rejected [units; world frame]; None without one.
     waypoint: Point | None = None
 
 

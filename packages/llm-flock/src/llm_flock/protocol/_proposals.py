@@ -16,14 +16,7 @@ from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 
 
 class Proposals:
-    """The plans that one robot proposes. Call `ask` once a round, and `take` with the answer.
-
-    Args:
-        robot: own id.
-        agreement: takes the proposals.
-        parts: its membership knows how many places a plan is to have, its verifier checks plans.
-        fallback: what to do without a usable answer.
-    """
+    """The plans that one robot proposes. Call `ask` once a round, and `take` with the answer."""
 
     def __init__(self, robot: int, agreement: Agreement, parts: Parts, fallback: Fallback) -> None:
         self.breaker = CircuitBreaker("plan", enabled=fallback != "hold")
@@ -42,7 +35,7 @@ class Proposals:
     def ask(self, event: RoundBegan) -> list[AskPlan | Note]:
         """The question for this round, last; without one if no plan is needed, or geometry's stands in for it."""
         agreement, mission = self._agreement, self._agreement.mission
-        places = self._membership.places(mission, agreement.plan, sees_bodies=bool(agreement.bodies))
+        places = self._membership.places(agreement)
         if places is None or not agreement.may_propose(places):
             return []
         self._asked = PlanQuestion(
@@ -97,7 +90,6 @@ class Proposals:
         return [*enlarged, *self._agreement.propose(self._in_frame(question, roomy), by)]
 
     def _in_frame(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
-        """A plan of the world frame in the frame of the mission."""
         mission = self._agreement.mission
         if mission.velocity is None:
             return answer

@@ -9,7 +9,7 @@ import llm_flock
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._membership.gathering import CLOSE, FEW, WAIT, Gathering, heard_when_turned
+from llm_flock.protocol._membership.rendezvous import CLOSE, FEW, WAIT, Gathering, heard_when_turned
 
 LINE = Mission(shape="line", n_robots=7)
 PLAN = Plan.of(LINE.ideal or ())

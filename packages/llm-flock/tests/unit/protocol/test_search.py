@@ -10,6 +10,7 @@ from llm_flock.arrays import Point
 from llm_flock.message import NO_OWNER, BidTable
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._membership.connectivity import APART, REMEMBERED, ConnectivityRecovery
 from llm_flock.protocol._membership.search import (
     LOOKS,
@@ -20,9 +21,20 @@ from llm_flock.protocol._membership.search import (
     Search,
     advance,
 )
+from llm_flock.protocol._parts import Situation
 
 PLAN = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 CENTER = (15.0, 0.0)
+
+
+MISSION = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
+
+
+def situation(owners: BidTable, here: Point, *bodies: Point, slot: int = 0) -> Situation:
+    now = Situation(MISSION)
+    now.plan, now.claim, now.position = PLAN, Claim(slot=slot, table=owners), here
+    now.sensed = dict(enumerate(bodies, 1))
+    return now
 
 
 living = partial(SimpleNamespace, without_plan=set[int](), time_out=10)
@@ -32,21 +44,8 @@ def table(*owners: int) -> BidTable:
     return tuple((0, -1.0 if owner != NO_OWNER else 0.0, owner) for owner in owners)
 
 
-def step(
-    search: Search, x: float, slot: int, owners: BidTable, *, at_goal: bool = True, strangers: int = 1, silent: int = 0
-) -> Search:
-    return advance(
-        search,
-        position=(x, 0.0),
-        plan=PLAN,
-        slot=slot,
-        table=owners,
-        center=CENTER,
-        spacing=10.0,
-        at_goal=at_goal,
-        strangers=strangers,
-        silent=silent,
-    )
+def step(search: Search, x: float, slot: int, owners: BidTable, *, strangers: int = 1, silent: int = 0) -> Search:
+    return advance(search, situation(owners, (x, 0.0), slot=slot), PLAN, strangers=strangers, silent=silent)
 
 
 def rounds_until_off(slot: int, owners: BidTable) -> int:
@@ -74,7 +73,7 @@ def test_the_robot_next_to_a_vacant_place_goes_first() -> None:
 def test_a_robot_on_its_way_does_not_search() -> None:
     search = Search()
     for _ in range(50):
-        search = step(search, 5.0, 2, table(0, 1, 2, NO_OWNER), at_goal=False)
+        search = step(search, 5.0, 2, table(0, 1, 2, NO_OWNER))
     assert search.target is None
 
 
@@ -87,7 +86,7 @@ def test_the_tour_visits_the_nearest_vacant_place_first_and_ends() -> None:
     looked = list[tuple[int, ...]]()
     for x in (0.0, 18.0, 30.0):
         assert search.target is not None
-        search = step(search, x, 1, owners, at_goal=False)
+        search = step(search, x, 1, owners)
         looked.append(search.looked)
     assert search.target is None and looked == [(0,), (2,), (3,)]
 
@@ -96,7 +95,7 @@ def test_new_knowledge_ends_the_tour() -> None:
     search = Search()
     while search.target is None:
         search = step(search, 20.0, 2, table(0, 1, 2, NO_OWNER))
-    assert step(search, 25.0, 2, table(0, 1, 2, 3), at_goal=False).target is None
+    assert step(search, 25.0, 2, table(0, 1, 2, 3)).target is None
 
 
 def off_among_many(slot: int, owners: BidTable) -> Search:
@@ -109,10 +108,10 @@ def off_among_many(slot: int, owners: BidTable) -> Search:
 def test_while_many_are_missing_the_tour_goes_on_until_its_next_place_is_taken() -> None:
     search = off_among_many(1, table(NO_OWNER, 1, NO_OWNER, NO_OWNER))
     assert search.target == (0.0, 0.0)
-    on = step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), at_goal=False, strangers=MANY + 1)
+    on = step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), strangers=MANY + 1)
     assert on.target == search.target
-    assert step(search, 7.0, 1, table(0, 1, NO_OWNER, NO_OWNER), at_goal=False, strangers=MANY + 1).target is None
-    assert step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), at_goal=False, strangers=MANY).target is None
+    assert step(search, 7.0, 1, table(0, 1, NO_OWNER, NO_OWNER), strangers=MANY + 1).target is None
+    assert step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), strangers=MANY).target is None
 
 
 def test_while_many_robots_are_missing_distant_news_do_not_restart_the_wait() -> None:
@@ -164,7 +163,7 @@ def test_the_tour_ends_when_the_last_stranger_is_heard_of() -> None:
     owners, search = table(0, 1, 2, NO_OWNER), Search()
     while search.target is None:
         search = step(search, 20.0, 2, owners)
-    assert step(search, 25.0, 2, owners, at_goal=False, strangers=0).target is None
+    assert step(search, 25.0, 2, owners, strangers=0).target is None
 
 
 def test_for_the_silent_a_short_look_must_do() -> None:
@@ -179,19 +178,8 @@ def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_firs
     for without_plan, silent in ((1, 0), (0, 1)):
         search = Search()
         for _ in range(10):
-            search = advance(
-                search,
-                position=(0.0, 0.0),
-                plan=PLAN,
-                slot=0,
-                table=owners,
-                center=CENTER,
-                spacing=10.0,
-                at_goal=True,
-                strangers=0,
-                silent=silent,
-                without_plan=without_plan,
-            )
+            now = situation(owners, (0.0, 0.0))
+            search = advance(search, now, PLAN, strangers=0, silent=silent, without_plan=without_plan)
             if search.way:
                 break
         ways.append(search.way)
@@ -205,20 +193,19 @@ def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_i
         SimpleNamespace(strangers=set[int](), silent={1}, without_plan=set[int](), present={0, 2, 3}, time_out=10),
     )
     recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)))
-    mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
     owners, (x, y) = table(0, NO_OWNER, 2, 3), PLAN.points[1]
 
     def looks_for(here: Point, *bodies: Point) -> tuple[int, ...]:
-        recovery.route(mission, PLAN, 0, owners, here, bodies=bodies, placed=False)
+        recovery.route(situation(owners, here, *bodies), placed=False)
         return recovery._search.known[1]
 
     assert looks_for(PLAN.points[0], (x, y)) == ()
-    away = (x - 4 * mission.sensing, y)
+    away = (x - 4 * MISSION.sensing, y)
     assert {looks_for(away) for _ in range(REMEMBERED)} == {()}, "it stands there still"
     assert looks_for(away) == (1,), "its witnesses may be too few: somebody else has to come and see it"
     assert looks_for(PLAN.points[0], (x, y)) == ()
     assert looks_for(PLAN.points[0]) == (1,), "it is seen to be gone"
-    assert looks_for((x - 4 * mission.sensing, y)) == (1,)
+    assert looks_for((x - 4 * MISSION.sensing, y)) == (1,)
 
 
 @pytest.mark.parametrize(("liars", "misses"), [(0, True), (1, True), (2, False)])
@@ -228,12 +215,11 @@ def test_robots_that_live_without_a_place_are_missed_unless_they_may_be_liars(li
     live = cast(
         "Any", SimpleNamespace(strangers=nobody, silent=nobody, without_plan=nobody, present={0, 1, 2, 3}, time_out=10)
     )
-    mission = Mission(shape="line", n_robots=4, center=CENTER, arena=((-100.0, -50.0), (100.0, 50.0)))
 
     def looks(rounds: int, *owners: int) -> bool:
         recovery = ConnectivityRecovery(live, cast("Any", SimpleNamespace(waiting=False)), liars)
         for _ in range(rounds):
-            recovery.route(mission, PLAN, 0, table(*owners), PLAN.points[0], bodies=(), placed=False)
+            recovery.route(situation(table(*owners), PLAN.points[0]), placed=False)
         return bool(recovery._search.way)
 
     assert not looks(10 + APART, 0, NO_OWNER, NO_OWNER, 3)
@@ -246,17 +232,5 @@ def test_nobody_is_looked_for_where_a_body_stands() -> None:
     owners = table(0, NO_OWNER, 2, 3)
     search = Search()
     for _ in range(30):
-        search = advance(
-            search,
-            position=(0.0, 0.0),
-            plan=PLAN,
-            slot=0,
-            table=owners,
-            center=CENTER,
-            spacing=10.0,
-            at_goal=True,
-            strangers=1,
-            silent=0,
-            standing={1},
-        )
+        search = advance(search, situation(owners, (0.0, 0.0)), PLAN, strangers=1, silent=0, standing={1})
         assert search.target is None

@@ -8,7 +8,7 @@ import pytest
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol._membership.seeking import ALONE, WAIT, Seeking
+from llm_flock.protocol._membership.search import ALONE, WAIT, Seeking
 
 SMALL = Mission(shape="triangle", n_robots=3)
 MIDDLE = Mission(shape="circle", n_robots=10)

@@ -7,8 +7,7 @@ import pytest
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
-from llm_flock.protocol._membership.occupancy import sight
-from llm_flock.protocol._membership.waiting import CLEARANCE, waiting_place
+from llm_flock.protocol._membership.occupancy import CLEARANCE, sight, waiting_place
 
 MISSION = Mission(shape="line", n_robots=4, places=3)
 PLAN = Plan.of(MISSION.ideal or ())

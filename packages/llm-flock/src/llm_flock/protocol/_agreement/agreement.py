@@ -1,8 +1,4 @@
-"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims.
-
-Everything here happens between motion rounds. Positions are in the frame of the mission, which travels with the centre
-of the formation, so the places of a plan stand still in it.
-"""
+"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims."""
 
 from __future__ import annotations
 
@@ -18,21 +14,18 @@ from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
-from llm_flock.protocol._parts import Parts
+from llm_flock.protocol._parts import Parts, Situation
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer
 
 
-class Agreement:
-    """Mission, plan and claim of one robot, and the decisions about them."""
+class Agreement(Situation):
+    """The decisions of one robot about mission, plan and claim; the places of a plan stand still in its frame."""
 
     def __init__(self, robot: int, mission: Mission, parts: Parts) -> None:
-        self.mission = mission
+        super().__init__(mission)
         self.stamp = MissionStamp(0, mission.digest)
-        self.plan: Plan | None = None
         self.provenance: Provenance | None = None
-        self.claim = Claim(slot=None)
         self.degree = 0
-        self.position: Point = ()
         self._robot = robot
         self._consensus, self._assignment = parts.consensus, parts.assignment
         self._membership, self._verifier = parts.membership, parts.verifier
@@ -43,14 +36,13 @@ class Agreement:
         self.listens = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
-        self._sensed: Mapping[int, Point] = {}
         self._knows_blocked = False
         self._occupancy_due = False
         self._settled: tuple[object, ...] = ()
 
     def sense(self, position: Point, sensed: Mapping[int, Point]) -> None:
         """Take the own believed position and those of sensed robots, by id [units; frame of the mission]."""
-        self.position, self._sensed = position, sensed
+        self.position, self.sensed = position, sensed
 
     def begin_round(self, degree: int) -> None:
         """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
@@ -61,7 +53,7 @@ class Agreement:
     @property
     def bodies(self) -> tuple[Point, ...]:
         """Bodies in sight whose heartbeats have stopped [units; frame of the mission]."""
-        return self._membership.still(self.mission, self._sensed)
+        return self._membership.still(self)
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         """Pursue another mission: plan and claim of the one before are void."""
@@ -73,7 +65,6 @@ class Agreement:
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
     def lack_plan(self, failure: NoAnswer) -> Note:
-        """The own planner has no plan to propose."""
         self._refused_answer = failure if self._verifier.verify else None
         return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
 
@@ -82,20 +73,14 @@ class Agreement:
         return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
-        """Whether this robot may propose a plan with so many places now.
-
-        It proposes once in an epoch. A plan of the last epoch is replaced only by one with more places.
-        """
+        """Whether it may propose a plan of this size now: once in an epoch, in the last only one with more places."""
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False
         last = self.provenance is not None and self.provenance.epoch == MOST_EPOCHS
         return not last or self.plan is None or places > len(self.plan)
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
-        """Follow a plan of one's own, in the mission's frame; its provenance keeps the influence of this moment.
-
-        Nothing happens where no more plans may follow.
-        """
+        """Follow a plan of one's own, if it may propose one; the provenance keeps the influence of this moment."""
         if not self.may_propose(len(answer.plan)):
             return []
         origin = Provenance(
@@ -151,14 +136,8 @@ class Agreement:
     def _assignment_input(self, plan: Plan, *, adopted: bool, heard: list[Message]) -> AssignmentInput:
         occupancy = None
         if self._occupancy_due:
-            occupancy = self._membership.occupancy(
-                self.mission,
-                plan,
-                self.position,
-                self._sensed,
-                hears_others=bool(heard),
-                knows_blocked=self._knows_blocked,
-            )
+            hears, knows = bool(heard), self._knows_blocked
+            occupancy = self._membership.occupancy(self, hears_others=hears, knows_blocked=knows)
         return AssignmentInput(
             robot=self._robot,
             position=self.position,
@@ -167,26 +146,25 @@ class Agreement:
             chosen=self._chosen,
             adopted=adopted,
             heard=[m for m in heard if m.plan == plan],
-            sensed=self._sensed,
+            sensed=self.sensed,
             mission=self.stamp,
             origin=self.provenance,
-            roadmap=self.mission.roadmap if self.mission.velocity is None else None,
+            roadmap=self.ways,
             occupancy=occupancy,
-            positions=self._membership.positions(self.mission, plan, self.claim),
+            positions=self._membership.positions(self),
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
-        `heard` has the newest message of each sender, in ascending order of ids, with its plan resolved; plans of
-        `void` robots do not count. Rules are pure functions, so they are not asked twice in a row with the same
-        arguments.
+        `heard` has the newest message of each sender, in ascending order of ids; plans of `void` robots do not count.
+        Rules are pure, so they are not asked twice in a row with the same arguments.
         """
         self._void, self.listens = void, False
         withdrawn = list[Note]()
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
-        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self._sensed)
+        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self.sensed)
         arguments = (*standing, self._membership.known, *heard)
         due = self._occupancy_due
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):

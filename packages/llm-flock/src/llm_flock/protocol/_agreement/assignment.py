@@ -19,81 +19,54 @@ if TYPE_CHECKING:
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """A robot's slot in its present plan.
+    """A robot's slot in its present plan."""
 
-    Attributes:
-        slot: index of the place, None while the robot has none.
-        table: bid table, all claims as far as known (auction only).
-        bids: this robot's bid for every slot, fixed when it adopted the plan (auction only).
-        offer: the exchange of slots that this robot has offered and is bound to (auction only).
-        bound: communication rounds for which it stays bound to its offer.
-    """
-
-    slot: int | None
-    table: BidTable | None = None
+    slot: int | None  #: Index of the place, None while the robot has none.
+    table: BidTable | None = None  #: Bid table, all claims as far as known (auction only).
+    #: This robot's bid for every slot, fixed when it adopted the plan (auction only).
     bids: tuple[float, ...] | None = None
-    offer: Offer | None = None
-    bound: int = 0
+    offer: Offer | None = None  #: The exchange of slots that this robot has offered and is bound to (auction only).
+    bound: int = 0  #: Communication rounds for which it stays bound to its offer.
 
 
 NONE = frozenset[int]()
 
 
 class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot can say about the slots of a plan.
+    """What a robot can say about the slots of a plan."""
 
-    Attributes:
-        silent: robots whose heartbeats have stopped; their slots are free.
-        blocked: slots that no robot can take, because a body that does not move stands there.
-        clear: slots that certainly have no such body.
-        alive: number of robots that were heard of and are not silent, with this one.
-    """
-
-    silent: frozenset[int] = NONE
-    blocked: frozenset[int] = NONE
-    clear: frozenset[int] = NONE
-    alive: int = MAX_ROBOTS
+    silent: frozenset[int] = NONE  #: Robots whose heartbeats have stopped; their slots are free.
+    blocked: frozenset[int] = NONE  #: Slots that no robot can take, because a body that does not move stands there.
+    clear: frozenset[int] = NONE  #: Slots that certainly have no such body.
+    alive: int = MAX_ROBOTS  #: Number of robots that were heard of and are not silent, with this one.
 
 
 class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that a robot knows when it claims a slot of its plan.
-
-    Attributes:
-        position: own believed position [units; frame of the mission].
-        spacing: wanted distance between neighbouring robots [units].
-        origin: where the plan comes from; None without provenance.
-        roadmap: the ways round obstacles, for lengths; None where straight lines count.
-        chosen: the slot that the robot's own model named, None where the model gave no plan.
-        adopted: whether the plan is another robot's.
-        heard: the newest message of each robot on the same plan, in ascending order of ids.
-        sensed: believed positions of the robots within sensing range, by id [units; frame of the mission].
-        occupancy: what sensors and heartbeats say about the slots; None except once a round.
-        positions: where the robots are that are to be assigned jointly; None where that is not known, or not new.
-        granted: entries that enough robots have signed together; None in a team without keys.
-        precedence: of several slots of its own the robot keeps the one of highest precedence; None without keys.
-        draw: the robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
-        freed: whether this version of a slot was freed by witnesses whom the robot can show; None without keys.
-        exchanges: whether the robot may exchange slots.
-    """
+    """Everything that a robot knows when it claims a slot of its plan."""
 
     robot: int
-    position: Point
+    position: Point  #: Own believed position [units; frame of the mission].
     plan: Plan
-    spacing: float
-    chosen: int | None
-    adopted: bool
-    heard: Sequence[Message]
+    spacing: float  #: Wanted distance between neighbouring robots [units].
+    chosen: int | None  #: The slot that the robot's own model named, None where the model gave no plan.
+    adopted: bool  #: Whether the plan is another robot's.
+    heard: Sequence[Message]  #: The newest message of each robot on the same plan, in ascending order of ids.
+    #: Believed positions of the robots within sensing range, by id [units; frame of the mission].
     sensed: Mapping[int, Point]
     mission: MissionStamp = NO_MISSION
-    origin: Provenance | None = None
-    roadmap: Roadmap | None = None
-    occupancy: Occupancy | None = None
+    origin: Provenance | None = None  #: Where the plan comes from; None without provenance.
+    roadmap: Roadmap | None = None  #: The ways round obstacles, for lengths; None where straight lines count.
+    occupancy: Occupancy | None = None  #: What sensors and heartbeats say about the slots; None except once a round.
+    #: Where the robots are that are to be assigned jointly; None where that is not known, or not new.
     positions: TeamPositions | None = None
-    granted: BidTable | None = None
+    granted: BidTable | None = None  #: Entries that enough robots have signed together; None in a team without keys.
+    #: Of several slots of its own the robot keeps the one of highest precedence; None without keys.
     precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
+    #: The robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
     draw: Callable[[int, int], float] | None = None
+    #: Whether this version of a slot was freed by witnesses whom the robot can show; None without keys.
     freed: Callable[[int, int], bool] | None = None
-    exchanges: bool = True
+    exchanges: bool = True  #: Whether the robot may exchange slots.
 
 
 class AssignmentRule(Protocol):

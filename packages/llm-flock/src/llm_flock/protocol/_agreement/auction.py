@@ -2,24 +2,22 @@
 
 The auction is CBAA: Choi, Brunet, How: Consensus-based decentralized auctions for robust task allocation (IEEE T-RO
 2009). Exchanges follow D-CAPT: Turpin, Michael, Kumar: CAPT: Concurrent assignment and planning of trajectories for
-multiple robots (IJRR 2014), with path lengths instead of distances. Every robot has its own bid table, CBAA's winning
-bids and winning agents, and tables are merged entry by entry.
+multiple robots (IJRR 2014), with path lengths instead of distances. Tables hold CBAA's winning bids and agents.
 """
 
 from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
-from typing import TypeAlias
 
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
-from llm_flock.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Message, Offer
+from llm_flock.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Offer
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._membership.joint import flown_straight, optimal_assignment
 from llm_flock.protocol._membership.occupancy import Occupancy
@@ -27,19 +25,9 @@ from llm_flock.protocol._path_length import path_lengths, ways, ways_to
 
 BID_DECIMALS = 9
 
-Precedence: TypeAlias = Callable[[int, BidEntry], tuple[int, int]]
-Draw: TypeAlias = Callable[[int, int], float]
-Freed: TypeAlias = Callable[[int, int], bool]
-
-SWAP_GAIN = 0.01
-"""An exchange must lower the sum of the squared path lengths by at least this share of the squared spacing."""
-
-BOUND_ROUNDS = 4
-"""Communication rounds for which an offer binds its maker; an answer takes two where nothing is lost."""
-
-
-LAST_EXCHANGED = 2**34
-"""A slot of this version or a higher one is not exchanged: two that lie could else raise it above every number."""
+SWAP_GAIN = 0.01  # an exchange must lower the sum of squared path lengths by this share of the squared spacing
+BOUND_ROUNDS = 4  # communication rounds for which an offer binds its maker; an answer takes two where nothing is lost
+LAST_EXCHANGED = 2**34  # from this version on no slot is exchanged: two that lie could else raise it above every number
 
 
 def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
@@ -49,10 +37,7 @@ def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
 
 
 def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -> BidTable:
-    """Slot by slot the claim of higher rank; associative, commutative and idempotent.
-
-    `said` are the slots of `theirs` that matter, where that is known.
-    """
+    """Slot by slot the claim of higher rank, of the slots `said` if given; associative, commutative and idempotent."""
     return merged(mine, [(theirs, said)])[0]
 
 
@@ -133,9 +118,9 @@ class AuctionAssignment:
             slot = claim.slot
         else:
             among = touched if claim.slot is None else touched | {claim.slot}
-            table, slot = keep_one(now.robot, table, among, now.precedence)
+            table, slot = _keep_one(now, table, among)
             if slot is None and offer is None:
-                table, slot = best_won(now.robot, bids, table, before=claim.slot, draw=now.draw, freed=now.freed)
+                table, slot = _best_won(now, bids, table, before=claim.slot)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
@@ -173,14 +158,9 @@ def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
-def keep_one(
-    robot: int, table: BidTable, among: Iterable[int], precedence: Precedence | None = None
-) -> tuple[BidTable, int | None]:
-    """Of several slots owned, keep the one of highest version, bid and lowest index, and release the rest.
-
-    It may own slots of `among`: its own one of before, and those that have changed since. Signed claims have a
-    `precedence` that every robot knows, and any slot may be its own; those that do not count are then freed together.
-    """
+def _keep_one(now: AssignmentInput, table: BidTable, among: Iterable[int]) -> tuple[BidTable, int | None]:
+    """Of slots owned (of `among`), keep that of highest version, bid and lowest index, or of signed precedence."""
+    robot, precedence = now.robot, now.precedence
     if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
         return table, max(every, key=lambda a: precedence(a, table[a]), default=None)
@@ -189,30 +169,24 @@ def keep_one(
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def best_won(
-    robot: int,
-    bids: tuple[float, ...],
-    table: BidTable,
-    *,
-    before: int | None = None,
-    draw: Draw | None = None,
-    freed: Freed | None = None,
+def _best_won(
+    now: AssignmentInput, bids: tuple[float, ...], table: BidTable, before: int | None
 ) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
 
-    Witnesses who have not heard of a robot for too long free its slot. It stays there, instead of taking another that
-    its owner may return to. The bid for a slot of a version above 0 is `draw`'s, if given. Where no slot can be had
-    otherwise, it outbids the owner of one that was `freed` at such a version: with lots, whoever claims first has no
-    right to it, or liars that are told first could keep slots from everybody.
+    Where witnesses have freed its slot, it stays there, instead of taking another that its owner may return to. With
+    lots drawn, it outbids the owner of a slot that was freed where no other can be had: whoever claims first has no
+    right to it, or liars could keep slots from everybody.
     """
+    robot, draw, freed = now.robot, now.draw, now.freed
     if before is not None and table[before][2] == NO_OWNER:
         version = table[before][0]
-        return changed(table, {before: (version, _bid(bids, before, version, draw), robot)}), before
+        return changed(table, {before: (version, _bid(now, bids, before, version), robot)}), before
     for a in _preferred(bids):
         version, bid, owner = table[a]
         # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
         if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
-            return changed(table, {a: (version, _bid(bids, a, version, draw), robot)}), a
+            return changed(table, {a: (version, _bid(now, bids, a, version), robot)}), a
     if draw is None or freed is None:
         return table, None
     for a in _preferred(bids):
@@ -224,9 +198,8 @@ def best_won(
     return table, None
 
 
-def _bid(bids: tuple[float, ...], slot: int, version: int, draw: Draw | None) -> float:
-    """A robot's bid for a version of a slot."""
-    return bids[slot] if draw is None or version == 0 else draw(slot, version)
+def _bid(now: AssignmentInput, bids: tuple[float, ...], slot: int, version: int) -> float:
+    return bids[slot] if now.draw is None or version == 0 else now.draw(slot, version)
 
 
 @lru_cache(maxsize=1024)
@@ -236,10 +209,7 @@ def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
 
 
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """By how much exchanging slots with a robot at `there` lowers the sum of the squared path lengths [units^2].
-
-    Paths lead along the formation, or, if `straight`, only round obstacles.
-    """
+    """How much an exchange with a robot at `there` lowers the sum of squared ways [units^2], straight or by places."""
 
     def left(here: Point) -> list[float]:
         if straight:
@@ -281,7 +251,7 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
         return None
     _, minus_sender, offer = max(good, key=lambda item: item[:2])
     assert claim.bids is not None
-    bid = _bid(claim.bids, offer.give, offer.give_version + 1, now.draw)
+    bid = _bid(now, claim.bids, offer.give, offer.give_version + 1)
     exchanged: dict[int, BidEntry] = {
         offer.give: (offer.give_version + 1, bid, now.robot),
         offer.take: (offer.take_version + 1, offer.bid, -minus_sender),
@@ -293,8 +263,7 @@ def _offered(claim: Claim, now: AssignmentInput) -> Claim:
     """Offer the best exchange to a neighbour without an offer, if one is good enough."""
     table, slot = claim.table or (), claim.slot
     assert slot is not None and claim.bids is not None
-    best: tuple[float, int] | None = None
-    chosen: Message | None = None
+    good: list[tuple[float, int, int]] = []
     for message in now.heard:
         theirs = message.slot
         if theirs is None or theirs == slot or message.offer is not None or table[theirs][2] != message.sender:
@@ -302,16 +271,17 @@ def _offered(claim: Claim, now: AssignmentInput) -> Claim:
         if max(table[theirs][0], table[slot][0]) >= LAST_EXCHANGED:
             continue
         worth = _worth(claim, now, message.sender, theirs)
-        if worth >= SWAP_GAIN * now.spacing**2 and (best is None or (worth, -message.sender) > best):
-            best, chosen = (worth, -message.sender), message
-    if chosen is None or chosen.slot is None:
+        if worth >= SWAP_GAIN * now.spacing**2:
+            good.append((worth, -message.sender, theirs))
+    if not good:
         return claim
+    _, minus_sender, take = max(good)
     offer = Offer(
-        to=chosen.sender,
+        to=-minus_sender,
         give=slot,
-        take=chosen.slot,
+        take=take,
         give_version=table[slot][0],
-        take_version=table[chosen.slot][0],
-        bid=_bid(claim.bids, chosen.slot, table[chosen.slot][0] + 1, now.draw),
+        take_version=table[take][0],
+        bid=_bid(now, claim.bids, take, table[take][0] + 1),
     )
     return replace(claim, offer=offer, bound=BOUND_ROUNDS)

@@ -17,19 +17,12 @@ TieBreak: TypeAlias = Literal["lowest", "highest"]
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
-    """A robot's own side of the comparison.
+    """A robot's own side of the comparison."""
 
-    Attributes:
-        plan: the plan that it follows, None before it has one.
-        provenance: origin of that plan.
-        degree: number of robots within its radio range, that is N times its influence (paper, eq. 1).
-        plan_class: class of that plan (`verification.plans.PlanClass`); 0 where nothing is checked.
-    """
-
-    plan: Plan | None
-    provenance: Provenance | None
-    degree: int
-    plan_class: int = 0
+    plan: Plan | None  #: The plan that it follows, None before it has one.
+    provenance: Provenance | None  #: Origin of that plan.
+    degree: int  #: Number of robots within its radio range, that is N times its influence (paper, eq. 1).
+    plan_class: int = 0  #: Class of that plan (`verification.plans.PlanClass`); 0 where nothing is checked.
 
 
 class ConsensusRule(Protocol):

@@ -10,27 +10,18 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.events import MissionGiven, Note
-from llm_flock.message import Course, Message, MissionStamp, PositionReport, received_mission
+from llm_flock.message import Course, Message, MissionStamp, received_mission, time_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.agreement import Agreement
-from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._messages.channel import Channel, Inbound
 from llm_flock.protocol._messages.dissemination import Dissemination
 from llm_flock.protocol._parts import Parts
 
-REMEMBERED_PAYLOADS = 256
-"""Most payloads of a round whose meaning is kept. Neighbours repeat themselves in most communication rounds; applying
-their payloads once a round saves a tenth of a large team's time."""
-
-MOST_BAD_PLANS = 8
-"""Plans of one sender that may fail verification in a round; then no more of them are verified, which takes time."""
-
-COURSE_ROUNDS = 2
-"""Rounds for which a course counts after its sender was last heard: messages get lost."""
-
-REMEMBERED_REFUSALS = 1024
-"""Most refused plans that are remembered, so that a flood of plans costs bounded memory."""
+REMEMBERED_PAYLOADS = 256  # most payloads of a round whose meaning is kept: neighbours repeat themselves
+MOST_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
+COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard: messages get lost
+REMEMBERED_REFUSALS = 1024  # most refused plans that are remembered, so that a flood of plans costs bounded memory
 
 
 class Messaging:
@@ -38,7 +29,7 @@ class Messaging:
 
     def __init__(self, robot: int, agreement: Agreement, parts: Parts) -> None:
         self._robot, self._agreement = robot, agreement
-        self._channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
+        self.channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
         self._membership, self._verifier = parts.membership, parts.verifier
         self.courses: dict[int, Course] = {}  # ways that others ask to be left free, by sender
         self._heard_ago: dict[int, int] = {}
@@ -53,12 +44,7 @@ class Messaging:
     @property
     def rejected(self) -> Counter[str]:
         """Messages and claims refused so far, by reason."""
-        return self._refused + self._channel.rejected
-
-    @property
-    def order(self) -> bytes:
-        """The operator's signature on the mission in force; empty for the first one, and without keys."""
-        return self._channel.order
+        return self._refused + self.channel.rejected
 
     def begin_round(self) -> None:
         """Begin a round: neighbours have come and gone."""
@@ -72,17 +58,7 @@ class Messaging:
     def broadcast(self, course: Course | None = None) -> bytes:
         """This robot's knowledge as bytes, with the way it asks for. Call once in each communication round."""
         agreement, claim = self._agreement, self._agreement.claim
-        positions = self._membership.report(
-            agreement.mission, agreement.plan, claim, agreement.position, greeting=self._dissemination.greets
-        )
-        standing = agreement.degree, agreement.stamp, agreement.plan, agreement.provenance, claim, course
-        payload = self._dissemination.unchanged(*standing)
-        if payload is None or positions is not None:
-            payload = self._compose(claim, course, positions)
-        return self._channel.seal(payload)
-
-    def _compose(self, claim: Claim, course: Course | None, positions: dict[int, PositionReport] | None) -> bytes:
-        agreement = self._agreement
+        positions = self._membership.report(agreement, greeting=self._dissemination.greets)
         whole = Message(
             sender=self._robot,
             sequence=0,
@@ -97,7 +73,7 @@ class Messaging:
             beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
         )
-        return self._dissemination.compose(whole, claim.table, agreement.mission)
+        return self.channel.seal(self._dissemination.compose(whole, claim.table, agreement.mission))
 
     def receive(self, payload: bytes, sender: int | None = None) -> list[Note]:
         """Verify and decode a payload, then apply its mission, its heartbeats, its positions, its plan and claim."""
@@ -106,7 +82,7 @@ class Messaging:
             self._keep(repeated)
             return []
         try:
-            inbound = self._channel.open(payload, sender)
+            inbound = self.channel.open(payload, sender)
             notes = self._apply_mission(inbound)
         except MessageError as error:
             return [self._reject(error)]
@@ -121,18 +97,14 @@ class Messaging:
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
-        """Take a mission of higher stamp, if it is spelled out and leaves alone what belongs to this robot.
-
-        Raises:
-            MessageError: the mission is refused, and with it the message: its sender belongs to another team.
-        """
+        """Take a mission of higher stamp, if it is spelled out; a MessageError refuses it with the message."""
         message, agreement = inbound.message, self._agreement
         if message.mission <= agreement.stamp or message.mission_text is None:
             return []
         # The signature first: to read a mission takes many times as long.
-        self._channel.check_mission(message.mission, inbound.authorization)
+        self.channel.check_mission(message.mission, inbound.authorization)
         mission = received_mission(message, agreement.mission)
-        self._channel.keep_order(inbound.authorization)
+        self.channel.keep_order(inbound.authorization)
         return [self._begin_mission(mission, message.mission)]
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
@@ -180,14 +152,12 @@ class Messaging:
         stamp = MissionStamp(order.ordered_at if signed is None else signed.counter, order.mission.digest)
         try:
             if stamp <= current:  # first: an older signature must not replace that of the mission in force
-                from llm_flock.message import time_text
-
                 later = f"an order of {time_text(current.counter)} is in force, this one is of"
                 raise MessageError("old_mission", f"{later} {time_text(stamp.counter)}")
-            self._channel.check_mission(stamp, signed)
+            self.channel.check_mission(stamp, signed)
         except MessageError as error:
             return self._reject(error)
-        self._channel.keep_order(signed)
+        self.channel.keep_order(signed)
         return self._begin_mission(order.mission, stamp)
 
     def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
@@ -196,17 +166,9 @@ class Messaging:
         self._dissemination.forget_plans()
         return self._agreement.begin_mission(mission, stamp)
 
-    @property
-    def void(self) -> frozenset[int]:
-        """Robots whose plans for the mission in force do not count; without keys there are none."""
-        return self._channel.void(self._agreement.stamp)
-
     def drain(self) -> list[Message]:
-        """The newest message of each sender in this communication round, in ascending order of senders.
-
-        Call once before a decision: it counts the heartbeats of all messages.
-        """
-        heard = self._channel.hold([self._newest[sender] for sender in sorted(self._newest)])
+        """The newest message of each sender, in ascending order. Call once before a decision: it counts heartbeats."""
+        heard = self.channel.hold([self._newest[sender] for sender in sorted(self._newest)])
         self._membership.hear_beats(self._beats)
         for message in heard:
             self._heard_ago.pop(message.sender, None)

@@ -3,35 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 from llm_flock.arrays import Point
 from llm_flock.events import Note
 from llm_flock.message import NO_OWNER, BidTable
 from llm_flock.metrics import AT_GOAL
-from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._membership.gathering import Gathering
 from llm_flock.protocol._membership.joint import JointAssignment, given_jointly
 from llm_flock.protocol._membership.liveness import Liveness
-from llm_flock.protocol._membership.rendezvous import NEAR, meeting_places, meeting_point
+from llm_flock.protocol._membership.rendezvous import NEAR, Gathering, meeting_places, meeting_point
 from llm_flock.protocol._membership.search import MANY, Search, advance
+from llm_flock.protocol._parts import Situation
 from llm_flock.protocol._path_length import ACROSS, next_stop
 
-REMEMBERED = 30
-"""Rounds for which a body that is out of sight is taken to stand at a place: after that it is looked at again."""
-
-
-APART = 3
-"""Rounds beyond the time-out for which living robots must have no place, while some are vacant, before they are missed.
-A team in touch gives vacant places to them within a few rounds, and those that have died turn out to be silent."""
+REMEMBERED = 30  # rounds for which a body out of sight is taken to stand at a place: then it is looked at again
+APART = 3  # rounds beyond the time-out without a place, while some are vacant, after which living robots are missed
 
 
 class ConnectivityRecovery:
-    """Keeps one robot in touch with its team, or finds robots that it misses.
-
-    Of living robots without a place, `liars` are not missed: they may want none.
-    """
+    """Keeps a robot in touch with its team. Of living robots without a place `liars` may want none."""
 
     def __init__(self, liveness: Liveness, joint: JointAssignment, liars: int = 0) -> None:
         self._liveness, self._joint, self._search = liveness, joint, Search()
@@ -44,25 +34,13 @@ class ConnectivityRecovery:
         """Whether the search for missing robots has ended without success."""
         return self._search.given_up
 
-    def route(
-        self,
-        mission: Mission,
-        plan: Plan,
-        slot: int,
-        table: BidTable | None,
-        here: Point,
-        *,
-        bodies: Sequence[Point],
-        placed: bool,
-    ) -> tuple[Point | None, tuple[int, ...], list[Note]]:
-        """The next intermediate target from `here` [units; frame of the mission]. Call once a round.
+    def route(self, now: Situation, *, placed: bool) -> tuple[Point | None, tuple[int, ...], list[Note]]:
+        """The next target, None to fly straight; slots just visited without meeting a robot; notes. Call once a round.
 
-        `table` is None with a rule that has no bid table; `bodies` are the other robots in sight [units; frame of the
-        mission]; `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
-
-        Returns:
-            The target, None to fly straight to the place; vacant slots just visited without meeting a robot; and notes.
+        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
         """
+        mission, plan, slot, table, here = now.mission, now.plan, now.claim.slot, now.claim.table, now.position
+        assert plan is not None and slot is not None, "a robot without a place has no way to it"
         live, waiting = self._liveness, self._joint.waiting and not placed
         point = meeting_point(mission, plan, here, self._joint.others) if waiting else None
         if point is not None:
@@ -73,70 +51,53 @@ class ConnectivityRecovery:
         if table is not None and not self.given_up and len(live.strangers) + len(live.silent) > MANY:
             places = meeting_places(mission, plan, table)
         if table is not None and places is plan and not self.given_up:
-            strangers, alone = len(live.strangers), not bodies
+            strangers, alone = len(live.strangers), not now.sensed
             point = self._gathering.target(mission, plan, slot, here, strangers=strangers, alone=alone)
             if point is not None:
                 return point, (), []
-        notes = [] if table is None else self._look_for_others(mission, places, slot, table, here, bodies)
+        notes = [] if table is None else self._look_for_others(now, places, slot, table)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_jointly(table, slot) and (live.strangers or live.silent or lonely):
-            roadmap = mission.roadmap if mission.velocity is None else None
-            target = next_stop(here, places, slot, mission.center, mission.spacing, roadmap)
+            target = next_stop(here, places, slot, mission.center, mission.spacing, now.ways)
         if target is None and places is not plan:
             target = places.points[slot]
         return target, self._search.looked, notes
 
-    def _standing_at(
-        self, mission: Mission, places: Plan, table: BidTable, here: Point, bodies: Sequence[Point]
-    ) -> set[int]:
-        """Slots without an owner on which a body stands, or stood when it was last in sight.
-
-        Whoever goes away from a body to look elsewhere does not begin another search for it.
-        """
-        near = AT_GOAL * mission.spacing
+    def _standing_at(self, now: Situation, places: Plan, table: BidTable) -> set[int]:
+        """Slots without owner on which a body stands, or stood when last in sight, so that no search begins anew."""
+        near, bodies = AT_GOAL * now.mission.spacing, now.sensed.values()
         free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
         known = self._standing[1] if self._standing[0] == places.digest else {}
         seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
         hidden = {
             a: since + 1
             for a, since in known.items()
-            if since < REMEMBERED and math.dist(places.points[a], here) > mission.sensing
+            if since < REMEMBERED and math.dist(places.points[a], now.position) > now.mission.sensing
         }
         self._standing = places.digest, {a: since for a, since in (hidden | seen).items() if a in free}
         return {*self._standing[1]}
 
     def _apart(self, slot: int, table: BidTable) -> frozenset[int]:
-        """Robots that live, but own none of the places although some are vacant: they seem to be on another plan.
-
-        Only heartbeats of theirs get through. Call once a round.
-        """
+        """Robots of which only heartbeats get through: they own no place though some are vacant. Call once a round."""
         owners = {owner for _, _, owner in table}
         without = self._liveness.present - owners - {table[slot][2]}
         missed = NO_OWNER in owners and len(without) > self._liars
         self._apart_for = self._apart_for + 1 if missed else 0
         return without if self._apart_for > self._liveness.time_out + APART else frozenset()
 
-    def _look_for_others(
-        self, mission: Mission, places: Plan, slot: int, table: BidTable, here: Point, bodies: Sequence[Point]
-    ) -> list[Note]:
+    def _look_for_others(self, now: Situation, places: Plan, slot: int, table: BidTable) -> list[Note]:
         """Begin, continue or end the search for robots in vacant slots."""
         live, before, apart = self._liveness, self._search, self._apart(slot, table)
         missed = live.strangers or live.silent or apart
-        standing = self._standing_at(mission, places, table, here, bodies) if missed else set[int]()
         self._search = search = advance(
             before,
-            position=here,
-            plan=places,
-            slot=slot,
-            table=table,
-            center=mission.center,
-            spacing=mission.spacing,
-            at_goal=math.dist(here, places.points[slot]) <= AT_GOAL * mission.spacing,
+            now,
+            places,
             strangers=len(live.strangers),
             silent=len(live.silent - live.without_plan),
             without_plan=len(live.silent & live.without_plan) + len(apart),
-            standing=standing,
+            standing=self._standing_at(now, places, table) if missed else (),
         )
         notes = list[Note]()
         if bool(before.way) != bool(search.way):

@@ -1,18 +1,8 @@
 """Joint assignment: robots in touch report positions, and one that knows enough of them assigns all their slots.
 
-Auctions and exchanges place robots one by one, while all fly. So each robot reports its position and passes on the
-reports that it hears. Whoever knows more robots than its bid table places computes the assignment of all these with the
-smallest sum of squared distances, as C-CAPT does in one place (Turpin, Michael, Kumar: CAPT: Concurrent assignment and
-planning of trajectories for multiple robots, IJRR 2014), and writes it into its table. When two pieces of the team
-meet, both know more robots than before, and the assignment of both follows.
-
-The version of these claims is the number of robots that they place, and below that a digest of the positions: so of two
-tables the one that places more wins as a whole, and of two that place as many the same one everywhere. The table is
-merged like any other, and a robot without a slot, or with several, proceeds as usual.
-
-In a team of more than `MANY` robots it would be much traffic to report anew in each round, and much computation to
-assign every piece. There the whole team is assigned at once: from the positions at the start of the mission, or, where
-it is in pieces, from those at which its robots wait for each other (`llm_flock.protocol._membership.rendezvous`).
+As C-CAPT (Turpin, Michael, Kumar, IJRR 2014); see membership.md in the docs. The version of these claims is the number
+of robots that they place, and below that a digest of the positions: of two tables the one that places more wins as a
+whole, and of two that place as many the same one everywhere.
 """
 
 from __future__ import annotations
@@ -35,31 +25,14 @@ from llm_flock.protocol._membership.search import MANY
 from llm_flock.protocol._path_length import ways
 from llm_flock.roadmap import Roadmap
 
-ROUNDS = 8
-"""Rounds of a mission in which a large team passes on positions at the start; after that they are out of date."""
-
-SECOND = 0.15
-"""Waiting robots are assigned from the positions that they mark in the round that is this share of the team size. By
-then most robots of a ring have reached its circle, and the others mark the point at which they will reach it. A mark
-does not change any more, so that all robots compute the same table."""
-
-LARGEST = 256
-"""Larger teams do not wait: the traffic grows with the square of the team size."""
-
-VERSION = 2**22
-"""Version of a joint assignment for each robot that it places: above all earlier claims."""
-
-DIGESTS = 2**16
-"""Number of digests; two joint assignments of as many robots share one by chance, and are then sorted out by bids."""
-
-DECIMALS = 2
-"""Decimals of reported positions."""
-
-MOVED = 0.1
-"""A waiting robot reports its position again when it has moved by this share of the spacing."""
-
-PATIENCE = 16
-"""Rounds without news of a robot that was unknown after which a robot stops to wait, or to report positions."""
+ROUNDS = 8  # rounds of a mission in which a large team passes on positions at the start; then they are out of date
+SECOND = 0.15  # share of the team size after which waiting robots mark, for good, where they wait, for one table
+LARGEST = 256  # larger teams do not wait: the traffic grows with the square of the team size
+VERSION = 2**22  # version of a joint assignment for each robot that it places: above all earlier claims
+DIGESTS = 2**16  # two joint assignments of as many robots that share one by chance are sorted out by bids
+DECIMALS = 2  # decimals of reported positions
+MOVED = 0.1  # a waiting robot reports its position again when it has moved by this share of the spacing
+PATIENCE = 16  # rounds without news of an unknown robot after which a robot stops to wait, or to report positions
 
 
 class JointAssignment:
@@ -104,7 +77,6 @@ class JointAssignment:
         return [where for robot, (_, where, _) in self.known.items() if robot != self._robot]
 
     def begin_round(self) -> None:
-        """Count a round."""
         self._round += 1
         self._waited += not self._large
         if self._large and (self._round == ROUNDS + 1 or not self.collecting):
@@ -136,10 +108,7 @@ class JointAssignment:
     ) -> dict[int, PositionReport] | None:
         """The reports to broadcast: new ones, and all that are known in the `greeting`, the first broadcast of a round.
 
-        The own report is of the own position [units; frame of the mission], while waiting of where the robot waits.
-
-        Returns:
-            None where there is nothing to say: the table places all robots, or there is no circle to wait on.
+        None where there is nothing to say: the table places all robots, or there is no circle to wait on.
         """
         if not self.collecting or placed(table) >= self._n:
             self._news = {}
@@ -163,10 +132,7 @@ class JointAssignment:
     def positions(
         self, mission: Mission, plan: Plan, table: BidTable | None, silent: Collection[int]
     ) -> TeamPositions | None:
-        """Where the known robots are that live, if they are more than the table of this plan places; else None.
-
-        In a small team a robot of which nothing new was heard is taken to have flown on to its place.
-        """
+        """Where the living are that are known, moved on by now, if they are more than the table places; else None."""
         if not self.collecting or (self._large and len(self.known) < self._n):
             return None
         ids = sorted(self.known.keys() - silent)
@@ -203,10 +169,7 @@ def _towards(here: Point, goal: Point, longest: float) -> Point:
 
 @lru_cache(maxsize=64)
 def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None) -> BidTable:
-    """The bid table with the smallest sum of squared lengths of ways, round obstacles where there is a roadmap.
-
-    With more robots than places some robots get no slot; with fewer, some slots stay free.
-    """
+    """The bid table with the smallest sum of squared ways; robots without a slot, or free slots, may be left."""
     version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)

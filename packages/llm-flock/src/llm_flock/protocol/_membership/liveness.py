@@ -1,9 +1,6 @@
-"""Which robots are alive: heartbeats that every robot passes on, so that a robot out of range does not count as dead.
+"""Which robots are alive: heartbeats that every robot passes on, merged by the element-wise maximum.
 
-A gossip-style failure detector (van Renesse, Minsky, Hayden: A gossip-style failure detection service, Middleware
-1998). Every robot counts its own rounds; counters travel with the messages and are merged by the element-wise maximum.
-A robot whose counter has stood still for longer than the time-out is silent: dead, or cut off together with all robots
-that hear it. This is only a suspicion: a robot suspected wrongly is heard of again, and alive again.
+A gossip-style failure detector (van Renesse, Minsky, Hayden, Middleware 1998). Silence is only a suspicion.
 """
 
 from __future__ import annotations
@@ -13,36 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-CANNOT_FLY, NO_PLAN = 1, 2
-"""States that a heartbeat tells of its robot, to be added: geometry flies it because its model's answers are unusable;
-it follows no plan."""
-
-PER_BEAT = 4
-"""A heartbeat is the robot's own count times this, plus its state: the maximum of two heartbeats is the newer one with
-the state of that time."""
-
-BODY = 1
-"""Heartbeat of a robot of which only a body was ever sensed: other robots hear of it and need not search for it. That
-of a robot that is awake is higher."""
-
-FEW = 20
-"""In a team of at most this size, heartbeats reach every robot well within the time-out."""
-
-ROUNDS_PER_ROBOT = 0.6
-"""Additional rounds of time-out for each further robot. Heartbeats are passed on once a round: when a cluster
-spreads out into a ring of N, where the farthest robot is N / 2 hops away, they arrive late by nearly as many rounds."""
-
-
-GAP_WEIGHT = 0.1
-"""Weight of the newest gap between two heartbeats of a robot in their average."""
-
-GAPS = 8.0
-"""The time-out of a robot whose heartbeats get through rarely is longer by this many times the rounds that are left out
-between two of them on average: where most messages are lost, silence proves little (Hayashibara et al. 2004, the phi
-accrual failure detector)."""
-
-LONGEST = 5
-"""Longest time-out, as a multiple of the configured one."""
+CANNOT_FLY, NO_PLAN = 1, 2  # states in a heartbeat, to be added: geometry flies the robot; it follows no plan
+PER_BEAT = 4  # a heartbeat is the own count times this, plus the state: of two the maximum is the newer one
+BODY = 1  # heartbeat of a robot of which only a body was ever sensed; that of one that is awake is higher
+FEW = 20  # in a team of at most this size, heartbeats reach every robot well within the time-out
+ROUNDS_PER_ROBOT = 0.6  # more rounds of time-out for each further robot: heartbeats travel one hop a round
+GAP_WEIGHT = 0.1  # weight of the newest gap between two heartbeats of a robot in their average
+GAPS = 8.0  # times the rounds left out between heartbeats: rare ones prove little (phi accrual, Hayashibara 2004)
+LONGEST = 5  # longest time-out, as a multiple of the configured one
 
 
 def patience(time_out: int, n_robots: int) -> int:
@@ -51,13 +26,7 @@ def patience(time_out: int, n_robots: int) -> int:
 
 
 class Liveness:
-    """The heartbeats of the team that one robot knows.
-
-    `silent` robots were heard of and no longer are, `strangers` never were. A stranger whose body stayed within radio
-    range for the time-out without being heard is silent too. A counter may stand still for `time_out` rounds, in a
-    large team for more (`patience`): the attribute is for this team. And for more where heartbeats get through rarely
-    (`GAPS`).
-    """
+    """The heartbeats that one robot knows: `silent` ones were heard of, `strangers` never, nor seen mute nearby."""
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
         self._robot = robot
@@ -74,12 +43,10 @@ class Liveness:
 
     @property
     def beats(self) -> tuple[int, ...]:
-        """The highest heartbeat known of each robot, by id."""
         return tuple(self._beats.tolist())
 
     @property
     def alive(self) -> int:
-        """Number of robots that count as alive, this one included."""
         return len(self._beats) - len(self.silent) - len(self.strangers)
 
     @property
@@ -89,11 +56,7 @@ class Liveness:
 
     @property
     def living(self) -> frozenset[int]:
-        """Robots whose counter has advanced since they were first heard of, and which are not silent.
-
-        A counter alone is no sign of life: late joiners also hear the counters of dead robots. A robot that died may
-        stay in this set for up to the time-out.
-        """
+        """Robots, not silent, whose counter has advanced since: late joiners also hear the counters of dead robots."""
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
     @property
@@ -111,10 +74,7 @@ class Liveness:
         return frozenset(np.flatnonzero(found).tolist()) - {self._robot}
 
     def begin_round(self, round_number: int, near: frozenset[int], state: int = 0) -> None:
-        """Count a heartbeat of one's own, with its state, and find counters that have stood still for too long.
-
-        `near` are the robots that are sensed within radio range.
-        """
+        """Count a heartbeat with its state, and find counters that stood still; `near` are sensed in radio range."""
         self._round = round_number
         self._beats[self._robot] = (self._beats[self._robot] // PER_BEAT + 1) * PER_BEAT + state
         self._advanced[self._robot] = round_number
@@ -126,11 +86,7 @@ class Liveness:
         self._look()
 
     def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
-        """Merge the counters of a communication round's messages, each of shape (N,).
-
-        A robot that was restarted, and hears of its own former life, counts on from there: otherwise its new heartbeats
-        would go unnoticed.
-        """
+        """Merge counters, each of shape (N,). A robot counts on from those of its own former life, to be noticed."""
         if not heard:
             return
         highest = heard[0]

@@ -1,14 +1,4 @@
-"""Rendezvous of a large team that is still in pieces.
-
-Each piece has its own plan, and the same shape in another orientation has its places elsewhere: the corners of one
-square are far from the sides of another, so pieces at their places do not meet. The circle around the centre with the
-mean radius of the places is the same in every orientation. So while less than half of a plan's slots have owners, a
-robot goes to the point of that circle nearest to its place, and looks for others along it.
-
-In the plane, a large team whose joint assignment (`llm_flock.protocol._membership.joint`) does not
-place all robots after the first rounds does more: its robots wait near that circle and spread out along it until it is
-closed. Then every robot hears of every other, and all slots are assigned at once.
-"""
+"""Where the pieces of a team meet, on a circle or at the centre: see "Gathering" and "Rendezvous" in membership.md."""
 
 from __future__ import annotations
 
@@ -18,33 +8,25 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
+import scipy
 
+from llm_flock import shapes as formations
 from llm_flock.arrays import Point
 from llm_flock.message import NO_OWNER, BidEntry
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
 
-HOLLOW = 0.5
-"""Shapes have a circle if their nearest place is at least at this share of the farthest one's distance from the
-centre."""
-
-ENOUGH = 0.5
-"""Robots fly to their places once this share of a plan's slots is taken."""
-
-WITHIN = 0.95
-"""The circle on which robots wait is smaller by this factor: there they stand closer, and close it more easily."""
-
-NEAR = 1.0
-"""A robot within this many spacings of the circle is on it."""
-
-HOLD = 0.8
-"""Waiting robots spread out to at most this share of the radio range."""
-
-LINK = 0.95
-"""No robot moves farther than this share of the radio range from a neighbour on the circle."""
-
-PLANE = 2
+HOLLOW = 0.5  # shapes have a circle if their nearest place is at least at this share of the farthest one's distance
+ENOUGH = 0.5  # robots fly to their places once this share of a plan's slots is taken
+WITHIN = 0.95  # the circle on which robots wait is smaller by this: there they stand closer, and close it more easily
+NEAR = 1.0  # a robot within this many spacings of the circle is on it
+HOLD = 0.8  # waiting robots spread out to at most this share of the radio range
+LINK = 0.95  # no robot moves farther than this share of the radio range from a neighbour on the circle
+FEW = 0.45  # while more than this share of the team has never been heard of, a robot gathers
+CLOSE = 0.3  # robots gather at this many spacings from the centre, each on its own side, not in each other's way
+WAIT = 4  # rounds without news at the centre after which a robot stops gathering
+ANGLES = 72  # orientations of a formation that are tried
 
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
@@ -56,12 +38,9 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> P
 
 
 def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
-    """The point at which a robot `here` that waits for others reaches the circle; None where there is no such circle.
-
-    Positions are in the frame of the mission [units].
-    """
+    """Where a robot `here` that waits for others reaches the circle [units; frame of the mission]; None without one."""
     places = on_circle(plan, mission.center)
-    if mission.dim != PLANE or places is None or not _clear(mission, places):
+    if mission.dim != 2 or places is None or not _clear(mission, places):
         return None
     radius = WITHIN * _polar(places.points[0], mission.center)[0]
     return _at(mission.center, radius, _polar(here, mission.center)[1])
@@ -71,7 +50,7 @@ def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Po
     """The point on the circle at which to wait for unknown robots; None where there is no such circle.
 
     Known robots (at `others`) that follow each other on the circle within radio range spread out evenly around their
-    mean position, up to `HOLD` apart, so that the ends of such a chain meet others. Positions as for `landing`.
+    mean position, up to `HOLD` apart, so that the ends of such a chain meet others.
     """
     point = landing(mission, plan, here)
     near = NEAR * mission.spacing
@@ -135,3 +114,50 @@ def on_circle(plan: Plan, center: Point) -> Plan | None:
     if radii.min() < HOLLOW * radii.max() or not radii.min():
         return None
     return Plan.of(tuple(place) for place in (np.array(center) + offsets * (radii.mean() / radii)).tolist())
+
+
+class Gathering:
+    def __init__(self) -> None:
+        self._strangers = math.inf
+        self._left = self._wait = 0
+        self._beyond: Point | None = None
+
+    def target(
+        self, mission: Mission, plan: Plan, slot: int, here: Point, *, strangers: int, alone: bool
+    ) -> Point | None:
+        """Where to fly from `here` [units; frame of the mission] instead of the place, or None. Call once a round.
+
+        `strangers` robots have never been heard of; one that sees no other is `alone`, and returns while any are
+        missing.
+        """
+        center, reach = mission.center, CLOSE * mission.spacing
+        away = math.dist(here, center)
+        if strangers < self._strangers:
+            across = away + max(math.dist(place, center) for place in plan.points)
+            self._left, self._wait = math.ceil(across / mission.max_step) + WAIT, WAIT
+            self._strangers, self._beyond = strangers, None
+        few = not alone and strangers <= FEW * mission.n_robots
+        if not strangers or few or min(self._left, self._wait) < 0 or heard_when_turned(mission, plan, slot):
+            return None
+        there = away <= reach + mission.spacing / 10
+        self._left, self._wait = self._left - 1, self._wait - there
+        if alone and there and self._beyond is None:
+            self._beyond = _towards(center, here, -reach)
+        return self._beyond if alone and self._beyond is not None else _towards(center, here, min(reach, away))
+
+
+def _towards(center: Point, here: Point, distance: float) -> Point:
+    """The point at this distance from the centre on the way to `here` [units]."""
+    share = distance / max(math.dist(here, center), 1e-9)
+    return tuple(c + share * (x - c) for x, c in zip(here, center, strict=True))
+
+
+@lru_cache(maxsize=4096)
+def heard_when_turned(mission: Mission, plan: Plan, slot: int) -> bool:
+    """Whether robots with this plan turned anyhow would hear a robot at its place, or meet it on their circle."""
+    if on_circle(plan, mission.center) is not None:
+        return True
+    turns = np.repeat(plan.array[[slot]], ANGLES, axis=0)
+    for k, angle in enumerate(np.linspace(0.0, math.tau, ANGLES, endpoint=False).tolist()):
+        turns[k, :2] = formations.rotated(turns[k, :2], mission.center[:2], angle)
+    return bool(scipy.spatial.distance.cdist(turns, plan.array).min(axis=1).max() <= mission.comm_range)

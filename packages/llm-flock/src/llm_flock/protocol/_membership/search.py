@@ -1,12 +1,4 @@
-"""The search that ends frozen partitions: a robot at its place looks for the robots that should be in vacant slots.
-
-Random starts are rarely connected, and two groups can settle on slots that never come into radio range of each other:
-each then knows of vacant slots that no message will ever fill. So a robot at its goal that still knows of vacant slots
-after some rounds visits them, the nearest first and the centre last, until it hears something new. The robot nearest to
-a vacant slot goes first. Each visit at which no robot is met is counted in the slot's table entry and spreads with it,
-so the team as a whole makes `LOOKS` visits; every visit is followed by a longer wait. After that many visits the slot
-is a gap: the team may simply be smaller than the plan.
-"""
+"""The search that ends frozen partitions, and the way of a robot that is lost: see membership.md in the docs."""
 
 from __future__ import annotations
 
@@ -19,51 +11,34 @@ import numpy as np
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
-from llm_flock.message import NO_OWNER, BidTable
+from llm_flock.message import NO_OWNER
+from llm_flock.metrics import AT_GOAL
+from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.protocol._parts import Situation
 
-PATIENCE = 1
-"""Rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain."""
-
-NEXT_TO = 1.5
-"""A vacant slot within this many spacings of the robot's own slot is next to it."""
-
-PATIENCE_PER_PLACE = 4
-"""Additional rounds of waiting for each spacing that a vacant slot is farther away, so that nearer robots go first."""
-
-LOOKS = 4
-"""Visits to a vacant slot while robots are missing that were never heard of, or had no plan when they last were."""
-
-LOOKS_FOR_SILENT = 1
-"""Visits where all missing robots have been heard of before, and are probably dead."""
-
-MANY = 20
-"""While more robots than these are missing, every round brings news. A search that each of them ended would never
-get anywhere, so it goes on until its next slot is taken."""
-
-ARRIVED = 0.5
-"""A point of the tour counts as visited within this share of the spacing."""
+PATIENCE = 1  # rounds at the goal before a robot next to a vacant slot sets out; doubled by every visit in vain
+NEXT_TO = 1.5  # a vacant slot within this many spacings of the robot's own slot is next to it
+PATIENCE_PER_PLACE = 4  # more rounds of waiting for each spacing that a vacant slot is away: nearer robots go first
+LOOKS = 4  # visits to a vacant slot while robots are missing that were never heard of, or last had no plan
+LOOKS_FOR_SILENT = 1  # visits where all missing robots have been heard of before, and are probably dead
+MANY = 20  # while more robots are missing, every round brings news, and a search goes on until its next slot is taken
+ARRIVED = 0.5  # a point of the tour counts as visited within this share of the spacing
+NEAR = 0.5  # a robot waits within this share of the spacing from where it wants to be found
+WAIT = 3  # rounds that a robot waits at the first point; each further wait is as much longer
+ALONE = 8  # heartbeat periods out of touch with its team after which a robot without a place is lost
+FAR = 2.0  # in a formation that reaches this many radio ranges from its centre, robots are sought at places
 
 
 class Search(msgspec.Struct, frozen=True, kw_only=True):
-    """State of a robot's search.
+    """State of a robot's search."""
 
-    Attributes:
-        known: what the search is about: digest of the plan, and its vacant slots; new knowledge starts a new search,
-            unless many robots are missing.
-        looks: number of visits to the least visited of these slots.
-        waited: rounds spent at the goal since the last tour or visit.
-        way: points still to visit [units; frame of the mission]; empty while the robot waits.
-        gaps: vacant slots that will not be visited any more.
-        looked: vacant slots that this robot has just visited.
-    """
-
-    known: tuple[str, tuple[int, ...]] = ("", ())
-    looks: int = 0
-    waited: int = 0
-    way: tuple[Point, ...] = ()
-    gaps: tuple[int, ...] = ()
-    looked: tuple[int, ...] = ()
+    known: tuple[str, tuple[int, ...]] = ("", ())  # digest of the plan, and its vacant slots; news restarts a search
+    looks: int = 0  # number of visits to the least visited of these slots
+    waited: int = 0  # rounds spent at the goal since the last tour or visit
+    way: tuple[Point, ...] = ()  # points still to visit [units; frame of the mission]; empty while the robot waits
+    gaps: tuple[int, ...] = ()  # vacant slots that will not be visited any more
+    looked: tuple[int, ...] = ()  # vacant slots that this robot has just visited
 
     @property
     def target(self) -> Point | None:
@@ -78,26 +53,22 @@ class Search(msgspec.Struct, frozen=True, kw_only=True):
 
 def advance(
     search: Search,
-    *,
-    position: Point,
+    now: Situation,
     plan: Plan,
-    slot: int,
-    table: BidTable,
-    center: Point,
-    spacing: float,
-    at_goal: bool,
+    *,
     strangers: int,
     silent: int,
     without_plan: int = 0,
     standing: Collection[int] = (),
 ) -> Search:
-    """The search one round later, for a robot at `position` [units; frame of the mission] with this slot of the plan.
+    """The search one round later, for a robot with a slot of this plan.
 
-    The bid of a vacant slot in `table` is its number of visits. Nobody looks for robots in slots on which one is seen
-    `standing`. `strangers` robots have never been heard of, and the
-    heartbeats of `silent` ones have stopped. Those of robots `without_plan` have stopped too, which told before that
-    these follow no plan: they wait to be found, and not in vacant slots alone, so each tour ends at the centre.
+    The bid of a vacant slot is its number of visits. Nobody looks for robots in slots on which one is seen `standing`.
+    `strangers` were never heard of, and heartbeats of `silent` ones have stopped. Robots `without_plan` wait to be
+    found, and not in vacant slots alone, so each tour ends at the centre.
     """
+    slot, table, center, spacing = now.claim.slot, now.claim.table, now.mission.center, now.mission.spacing
+    assert slot is not None and table is not None, "only who has a place knows of vacant ones"
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
     search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
     if not vacant or not (strangers or silent or without_plan):  # a team in touch fills its vacant slots by agreement
@@ -109,11 +80,11 @@ def advance(
     waited = search.waited if looks == search.looks else 0
     search = replace(search, gaps=gaps, looks=looks, waited=waited, looked=())
     if search.way:
-        if math.dist(position, search.way[0]) > ARRIVED * spacing:
+        if math.dist(now.position, search.way[0]) > ARRIVED * spacing:
             return search
         here = tuple(a for a in vacant if plan.points[a] == search.way[0])
         return replace(search, way=search.way[1:], waited=0, looked=here)
-    if not due or not at_goal:
+    if not due or math.dist(now.position, plan.points[slot]) > AT_GOAL * spacing:
         return search
     nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in due) / spacing
     if waited < PATIENCE * 2**looks + int(PATIENCE_PER_PLACE * max(0.0, nearest - NEXT_TO)):
@@ -137,7 +108,6 @@ def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], cen
 
 @lru_cache(maxsize=4096)
 def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
-    """The vacant slot nearest to the own one."""
     points = plan.points
     here = points[slot]
     return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
@@ -155,3 +125,54 @@ def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
         apart[:, following] = math.inf  # it has been visited
         to_each = apart[following]
     return tuple(way)
+
+
+class Seeking:
+    """The way of a robot that is lost, or has no plan: to the centre, in a large formation also to two ideal places."""
+
+    def __init__(self, robot: int, liars: int = 0) -> None:
+        self._robot, self._liars = robot, liars
+        self.start_again()
+
+    def start_again(self) -> None:
+        self._leg = 0
+        self._left: int | None = None
+        self._alone = 0
+
+    def count(
+        self, living: Collection[int], silent: Collection[int], strangers: Collection[int], n_robots: int
+    ) -> None:
+        """Count, once a period, whether it is out of touch: it hears few of its team, or too few to outnumber liars."""
+        known = n_robots - len({*silent, *strangers})
+        in_touch = bool(living) and 2 * len(silent) < n_robots and (not self._liars or known > 2 * self._liars)
+        self._alone = 0 if in_touch else self._alone + 1
+
+    @property
+    def lost(self) -> bool:
+        """Whether a robot without a place has been out of touch for so long that it should look for the others."""
+        return self._alone >= ALONE
+
+    def target(self, mission: Mission, here: Point) -> Point | None:
+        """Where to fly from `here` [units; frame of the mission], or None to wait. Call once a round."""
+        points = _points(mission, self._robot)
+        point = points[self._leg % len(points)]
+        away = math.dist(here, point)
+        if self._left is None:  # a crowd may keep it from getting there, so it only stays for as long as others take
+            across = max(math.dist(x, mission.center) for x in points)
+            self._left = math.ceil((away + across) / mission.max_step) + WAIT * (self._leg + 1)
+        self._left -= 1
+        if self._left == 0:
+            self._leg, self._left = self._leg + 1, None
+        return point if away > NEAR * mission.spacing else None
+
+
+@lru_cache(maxsize=4096)
+def _points(mission: Mission, robot: int) -> tuple[Point, ...]:
+    """The points that a robot visits in turn; only the centre if it is in radio range of all places."""
+    ideal = mission.ideal or ()
+    reach = max((math.dist(place, mission.center) for place in ideal), default=0.0)
+    if reach <= mission.comm_range:
+        return (mission.center,)
+    n = len(ideal)
+    places = ideal[robot % n], ideal[(robot + n // 2) % n]
+    return (*places, mission.center) if reach > FAR * mission.comm_range else (mission.center, *places)

@@ -20,41 +20,37 @@ from llm_flock.protocol._agreement.auction import changed
 from llm_flock.protocol._membership.connectivity import ConnectivityRecovery
 from llm_flock.protocol._membership.joint import JointAssignment, given_jointly
 from llm_flock.protocol._membership.liveness import CANNOT_FLY, NO_PLAN, Liveness
-from llm_flock.protocol._membership.occupancy import observe, still_bodies
-from llm_flock.protocol._membership.replanning import Replanning
-from llm_flock.protocol._membership.seeking import Seeking
-from llm_flock.protocol._membership.waiting import waiting_place
-from llm_flock.protocol._parts import Gaps, Membership
+from llm_flock.protocol._membership.occupancy import observe, still_bodies, waiting_place
+from llm_flock.protocol._membership.search import Seeking
+from llm_flock.protocol._parts import Gaps, Membership, Situation
+from llm_flock.protocol._verification.validator import resized
+
+REPLAN_PATIENCE = 2
+"""Rounds for which a plan must not fit the team before a robot plans again. Robots with higher ids wait one more round
+for each lower id that is alive, up to MOST_WAIT, so that one robot proposes and the others hear of it in time."""
+
+MOST_WAIT = 6
 
 
 class TeamMembership(Membership):
-    """Heartbeats, joint assignments, the search for missing robots, and plans for those that are left.
-
-    Args:
-        robot: own id.
-        mission: its limits; no message changes the number of robots.
-        time_out: rounds without a heartbeat after which a robot counts as dead.
-        gaps: report slots that no living robot can take, or plan again.
-        joint: whether robots report positions and are assigned together.
-        liars: number of robots that may lie together.
-    """
+    """Heartbeats, joint assignments, the search for missing robots, and plans for those that are left."""
 
     def __init__(
         self,
         robot: int,
         mission: Mission,
         *,
-        time_out: int = TIME_OUT,
-        gaps: Gaps = "report",
-        joint: bool = True,
-        liars: int = 0,
+        time_out: int = TIME_OUT,  # rounds without a heartbeat after which a robot counts as dead
+        gaps: Gaps = "report",  # report slots that no living robot can take, or plan again
+        joint: bool = True,  # whether robots report positions and are assigned together
+        liars: int = 0,  # number of robots that may lie together
     ) -> None:
         n_robots = mission.n_robots
         self.gaps: Gaps = gaps
         self._made_of = robot, mission, time_out
         self.liveness = Liveness(robot, n_robots, time_out)
+        self._robot, self._misfit = robot, 0  # rounds for which the plan has not fitted the team
         self._joint = JointAssignment(robot, n_robots, enabled=joint)
-        self._replanning = Replanning(robot, self.liveness, gaps)
         self._seeking = Seeking(robot, liars)
         self._connectivity = ConnectivityRecovery(self.liveness, self._joint, liars)
         self._unplaced: set[int] = set()
@@ -66,54 +62,46 @@ class TeamMembership(Membership):
 
     @property
     def beats(self) -> tuple[int, ...]:
-        """The highest heartbeat known of each robot, by id."""
         return self.liveness.beats
 
     @property
     def lost(self) -> bool:
-        """Whether a robot without a place has been out of touch for so long that it should look for the others."""
         return self._seeking.lost
 
     @property
     def known(self) -> object:
-        """The positions known; another object whenever they have changed."""
         return self._joint.known
 
     def begin_mission(self) -> None:
-        """Forget positions, and start to look for others again."""
-        self._replanning.reset()
+        self._misfit = 0
         self._joint.begin()
         self._seeking.start_again()
 
     def begin_plan(self) -> None:
-        """Start to count again for how long the plan does not fit the team."""
-        self._replanning.reset()
+        self._misfit = 0
 
-    def begin_round(
-        self,
-        period: int,
-        near: frozenset[int],
-        *,
-        mission: Mission,
-        plan: Plan | None,
-        claim: Claim,
-        cannot_fly: bool,
-    ) -> None:
+    def begin_round(self, period: int, near: frozenset[int], now: Situation, *, cannot_fly: bool) -> None:
         """Count a heartbeat, find silent robots, and compare the plan with those that live."""
-        state = (CANNOT_FLY if cannot_fly else 0) | (NO_PLAN if plan is None else 0)
-        self.liveness.begin_round(period, near, state)
+        live, mission = self.liveness, now.mission
+        live.begin_round(period, near, (CANNOT_FLY if cannot_fly else 0) | (NO_PLAN if now.plan is None else 0))
         self._joint.begin_round()
         self._unplaced.clear()
-        silent = self.liveness.silent
-        self._seeking.count(near - silent, silent, self.liveness.strangers, mission.n_robots)
-        self._replanning.watch(mission, plan, claim.table, may_shrink=self._connectivity.given_up)
+        self._seeking.count(near - live.silent, live.silent, live.strangers, mission.n_robots)
+        owners, wanted = {owner for _, _, owner in now.claim.table or ()}, self._wanted(mission)
+        replans = self.gaps == "replan" and now.plan is not None and now.claim.table is not None
+        fits = not replans or (len(now.plan or ()) == wanted and BLOCKED not in owners)
+        # Robots that were never heard of may be given up once the search for them has ended.
+        waits = NO_OWNER in owners and bool(live.strangers) and not self._connectivity.given_up
+        legal = fits or resized(mission, wanted) is not None
+        self._misfit = 0 if fits or waits or not legal else self._misfit + 1
+
+    def _wanted(self, mission: Mission) -> int:
+        return min(mission.n_places, self.liveness.alive)
 
     def hear_beats(self, beats: Sequence[NDArray[np.int64]]) -> None:
-        """Merge the heartbeats of a communication round's messages, each of shape (N,)."""
         self.liveness.hear(beats)
 
     def hear_positions(self, reports: Mapping[int, PositionReport]) -> None:
-        """Merge the positions that a neighbour knows."""
         self._joint.hear(reports)
 
     def hear_claims(self, heard: Sequence[Message], plan: Plan | None) -> None:
@@ -122,61 +110,45 @@ class TeamMembership(Membership):
             self._unplaced -= {m.sender for m in heard}
             self._unplaced |= {m.sender for m in heard if m.plan != plan or not given_jointly(m.table, m.slot)}
 
-    def report(
-        self, mission: Mission, plan: Plan | None, claim: Claim, position: Point, *, greeting: bool
-    ) -> dict[int, PositionReport] | None:
-        """The positions to broadcast; `greeting` is the first broadcast of a round."""
-        if claim.table is None and claim.slot is not None:
+    def report(self, now: Situation, *, greeting: bool) -> dict[int, PositionReport] | None:
+        if now.claim.table is None and now.claim.slot is not None:
             return None  # a rule without tables places nobody together
-        return self._joint.report(mission, plan, claim.table, position, greeting=greeting)
+        return self._joint.report(now.mission, now.plan, now.claim.table, now.position, greeting=greeting)
 
-    def places(self, mission: Mission, plan: Plan | None, *, sees_bodies: bool) -> int | None:
-        """Number of places of the plan that the robot is to propose now; None while it need not propose."""
-        return self._replanning.places(mission, plan, sees_bodies=sees_bodies)
+    def places(self, now: Situation) -> int | None:
+        """Number of places to propose now. A robot that sees a body without a heartbeat proposes first."""
+        live, wanted = self.liveness, self._wanted(now.mission)
+        if now.plan is not None:
+            # Living robots propose by ascending id, from 1.
+            turn = 0 if self.still(now) else 1 + sum(j < self._robot for j in live.present)
+            return wanted if self._misfit > REPLAN_PATIENCE + min(turn, MOST_WAIT) else None
+        known = self.gaps == "replan" and not live.strangers
+        return wanted if known and resized(now.mission, wanted) is not None else now.mission.n_places
 
-    def still(self, mission: Mission, sensed: Mapping[int, Point]) -> tuple[Point, ...]:
-        """Bodies in sight whose heartbeats have stopped."""
-        return still_bodies(mission, sensed, self.liveness.silent)
+    def still(self, now: Situation) -> tuple[Point, ...]:
+        return still_bodies(now, self.liveness.silent)
 
-    def occupancy(
-        self,
-        mission: Mission,
-        plan: Plan,
-        position: Point,
-        sensed: Mapping[int, Point],
-        *,
-        hears_others: bool,
-        knows_blocked: bool,
-    ) -> Occupancy:
-        """What sensors and heartbeats say about the slots of a plan."""
-        return observe(
-            mission, plan, position, sensed, self.liveness, hears_others=hears_others, knows_blocked=knows_blocked
-        )
+    def occupancy(self, now: Situation, *, hears_others: bool, knows_blocked: bool) -> Occupancy:
+        return observe(now, self.liveness, hears_others=hears_others, knows_blocked=knows_blocked)
 
-    def positions(self, mission: Mission, plan: Plan, claim: Claim) -> TeamPositions | None:
-        """Where the robots are that are to be assigned jointly; None where there is nothing new to assign."""
-        return self._joint.positions(mission, plan, claim.table, self.liveness.silent)
+    def positions(self, now: Situation) -> TeamPositions | None:
+        assert now.plan is not None, "only who follows a plan claims a slot"
+        return self._joint.positions(now.mission, now.plan, now.claim.table, self.liveness.silent)
 
-    def route(
-        self, mission: Mission, plan: Plan, claim: Claim, here: Point, bodies: Sequence[Point]
-    ) -> tuple[Point | None, Claim, list[Note]]:
+    def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
         """The next intermediate target; visits to vacant slots where no robot was met are written in the claim."""
-        slot, table = claim.slot, claim.table
-        assert slot is not None, "a robot without a place has no way to it"
-        placed = given_jointly(table, slot) and not self._unplaced
-        target, visited, notes = self._connectivity.route(
-            mission, plan, slot, table, here, bodies=bodies, placed=placed
-        )
-        return target, with_visits(claim, visited), notes
+        placed = given_jointly(now.claim.table, now.claim.slot) and not self._unplaced
+        target, visited, notes = self._connectivity.route(now, placed=placed)
+        return target, with_visits(now.claim, visited), notes
 
-    def seek(self, mission: Mission, here: Point) -> Point | None:
-        """Where a robot looks for the others that is lost, or has no plan; None to wait."""
-        return self._seeking.target(mission, here)
+    def seek(self, now: Situation) -> Point | None:
+        return self._seeking.target(now.mission, now.position)
 
-    def wait(self, mission: Mission, plan: Plan, claim: Claim, here: Point, others: Sequence[Point]) -> Point:
+    def wait(self, now: Situation) -> Point:
         """A point near the robot that is out of the way of the others, in sight of a blocked slot if there is one."""
-        blocked = [a for a, (_, _, owner) in enumerate(claim.table or ()) if owner == BLOCKED]
-        return waiting_place(mission, here, plan, others, blocked)
+        blocked = [a for a, (_, _, owner) in enumerate(now.claim.table or ()) if owner == BLOCKED]
+        assert now.plan is not None, "places of a plan are all taken"
+        return waiting_place(now.mission, now.position, now.plan, [*now.sensed.values()], blocked)
 
 
 def with_visits(claim: Claim, slots: Sequence[int]) -> Claim:

@@ -11,23 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
-from llm_flock.message import Message, MissionStamp, decode
+from llm_flock.message import Authorization, Message, MissionStamp, decode
 from llm_flock.mission import Mission
 
 
-class Authorization(msgspec.Struct, frozen=True, kw_only=True):
-    """The operator's signature on a mission's digest and on the time of the order, `counter`."""
-
-    counter: int
-    signature: bytes
-
-
 class Inbound(msgspec.Struct, frozen=True, kw_only=True):
-    """One received message, verified and decoded.
-
-    `beats` are the team's heartbeat counters, shape (N,), None where the message has none. In teams with keys there is
-    an authorization of the sender's mission.
-    """
+    """One received message, verified and decoded, with the team's heartbeat counters, shape (N,), if it has any."""
 
     message: Message
     beats: NDArray[np.int64] | None
@@ -40,11 +29,7 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Channel:
-    """Opens payloads that come in and seals those that go out.
-
-    This one serves a team without keys: every well-formed message of another robot is believed, whoever transmits it.
-    `llm_flock_swarm._signed.channel.SignedChannel` adds signatures.
-    """
+    """Opens payloads that come in and seals those that go out; this one believes every well-formed message."""
 
     def __init__(self, robot: int, mission: Mission) -> None:
         self._robot, self._n_robots, self._dim = robot, mission.n_robots, mission.dim
@@ -55,11 +40,7 @@ class Channel:
         return Counter()
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Verify and decode a payload; `sender` is the robot that signed the transmission, where the transport knows.
-
-        Raises:
-            MessageError: as `decode`, and with reason `own_id` if the sender claims to be this robot.
-        """
+        """Verify and decode a payload, signed by `sender` where known; a MessageError as `decode`, or `own_id`."""
         inbound = _decoded(payload, self._n_robots, self._dim)
         self._check_sender(inbound.message)
         return inbound
@@ -94,9 +75,6 @@ class Channel:
 
 @lru_cache(maxsize=256)
 def _decoded(payload: bytes, n_robots: int, dim: int) -> Inbound:
-    """A broadcast has many receivers: in a simulation its bytes are decoded once for all of them.
-
-    They receive it one after the other, and a message to a large team is large, so few are kept.
-    """
+    """A broadcast has many receivers: in a simulation its bytes, maybe many, are decoded once for all of them."""
     message = decode(payload, n_robots, dim)
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

@@ -1,15 +1,8 @@
 """How much of its knowledge a robot spells out: long parts are named by a digest unless a neighbour may lack them.
 
-Receivers may merge parts of a message in any order, so leaving something out costs time and never correctness. A robot
-that hears a digest other than its own spells out its side until it hears its own digest back. Lost messages are thus
-repeated for as long as they matter, and robots that agree exchange a few dozen bytes. Neighbours come and go between
-rounds, so in small teams the first message of a round greets them with everything.
-
-In large teams that would be most of the traffic, so newcomers are told only what they turn out to lack. A large plan
-is repeated in every other broadcast at most: an answer to one broadcast is heard before the next but one. Of a large
-bid table the changes are said (delta states: Almeida, Shoker, Baquero: Delta state replicated data types, 2018). While
-changes are under way tables differ everywhere; a difference that is left when they have come to rest is a loss, and
-only then the whole table is said.
+Leaving something out costs time and never correctness. A robot that hears another digest than its own spells out its
+side; small teams also greet newcomers with everything once a round. Of a large table the changes are said (delta
+states: Almeida, Shoker, Baquero, 2018), and all of it where a difference is left when they have come to rest.
 """
 
 from __future__ import annotations
@@ -28,11 +21,8 @@ SMALL = 64
 """Plans and tables of at most this many slots are spelled out once a round to all neighbours, and in every
 communication round in which a digest differs."""
 
-RESTLESS_ROUNDS = 4
-"""Rounds after which a large table is said in full to neighbours that differ even if it never comes to rest."""
-
-REMEMBERED_PLANS = 1024
-"""Most plans that are known by their digest, so that a flood of plans costs bounded memory."""
+RESTLESS_ROUNDS = 4  # rounds after which a large table is said in full to who differs, even if it never rests
+REMEMBERED_PLANS = 1024  # most plans that are known by their digest, so that a flood of plans costs bounded memory
 
 _KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
 """The part of a message that shows what its sender knows."""
@@ -55,8 +45,6 @@ class Dissemination:
         self._sequence = 0
         self._payload = b""
         self._plans: dict[str, Plan] = {}
-        self._standing: tuple[object, ...] = ()
-        self._news = True
 
     def begin_round(self) -> None:
         """Forget neighbours that were silent in the last round."""
@@ -66,10 +54,6 @@ class Dissemination:
         self._table_said += 1
 
     def hear(self, message: Message) -> None:
-        """Remember what a neighbour knows."""
-        before = self._peers.get(message.sender)
-        if before is not message and (before is None or _KNOWLEDGE(before) != _KNOWLEDGE(message)):
-            self._news = True
         self._peers[message.sender] = message
         self._heard.add(message.sender)
 
@@ -85,7 +69,6 @@ class Dissemination:
         return plan
 
     def forget_plans(self) -> None:
-        """Forget all plans. Call when another mission comes into force."""
         self._plans = {}
 
     @property
@@ -93,20 +76,8 @@ class Dissemination:
         """Whether the next broadcast is the first of a round."""
         return self._greeting
 
-    def unchanged(self, *standing: object) -> bytes | None:
-        """The last payload if composing again would give the same one, else None.
-
-        `standing` is everything that the message is made of, apart from the team's positions. A robot in agreement
-        repeats itself in most communication rounds; this saves a tenth of a large team's time.
-        """
-        same, self._standing = standing == self._standing, standing
-        return self._payload if same and not (self._news or self._greeting) else None
-
     def compose(self, whole: Message, table: BidTable | None, mission: Mission) -> bytes:
-        """The bytes to broadcast; equal ones as long as there is nothing else to say.
-
-        `whole` has everything spelled out but the table, heartbeats in a greeting only; its `sequence` is set here.
-        """
+        """The bytes to broadcast: equal ones as long as nothing is new. `whole` spells out all but the table."""
         self._note_changes(table)
         plan, digest = whole.plan, whole.plan_digest
         mine = _KNOWLEDGE(whole)
@@ -129,9 +100,6 @@ class Dissemination:
             self._sent = message
             self._payload = encode(replace(message, sequence=self._sequence))
             self._sequence += 1
-        # Greetings, positions, changes and what is long are not repeated, so the next payload differs from this one.
-        long = spell_plan or differs or spell_table
-        self._news = greeting or whole.positions is not None or any(self._changed) or long
         return self._payload
 
     def digest(self, table: BidTable | None) -> bytes | None:
