@@ -1,8 +1,8 @@
 """The exchangeable parts of a robot's decision process, each with a null part that does nothing of its own.
 
 `Parts()` with two rules is the paper's robot: it hears its neighbours, and knows of no team beyond them. The parts that
-do more are `membership.team.TeamMembership`, `motion.safety.ShieldedSafety`, `verification.validator.Validator`, and
-for teams with keys those of `signed.parts`.
+do more are `_membership.team.TeamMembership`, `_motion.safety.ShieldedSafety`, `_verification.validator.Validator`, and
+for teams with keys those of `llm_flock_swarm._signed.parts`.
 """
 
 from __future__ import annotations
