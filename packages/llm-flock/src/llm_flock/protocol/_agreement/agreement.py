@@ -210,7 +210,8 @@ class Agreement:
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
         own_class = self._verifier.plan_class(self.mission, self.plan)
-        own = Standing(plan=self.plan, provenance=self.provenance, degree=self.degree, plan_class=own_class)
+        origin, degree = self.provenance, self.degree
+        own = Standing(robot=self._robot, plan=self.plan, provenance=origin, degree=degree, plan_class=own_class)
         before = self.claim
         source = self._choose(own, heard)
         adopted = [] if source is None else self._adopt(source, heard)

@@ -20,12 +20,14 @@ class Standing(msgspec.Struct, frozen=True, kw_only=True):
     """A robot's own side of the comparison.
 
     Attributes:
+        robot: its id.
         plan: the plan that it follows, None before it has one.
         provenance: origin of that plan.
         degree: number of robots within its radio range, that is N times its influence (paper, eq. 1).
         plan_class: class of that plan (`_verification.plans.PlanClass`); 0 where nothing is checked.
     """
 
+    robot: int
     plan: Plan | None
     provenance: Provenance | None
     degree: int
