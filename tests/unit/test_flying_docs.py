@@ -14,6 +14,8 @@ from types import ModuleType
 import pytest
 from benchmarks.flight_cases import ALL, case_config
 
+from llm_flock.robots import MotionLimits
+from llm_flock.testing import check_robot
 from llm_flock_flight._cli.fly import WORD
 from llm_flock_flight._cli.keyboard import CUT_KEYS, LAND_KEYS, RETURN_KEYS
 from llm_flock_flight._flight.config import FlightConfig
@@ -105,3 +107,15 @@ def test_robots_of_ones_own_stand_at_their_starts_within_the_limits_of_the_fligh
                 assert config.driver_limits.contains(sent.target) and sent.target != target
 
     asyncio.run(beyond())
+
+
+@pytest.mark.clock(4)
+def test_a_point_mass_with_drag_keeps_the_contract_and_lags(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = own_robot_page(monkeypatch)
+    robot = page.dragged("drag", (0.0, 0.0, 0.0), MotionLimits())
+    asyncio.run(check_robot(robot))
+    controller = page.Dragged((0.0, 0.0, 0.0), 0.0)
+    controller.fly(5.0, lambda at: (at, 0.0, -1.0), 0.0)
+    assert controller.place[0] == pytest.approx(4.8, abs=0.02) and controller.place[2] == 0.0
+    controller.shift((1.0, 0.0, 2.0))
+    assert controller.place[0] == pytest.approx(5.8, abs=0.02) and controller.place[2] == 2.0
