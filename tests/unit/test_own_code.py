@@ -104,6 +104,13 @@ def test_a_misspelt_provider_is_no_class(text: str) -> None:
         parse_model(text)
 
 
+def test_a_class_in_lower_case_is_told_its_capital_letter() -> None:
+    for text, told in (("my_models:answer", True), ("opnai:o3-mini", False), ("my_models", False), ("openai:", False)):
+        with pytest.raises(InputError) as caught:
+            parse_model(text)
+        assert ("a class of your own begins with a capital letter" in caught.value.says) == told
+
+
 def test_a_run_by_name_makes_one_object_and_closes_it(folder: Path) -> None:
     (folder / "my_own_models.py").write_text(MODEL)
     result = llm_flock.run(shape="triangle", n_robots=3, model="my_own_models:Corners", seed=1, out=folder / "run")
