@@ -2,10 +2,13 @@
 
 import asyncio
 import logging
+import re
 import sys
+import tomllib
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -323,3 +326,21 @@ def test_a_stand_in_of_a_distribution_is_shown_as_one(monkeypatch: pytest.Monkey
     assert SwarmConfig.build(model="simulated:ideal").simulated and not SwarmConfig.build(model="geometry").simulated
     own = SwarmConfig.build(model=f"0={__name__}:Echo,1-9=geometry")
     assert not own.simulated and own.unrepeatable
+
+
+def test_the_guide_s_source_of_models_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "extending.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    for name, words in (("my_models", "class Mine"), ("my_source", "class Source")):
+        module = ModuleType(name)
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(next(block for block in blocks if words in block), vars(module))
+    announced = tomllib.loads(re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[-1])
+    (name, value), *more = announced["project"]["entry-points"]["llm_flock.models"].items()
+    entry = EntryPoint(name, value, "llm_flock.models")
+    monkeypatch.setattr(plugins, "entries", lambda kind: {name: entry} if kind == "models" else {})
+    result = llm_flock.run(shape="triangle", n_robots=3, model=plugins.load("models", name).example)
+    assert result.formed and result.summary.simulated and not more
+    check_model("mine:triangle")
+    with pytest.raises(InputError, match="a name after 'mine:'"):
+        llm_flock.run(model="mine:")
