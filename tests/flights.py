@@ -121,6 +121,16 @@ def one_by_one(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[Simu
     return [SimulatedRobot(drone.name, start_of(config, drone)) for drone in drones]
 
 
+def only_one(config: FlightConfig, drones: Sequence[DroneConfig]) -> SimulatedRobot:
+    """A driver that makes a single robot."""
+    return one_by_one(config, drones)[0]
+
+
+def too_few(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
+    """A driver that leaves a drone out."""
+    return one_by_one(config, drones[1:])
+
+
 def telling(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
     """Drones that write their names to the file LANDED once they are told to land, in whatever process."""
     robots, file = one_by_one(config, drones), os.open(os.environ["LANDED"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)

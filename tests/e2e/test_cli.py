@@ -188,7 +188,7 @@ def test_broken_trials_are_told_by_the_exit_code(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "llm_flock", *command], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60
     )
-    assert done.returncode == 1 and "broke off: seed 0: AttributeError" in done.stdout
+    assert done.returncode == 1 and "rule 'broken' failed: AttributeError" in done.stdout
 
 
 def gone(group: int) -> bool:

@@ -231,6 +231,22 @@ def test_a_driver_of_ones_own() -> None:
     assert [robot.name for robot in made] == ["d0", "d1", "d2", "d3"]
 
 
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("llm_flock.robots:SimulatedRobot", ""),  # a class
+        ("llm_flock.robots:PEAK_SPEED", ""),  # a number
+        ("flights:only_one", ", 4 here (not SimulatedRobot)"),
+        ("flights:too_few", ", 4 here (not 3)"),
+    ],
+)
+def test_what_makes_no_robot_for_each_drone_is_refused_in_words(name: str, wrong: str) -> None:
+    with pytest.raises(InputError) as caught:
+        build_fleet(flight_config(robot=name))
+    expected = "expected a function (config, drones) that returns a robot for each drone"
+    assert (caught.value.field, caught.value.says) == ("robot", expected + wrong)
+
+
 def test_a_crazyflie_needs_an_address_and_a_simulated_drone_a_start() -> None:
     with pytest.raises(InputError, match="uri"):
         build_fleet(flight_config(robot="crazyflie"))

@@ -2,14 +2,21 @@
 
 import asyncio
 import logging
+import re
 import sys
+import tomllib
+from collections.abc import Mapping
+from importlib.metadata import EntryPoint
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
 
 import llm_flock
+from llm_flock import plugins
 from llm_flock.errors import InputError, ModelError
+from llm_flock.llm import CallSettings, Habits, LanguageModel, ModelHost
 from llm_flock.llm import _own as own
 from llm_flock.llm._own import OwnModel
 from llm_flock.llm._port import Call, ChatMessage, Reply, Usage
@@ -17,6 +24,7 @@ from llm_flock.llm._providers import parse_model
 from llm_flock.own_code import load_own
 from llm_flock.runtime._rules import consensus_rule
 from llm_flock.testing import check_model
+from llm_flock_swarm import SwarmConfig
 
 CALL = Call(robot=0, round=1, kind="plan", attempt=0, messages=(ChatMessage("user", "Plan?"),))
 
@@ -97,6 +105,13 @@ def test_a_misspelt_provider_is_no_class(text: str) -> None:
     assert parse_model("openai:Mine").kind == "provider"
     with pytest.raises(InputError, match=r"package\.module:Class|did you mean 'openai'"):
         parse_model(text)
+
+
+def test_a_class_in_lower_case_is_told_its_capital_letter() -> None:
+    for text, told in (("my_models:answer", True), ("opnai:o3-mini", False), ("my_models", False), ("openai:", False)):
+        with pytest.raises(InputError) as caught:
+            parse_model(text)
+        assert ("a class of your own begins with a capital letter" in caught.value.says) == told
 
 
 def test_a_run_by_name_makes_one_object_and_closes_it(folder: Path) -> None:
@@ -269,3 +284,63 @@ def test_a_model_that_cannot_be_closed_costs_no_result(
     monkeypatch.setattr(own, "CLOSE_S", 0.05)
     asyncio.run(OwnModel(Closing(), name="mine:Closing").aclose())
     assert "mine:Closing could not be closed" in caplog.text
+
+
+class Stands:
+    """A `ModelSource` of stand-ins."""
+
+    expects, example, at_once = "a name", "stands:in", 100
+
+    def host(self) -> ModelHost:
+        return self
+
+    def habits(self, model: str) -> Habits:
+        return Habits(simulated=model == "in")
+
+    def digests(self, model: str) -> Mapping[str, str]:
+        return {}
+
+    versions = digests
+
+    def model(self, text: str, settings: CallSettings | None) -> LanguageModel:
+        return OwnModel(Echo("hm"), name=text)
+
+    async def aclose(self) -> None: ...
+
+
+SOURCE = Stands()
+
+
+def test_a_stand_in_of_a_distribution_is_shown_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    entry = EntryPoint("stands", f"{__name__}:SOURCE", "llm_flock.models")
+    monkeypatch.setattr(plugins, "entries", lambda kind: {"stands": entry} if kind == "models" else {})
+    trial: dict[str, Any] = {"shape": "triangle", "n_robots": 3, "max_retries": 0, "rounds": 1}
+    for model, simulated in (("stands:in", True), ("0=stands:in,1-2=stands:up", True), ("stands:up", False)):
+        out = tmp_path / model
+        assert llm_flock.run(**trial, model=model, out=out).summary.simulated == simulated
+        assert (
+            llm_flock.read_record(out).run.simulated
+            == SwarmConfig.build(model=model, n_robots=3).simulated
+            == simulated
+        )
+    assert SwarmConfig.build(model="simulated:ideal").simulated and not SwarmConfig.build(model="geometry").simulated
+    own = SwarmConfig.build(model=f"0={__name__}:Echo,1-9=geometry")
+    assert not own.simulated and own.unrepeatable
+
+
+def test_the_guide_s_source_of_models_flies(monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "extending.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    for name, words in (("my_models", "class Mine"), ("my_source", "class Source")):
+        module = ModuleType(name)
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(next(block for block in blocks if words in block), vars(module))
+    announced = tomllib.loads(re.findall(r"^```toml\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[-1])
+    (name, value), *more = announced["project"]["entry-points"]["llm_flock.models"].items()
+    entry = EntryPoint(name, value, "llm_flock.models")
+    monkeypatch.setattr(plugins, "entries", lambda kind: {name: entry} if kind == "models" else {})
+    result = llm_flock.run(shape="triangle", n_robots=3, model=plugins.load("models", name).example)
+    assert result.formed and result.summary.simulated and not more
+    check_model("mine:triangle")
+    with pytest.raises(InputError, match="a name after 'mine:'"):
+        llm_flock.run(model="mine:")

@@ -1,5 +1,6 @@
 from ._crazyflie.robot import CrazyflieRobot as CrazyflieRobot
 from ._flight.config import FlightConfig as FlightConfig
+from ._flight.fleet import start_of as start_of
 from ._flight.flight import Flight as Flight
 from ._flight.flight import FlightResult as FlightResult
 from ._flight.sections import DroneConfig as DroneConfig

@@ -124,4 +124,4 @@ def test_a_prompt_in_the_own_frame_has_few_digits_for_a_goal_far_away() -> None:
 
 def test_models_that_are_trained_for_it() -> None:
     assert habits_of("local:smollm2").frame == habits_of("local:smollm2+none").frame == "own"
-    assert habits_of("local:/models/smollm2.gguf") == habits_of("simulated:ideal") == Habits()
+    assert habits_of("local:/models/smollm2.gguf") == habits_of("openai:o3-mini") == Habits()

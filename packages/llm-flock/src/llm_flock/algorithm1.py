@@ -1,7 +1,7 @@
 """The paper on one screen: influence, adoption of plans, and the nearest available place, runnable on three robots.
 
 `python -m llm_flock.algorithm1` flies three robots that start with a plan each. The functions are those that the rules
-`influence`, `nearest` and `nearest-free` of a run use (`protocol.agreement`). Line numbers are those of the paper's
+`influence`, `nearest` and `nearest-free` of a run use (`protocol._agreement`). Line numbers are those of the paper's
 source; everything a robot needs here it has measured itself or heard from a neighbour.
 
 The paper can be read in two ways where it says that an assigned goal "becomes unavailable for others" (line 135):

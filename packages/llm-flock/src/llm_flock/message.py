@@ -240,7 +240,7 @@ def _table(claims: Claims, places: int) -> BidTable:
 
 @lru_cache(maxsize=2**18)
 def _entry(version: int, bid: float, owner: int) -> BidEntry:
-    """One object for equal entries, so that large tables are compared by identity (`agreement.auction.merged`).
+    """One object for equal entries, so that large tables are compared by identity (`_agreement.auction.merged`).
 
     A bid of zero loses its sign: equal entries must have the same digest and signature, whichever is read first.
     """

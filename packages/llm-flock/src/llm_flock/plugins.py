@@ -5,7 +5,7 @@ An entry point of the group `llm_flock.KIND` is one thing of that kind, under it
 | Kind | Name | Object |
 |---|---|---|
 | `commands` | the command | a function with Typer's parameters, or a Typer with commands of its own |
-| `models` | prefix of a model string | a `llm_flock.llm._sources.ModelSource` |
+| `models` | prefix of a model string | a `llm_flock.llm.ModelSource` |
 | `consensus`, `assignment` | the rule | a class without parameters that is a `ConsensusRule` or an `AssignmentRule` |
 | `robots` | the driver | makes the robots of a flight (`llm_flock_flight._flight.fleet.Driver`) |
 | `sinks` | the flag | a function that shows runs while they fly (`llm_flock.cli._sinks`) |

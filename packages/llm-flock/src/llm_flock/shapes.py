@@ -352,9 +352,9 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
     for where, row in rows:
         point = _point(row)
         if point is None:
-            raise InputError(field, f"{path}, {where}: {row!r}", "2 or 3 finite numbers in each row")
+            raise InputError(field, str(path), f"2 or 3 finite numbers in each row, not {row!r} ({where})")
         if points and len(point) != len(points[0]):
-            raise InputError(field, f"{path}, {where}: {row!r}", f"{len(points[0])} numbers, as in the first row")
+            raise InputError(field, str(path), f"{len(points[0])} numbers, as in the first row, not {row!r} ({where})")
         points.append(point)
     if not points:
         raise InputError(field, str(path), "a file with at least one point")
@@ -376,7 +376,7 @@ def _csv_rows(text: str, path: Path, field: str) -> list[tuple[str, list[Any]]]:
     try:
         rows = [(f"line {reader.line_num}", [_cell(cell) for cell in row]) for row in reader if "".join(row).strip()]
     except csv.Error as error:
-        raise InputError(field, f"{path}, line {reader.line_num}", f"comma-separated values ({error})") from None
+        raise InputError(field, str(path), f"comma-separated values (line {reader.line_num}: {error})") from None
     has_header = bool(rows) and all(isinstance(cell, str) for cell in rows[0][1])
     return rows[1:] if has_header else rows
 

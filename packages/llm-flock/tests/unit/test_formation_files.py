@@ -36,7 +36,7 @@ def test_three_dimensions(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "where", "allowed"),
     [
-        ("a.csv", "x,y\n1,2\n3,oops\n", "line 3: [3.0, 'oops']", "2 or 3 finite numbers"),
+        ("a.csv", "x,y\n1,2\n3,oops\n", "not [3.0, 'oops'] (line 3)", "2 or 3 finite numbers"),
         ("a.csv", "x,y\nx,y\n", "line 2", "2 or 3 finite numbers"),
         ("a.csv", "1,2\n3\n", "line 2", "2 or 3 finite numbers"),
         ("a.csv", "1,2,3,4\n", "line 1", "2 or 3 finite numbers"),
@@ -44,7 +44,7 @@ def test_three_dimensions(tmp_path: Path) -> None:
         ("a.csv", "1,2\n1,inf\n", "line 2", "2 or 3 finite numbers"),
         ("a.csv", "1,2\n1,2,3\n", "line 2", "2 numbers, as in the first row"),
         ("a.csv", "1,2\n" + "9" * 200_000, "line 2", "comma-separated values"),
-        ("a.csv", "1;2\n3;4\n", "line 2: ['3;4']", "2 or 3 finite numbers"),
+        ("a.csv", "1;2\n3;4\n", "not ['3;4'] (line 2)", "2 or 3 finite numbers"),
         ("a.csv", "1;2\n", "a.csv", "at least one point"),
         ("a.csv", "", "a.csv", "at least one point"),
         ("a.csv", "x,y\n", "a.csv", "at least one point"),
@@ -62,8 +62,8 @@ def test_three_dimensions(tmp_path: Path) -> None:
 def test_what_is_said_about_a_bad_file(tmp_path: Path, name: str, text: str, where: str, allowed: str) -> None:
     with pytest.raises(InputError) as caught:
         load_points(written(tmp_path, name, text))
-    assert caught.value.field == "points"
-    assert where in str(caught.value.value)
+    assert (caught.value.field, caught.value.value) == ("points", str(tmp_path / name))
+    assert where in str(caught.value)
     assert allowed in caught.value.says
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import time
 
 import numpy as np
 import pytest
@@ -163,6 +164,20 @@ def test_the_simulated_robot_keeps_the_contract():
 
 def test_the_simulated_robot_stops_when_told():
     asyncio.run(check_emergency_stop(SimulatedRobot("one", (0.0, 0.0, 0.0))))
+
+
+class Hovering(SimulatedRobot):
+    """Believes itself in the air once it has landed."""
+
+    async def land(self, height_m: float, duration_s: float) -> None:
+        await super().land(height_m, duration_s)
+        self.body.jump((0.0, 0.0, 0.3), time.monotonic())
+
+
+@pytest.mark.clock(4)
+def test_a_landing_above_the_ground_is_told_in_heights():
+    with pytest.raises(AssertionError, match=r"a landed robot is on the ground: at 0 m, not 0\.\d+ m"):
+        asyncio.run(check_robot(Hovering("one", (0.0, 0.0, 0.0))))
 
 
 def test_a_simulated_robot_loses_its_link():

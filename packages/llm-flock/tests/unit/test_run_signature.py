@@ -135,3 +135,12 @@ def test_ctrl_c_in_a_notebook_ends_the_run_before_it_is_raised(monkeypatch: pyte
     with pytest.raises(KeyboardInterrupt):
         asyncio.run(cell())
     assert ended.is_set()
+
+
+def test_an_error_in_a_script_begins_with_itself() -> None:
+    async def failing() -> None:
+        raise ValueError("mine")
+
+    with pytest.raises(ValueError, match="mine") as caught:
+        wait_for(failing())
+    assert caught.value.__context__ is None, "no running event loop ... during handling"

@@ -18,6 +18,7 @@ from llm_flock_flight._flight.sections import DroneConfig
 Driver: TypeAlias = Callable[[FlightConfig, Sequence[DroneConfig]], Sequence[Robot]]
 """Makes the robots of a flight, one for each drone, in order."""
 
+DRIVER = "a function (config, drones) that returns a robot for each drone"
 
 LOADED = 3.2 / 3.7
 """Share of its voltage at rest that a battery keeps while motors run: Crazyswarm2's limits are for a drone at rest."""
@@ -71,8 +72,9 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     if not wanted:
         raise InputError("drones", None, "one for each robot of the mission")
     robots = driver_of(config.fleet.robot)(config, wanted)
-    if len(robots) != len(wanted):
-        raise InputError("robot", config.fleet.robot, f"a driver that makes {len(wanted)} robots (here {len(robots)})")
+    count = len(robots) if isinstance(cast(object, robots), Sequence) else type(robots).__name__
+    if count != len(wanted):
+        raise InputError("robot", config.fleet.robot, f"{DRIVER}, {len(wanted)} here (not {count})")
     return robots
 
 
@@ -177,7 +179,10 @@ def driver_of(name: str) -> Driver:
         InputError: there is none.
     """
     if ":" in name:
-        return cast("Driver", load_own("robot", name, "a function that can be imported"))
+        found = load_own("robot", name, f"{DRIVER} and can be imported")
+        if isinstance(found, type) or not callable(found):
+            raise InputError("robot", name, DRIVER)
+        return cast("Driver", found)
     try:
         return cast("Driver", plugins.load("robots", name))
     except KeyError:

@@ -27,6 +27,7 @@ from llm_flock.llm import (
     Reply,
     Usage,
     check_priced,
+    habits_of,
     parse_base_urls,
     parse_model,
     source_of,
@@ -126,12 +127,12 @@ class FlockModel(ModelAPI):
     def simulated(self) -> bool:
         """Whether its answers come from a stand-in."""
         of_others = self._own or self._replay
-        return self.kind == "simulated" or (of_others is not None and of_others.simulated)
+        return habits_of(self._name.text).simulated or (of_others is not None and of_others.simulated)
 
     @property
     def reads_words(self) -> bool:
         """Whether it can be asked for a mission in plain words. Stand-ins and geometry cannot read any."""
-        return self.kind != "geometry" and (not self.simulated or self.kind == "own")
+        return self.kind != "geometry" and (not self.simulated or self.kind in ("own", "plugin"))
 
     @property
     def files(self) -> Mapping[str, str]:

@@ -14,7 +14,7 @@ import msgspec
 
 from llm_flock import runtime
 from llm_flock.errors import InputError
-from llm_flock.llm import CallLane, Spent, parse_model
+from llm_flock.llm import CallLane, Spent, habits_of
 from llm_flock.own_code import is_cancelled, shown
 from llm_flock.record import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import RECORD_NAME, TrialProgress, run_async
@@ -158,8 +158,7 @@ async def fly(
         rounds=_columns(metrics.rows),
         error=error,
         cut=error is None and lane.cut and summary is not None and summary["stopped"] == "budget",
-        simulated=any(parse_model(model).kind == "simulated" for model in spec.models)
-        or bool(summary and summary["simulated"]),
+        simulated=any(habits_of(model).simulated for model in spec.models) or bool(summary and summary["simulated"]),
         code="" if scratch is None else code_version(),
         record=None if record is None else f"records/{spec.id}.mcap",
         earlier=earlier,

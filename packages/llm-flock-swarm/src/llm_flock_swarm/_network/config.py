@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from typing import Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
@@ -98,7 +99,7 @@ class SwarmConfig(RunConfig):
     @property
     def simulated(self) -> bool:
         """Whether any language model is a simulated stand-in; classes of the user's own are imported to tell."""
-        return "simulated:" in self.model.model or any(map(says_simulated, self._own))
+        return any(map(says_simulated, self._names))
 
     @property
     def unrepeatable(self) -> list[str]:
@@ -107,8 +108,11 @@ class SwarmConfig(RunConfig):
 
     @property
     def _own(self) -> list[str]:
-        names = dict.fromkeys(parse_models(self.model.model, self.mission.n_robots))
-        return [name for name in names if parse_model(name).kind == "own"]
+        return [name for name in self._names if parse_model(name).kind == "own"]
+
+    @property
+    def _names(self) -> Iterable[str]:
+        return dict.fromkeys(parse_models(self.model.model, self.mission.n_robots))
 
     @property
     def speed(self) -> float:

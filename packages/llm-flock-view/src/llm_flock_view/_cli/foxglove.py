@@ -23,6 +23,7 @@ def serve(
     Raises:
         InputError: the port cannot be used, or the extra is not installed.
     """
+    from llm_flock.llm import parse_models, says_simulated
     from llm_flock.runtime import run_info
     from llm_flock_view._foxglove.server import FoxgloveServer
 
@@ -31,7 +32,8 @@ def serve(
     server = FoxgloveServer(port, config.mission.n_robots)
     try:
         say(f"Foxglove: {server.url}", error=True)
-        server.write(run_info(config, simulated="simulated:" in config.model.model))
+        models = parse_models(config.model.model, config.mission.n_robots)
+        server.write(run_info(config, simulated=any(map(says_simulated, models))))
         yield server
     finally:
         server.close()

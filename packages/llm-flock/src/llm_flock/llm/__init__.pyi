@@ -30,6 +30,7 @@ from ._models import waits as waits
 from ._own import OwnModel as OwnModel
 from ._own import says_simulated as says_simulated
 from ._planner import LanguagePlanner as LanguagePlanner
+from ._port import AnswerForm as AnswerForm
 from ._port import Attempt as Attempt
 from ._port import Call as Call
 from ._port import CallSettings as CallSettings
@@ -54,5 +55,6 @@ from ._sharing import SharedGate as SharedGate
 from ._simulated.profiles import parse_profile as parse_profile
 from ._sources import Habits as Habits
 from ._sources import ModelHost as ModelHost
+from ._sources import ModelSource as ModelSource
 from ._sources import habits_of as habits_of
 from ._sources import source_of as source_of

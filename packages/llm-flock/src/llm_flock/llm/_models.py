@@ -250,7 +250,7 @@ class ModelPool:
 
         Raises:
             InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
-                geometry, which other classes provide (`replay.ReplayModel`, `geometry.GeometryPlanner`).
+                geometry, which other classes provide (`ReplayModel`, `GeometryPlanner`).
         """
         name = parse_model(text)
         if name.kind == "plugin":

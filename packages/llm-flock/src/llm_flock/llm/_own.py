@@ -15,7 +15,8 @@ from typing import Any, Self, TypeAlias, cast
 
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._port import MOST_TOKENS, Answers, Call, Reply, Usage
-from llm_flock.llm._providers import model_forms
+from llm_flock.llm._providers import model_forms, parse_model
+from llm_flock.llm._sources import habits_of
 from llm_flock.own_code import is_cancelled, load_own, shown
 
 logger = logging.getLogger(__name__)
@@ -122,11 +123,13 @@ class OwnModel:
 
 
 def says_simulated(name: str) -> bool:
-    """Whether a class says that it is a stand-in; the class is imported, but not called.
+    """Whether a model is a stand-in, by its name; a class of the user's own is imported, but not called.
 
     Raises:
         InputError: for field `model`: there is no such class.
     """
+    if parse_model(name).kind != "own":
+        return habits_of(name).simulated
     return bool(getattr(load_own("model", name, model_forms()), "simulated", False))
 
 

@@ -138,6 +138,8 @@ def parse_model(text: str) -> ModelName:
         return ModelName(text=text, kind="own", provider="own", model=model)
     if not colon or provider not in known:
         says = unknown(f"provider {provider!r}", provider, (*known, "package.module:Class")) if colon else ""
+        if provider.isidentifier() and model.isidentifier():
+            says += " (a class of your own begins with a capital letter)"
         raise InputError("model", text, model_forms(), says=says)
     if not model:
         expected = {"simulated": "a profile", "replay": "a file"}.get(provider, "a model name")

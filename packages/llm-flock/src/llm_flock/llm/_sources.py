@@ -22,12 +22,14 @@ class Habits:
         frame: coordinates of the prompts.
         plans: whether it is asked for a plan, the others come from geometry; None where it is asked for all.
         contained: it costs nothing, uses no network and reads no file outside installed packages.
+        simulated: it is a stand-in, and no language model: everything that is shown says so.
     """
 
     prompts: str = "full"
     frame: FrameName = "world"
     plans: Callable[[PlanQuestion], bool] | None = None
     contained: bool = False
+    simulated: bool = False
 
 
 class ModelHost(Protocol):
@@ -96,4 +98,6 @@ def source_of(prefix: str) -> ModelSource:
 def habits_of(text: str) -> Habits:
     """How the model of this name is best asked; as any other, where no plug-in of its prefix is installed."""
     prefix, _, model = text.partition(":")
-    return source_of(prefix).habits(model) if prefix in plugins.entries("models") else Habits()
+    if prefix in plugins.entries("models"):
+        return source_of(prefix).habits(model)
+    return Habits(simulated=prefix == "simulated")

@@ -11,6 +11,8 @@ from ._base import SelfChecked as SelfChecked
 from ._base import TakenOver as TakenOver
 from ._point_mass import BUSY as BUSY
 from ._point_mass import FALL_HEIGHT as FALL_HEIGHT
+from ._point_mass import BodyController as BodyController
+from ._point_mass import MakeController as MakeController
 from ._point_mass import Mode as Mode
 from ._point_mass import PointMass as PointMass
 from ._pose import Pose as Pose

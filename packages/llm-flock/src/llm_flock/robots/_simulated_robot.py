@@ -29,7 +29,7 @@ class SimulatedRobot:
         body: PointMass | None = None,
         equipment: Equipment | None = None,
     ) -> None:
-        self.body = body or PointMass(home=home)
+        self.body = body or PointMass(home=home, ground_m=min(0.0, home[2]))
         self.name = name
         self._limits = limits or MotionLimits()
         self._clock = clock or time.monotonic

@@ -46,9 +46,10 @@ def wait_for(main: Coroutine[Any, Any, T]) -> T:
     Raises:
         KeyboardInterrupt: Ctrl-C, after the coroutine was cancelled and has ended.
     """
-    try:
-        asyncio.get_running_loop()
-    except RuntimeError:
+    around: asyncio.AbstractEventLoop | None = None
+    with suppress(RuntimeError):
+        around = asyncio.get_running_loop()
+    if around is None:  # outside of the handler, whose error every traceback of `main` would begin with
         return asyncio.run(main)
     done: Future[T] = Future()
     begun = threading.Event()

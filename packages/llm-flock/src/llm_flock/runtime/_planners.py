@@ -213,8 +213,10 @@ class TeamPlanners:
     @property
     def simulated(self) -> bool:
         """Whether any answer comes from a simulated stand-in, now or when it was recorded."""
+        from llm_flock.llm._sources import habits_of
+
         return (
-            any(parse_model(name).kind == "simulated" for name in self.names)
+            any(habits_of(name).simulated for name in self.names)
             or any(replay.simulated for replay in self._replays.values())
             or any(own.simulated for own in self._own_models)
         )

@@ -39,7 +39,8 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
         try:
             mission = load_config(None, **given, arena=((0.0, 0.0), (1000.0, 1000.0)), center=(500.0, 500.0)).mission
         except InputError as error:
-            raise AssertionError(f"{shape} with {n} robots is refused: {error}") from None
+            team = shape if n is None else f"{shape} with {n} robots"
+            raise AssertionError(f"{team} is refused: {error}") from None
         assert mission.ideal is not None, f"{shape} has no ideal places: its error cannot be measured"
         points = np.array(mission.ideal)
         assert points.shape == (mission.n_robots, mission.dim), f"{shape}: {len(points)} places for {n} robots"

@@ -139,7 +139,8 @@ async def _check_flight(
         await _check_cut(robot, beyond)
     await robot.land(z, 2.0)
     await wait_until(lambda: not robot.state().flying, 2.0 + patience_s, "a landed robot is not flying")
-    assert abs(robot.state().position[2] - z) <= max(tolerance_m, 0.1), "a landed robot is on the ground"
+    ends = robot.state().position[2]
+    assert abs(ends - z) <= max(tolerance_m, 0.1), f"a landed robot is on the ground: at {z:.3g} m, not {ends:.3g} m"
 
 
 def _check_state(state: RobotState) -> None:

@@ -39,25 +39,26 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
     give the same choice, in whatever order the messages are; choosing settles (hearing the chosen message alone
     again changes nothing more).
     """
-    assert isinstance(rule.name, str) and rule.name, "a rule has a name"
+    assert isinstance(name := getattr(rule, "name", None), str) and name, "a rule has a name"
     rng = np.random.default_rng(seed)
     for _ in range(trials):
         n = int(rng.integers(1, 8))
         plans = [random_plan(n, rng), random_plan(n, rng), None]
-        own_message = random_message(0, n, plans[int(rng.integers(0, 3))], rng)
-        own = Standing(plan=own_message.plan, provenance=own_message.provenance, degree=own_message.degree)
+        me = int(rng.integers(0, n))
+        mine = random_message(me, n, plans[int(rng.integers(0, 3))], rng)
+        own = Standing(robot=me, plan=mine.plan, provenance=mine.provenance, degree=mine.degree)
         assert rule.choose(own, []) is None, f"{rule.name} chose although nothing was heard"
-        heard = [random_message(j, n, plans[int(rng.integers(0, 3))], rng) for j in range(1, n)]
+        heard = [random_message(j, n, plans[int(rng.integers(0, 3))], rng) for j in range(n) if j != me]
         choice = rule.choose(own, heard)
         assert rule.choose(own, heard) is choice, f"{rule.name} gives different choices for the same arguments"
         if choice is None:
             continue
-        assert choice in heard, f"{rule.name} chose a message that was not heard"
+        assert any(choice is message for message in heard), f"{rule.name} chose a message that was not heard"
         assert choice.plan is not None, f"{rule.name} chose a message without a plan"
         shuffled = [heard[int(k)] for k in rng.permutation(len(heard))]
         again = rule.choose(own, shuffled)
         assert again is not None and again.plan == choice.plan, f"{rule.name} depends on the order of messages"
-        settled = Standing(plan=choice.plan, provenance=choice.provenance, degree=own.degree)
+        settled = Standing(robot=me, plan=choice.plan, provenance=choice.provenance, degree=own.degree)
         assert rule.choose(settled, [choice]) is None, f"{rule.name} adopts again what it just adopted"
 
 
@@ -67,7 +68,7 @@ def check_assignment_rule(rule: AssignmentRule, *, trials: int = 100, seed: int 
     A name; slots within the plan; the same arguments give the same claim; a claim survives the wire (its table fits
     a message); hearing nothing changes nothing; exchanging claims among all robots comes to rest.
     """
-    assert isinstance(rule.name, str) and rule.name, "a rule has a name"
+    assert isinstance(name := getattr(rule, "name", None), str) and name, "a rule has a name"
     rng = np.random.default_rng(seed)
     for _ in range(trials):
         _check_team(rule, int(rng.integers(1, 7)), rng)

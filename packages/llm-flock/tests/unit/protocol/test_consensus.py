@@ -1,8 +1,13 @@
 """Plan consensus rules, and where the paper's fails."""
 
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 
+import llm_flock
 from llm_flock.message import Message, Provenance
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.consensus import (
@@ -29,7 +34,7 @@ def says(sender: int, degree: int, plan: Plan | None, provenance: Provenance | N
 
 
 def holds(plan: Plan | None, degree: int, proposer: int = 0) -> Standing:
-    return Standing(plan=plan, provenance=None if plan is None else origin(proposer, degree), degree=degree)
+    return Standing(robot=0, plan=plan, provenance=None if plan is None else origin(proposer, degree), degree=degree)
 
 
 @pytest.mark.parametrize(
@@ -104,11 +109,44 @@ def test_provenance_converges_within_the_diameter_on_a_path() -> None:
     n = 9
     rng = np.random.default_rng(3)
     plans = [Plan.of(rng.uniform(0, 50, (n, 2)).tolist()) for _ in range(n)]
-    standing = [Standing(plan=plans[i], provenance=origin(i, 1), degree=1) for i in range(n)]
+    standing = [Standing(robot=i, plan=plans[i], provenance=origin(i, 1), degree=1) for i in range(n)]
     for _ in range(n - 1):
         spoken = [says(i, s.degree, s.plan, s.provenance) for i, s in enumerate(standing)]
         for i in range(n):
             choice = ProvenanceConsensus().choose(standing[i], [spoken[j] for j in (i - 1, i + 1) if 0 <= j < n])
             if choice is not None:
-                standing[i] = Standing(plan=choice.plan, provenance=choice.provenance, degree=1)
+                standing[i] = Standing(robot=i, plan=choice.plan, provenance=choice.provenance, degree=1)
     assert {s.plan for s in standing} == {plans[n - 1]}
+
+
+class LowestSpeaker:
+    """Follows the robot with the lowest id: its own is among those."""
+
+    name = "lowest-speaker"
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        said = [m for m in heard if m.plan is not None and m.sender < own.robot]
+        lowest = min(said, key=lambda m: m.sender, default=None)
+        return None if lowest is None or lowest.plan == own.plan else lowest
+
+
+class AnyLower(LowestSpeaker):
+    """Goes to and fro between lower robots."""
+
+    def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
+        return next((m for m in heard if m.plan is not None and m.sender < own.robot), None)
+
+
+def test_a_rule_knows_its_own_robot() -> None:
+    check_consensus_rule(LowestSpeaker())
+    with pytest.raises(AssertionError, match="adopts again"):
+        check_consensus_rule(AnyLower())
+    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    result = llm_flock.run(mission, model="geometry", consensus=LowestSpeaker(), start="connected", comm_range=200.0)
+    assert result.formed and result.summary.plans_in_use == 1
+
+
+def test_what_has_no_name_is_no_rule() -> None:
+    for nameless in (object(), SimpleNamespace(name=""), SimpleNamespace(name=3)):
+        with pytest.raises(AssertionError, match="a rule has a name"):
+            check_consensus_rule(cast("Any", nameless))

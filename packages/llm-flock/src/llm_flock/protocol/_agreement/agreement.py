@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import operator
+import traceback
 from collections.abc import Mapping
 from typing import Literal
 
 from llm_flock.arrays import Point
+from llm_flock.errors import MOST_SHOWN, FlockError
 from llm_flock.events import Note
 from llm_flock.message import BLOCKED, MOST_EPOCHS, Message, MissionStamp, Provenance
 from llm_flock.mission import Mission
+from llm_flock.own_code import shown
 from llm_flock.plan import Plan
+from llm_flock.printable import one_line
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
@@ -97,10 +101,24 @@ class Agreement(Situation):
         self._follow(answer.plan, origin, adopted=False, heard=[])
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
 
+    def _choose(self, own: Standing, heard: list[Message]) -> Message | None:
+        """What the rule chooses; it may be anybody's code: a FlockError where it fails, or returns anything else."""
+        rule = f"robot {self._robot}: the consensus rule {self._consensus.name!r}"
+        try:
+            chosen = self._consensus.choose(own, heard)
+        except Exception as error:
+            *_, (frame, line) = traceback.walk_tb(error.__traceback__)
+            says = f"failed: {shown(error)} ({frame.f_code.co_filename}, line {line})"
+            raise FlockError(one_line(f"{rule} {says}")) from error
+        if chosen is None or (any(chosen is message for message in heard) and chosen.plan is not None):
+            return chosen
+        allowed = "None, or one of the messages heard that has a plan"
+        raise FlockError(f"{rule} returned {one_line(repr(chosen), MOST_SHOWN)}; expected {allowed}")
+
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
         """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
         plan, origin = source.plan, source.provenance
-        assert plan is not None and origin is not None, "a rule may only choose a message with a plan"
+        assert plan is not None and origin is not None, "they go together"
         if plan == self.plan:
             self._remember()
             self.provenance = origin
@@ -170,9 +188,10 @@ class Agreement(Situation):
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
         own_class = self._verifier.plan_class(self.mission, self.plan)
-        own = Standing(plan=self.plan, provenance=self.provenance, degree=self.degree, plan_class=own_class)
+        origin, degree = self.provenance, self.degree
+        own = Standing(robot=self._robot, plan=self.plan, provenance=origin, degree=degree, plan_class=own_class)
         before = self.claim
-        source = self._consensus.choose(own, heard)
+        source = self._choose(own, heard)
         adopted = [] if source is None else self._adopt(source, heard)
         if not adopted and self.plan is not None:
             claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))

@@ -19,10 +19,11 @@ TieBreak: TypeAlias = Literal["lowest", "highest"]
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
     """A robot's own side of the comparison."""
 
+    robot: int  #: Its id.
     plan: Plan | None  #: The plan that it follows, None before it has one.
     provenance: Provenance | None  #: Origin of that plan.
     degree: int  #: Number of robots within its radio range, that is N times its influence (paper, eq. 1).
-    plan_class: int = 0  #: Class of that plan (`verification.plans.PlanClass`); 0 where nothing is checked.
+    plan_class: int = 0  #: Class of that plan (`_verification.plans.PlanClass`); 0 where nothing is checked.
 
 
 class ConsensusRule(Protocol):
@@ -89,10 +90,10 @@ def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:
 class ProvenanceConsensus:
     """Max-consensus over a total order of plans (max-consensus: Cortes 2008; Nejad et al. 2009).
 
-    Plans of one class (`verification.plans.PlanClass`, which every receiver determines itself) are ordered first by the
-    influence that the proposer had when it proposed. This keeps the paper's idea, but influence belongs to the plan and
-    travels with it, and the proposer's id breaks ties. On a connected graph without loss all robots agree within its
-    diameter in communication rounds, because the highest key spreads and never changes. In a team that replans, the
+    Plans of one class (`_verification.plans.PlanClass`, which every receiver determines itself) are ordered first by
+    the influence that the proposer had when it proposed. This keeps the paper's idea, but influence belongs to the plan
+    and travels with it, and the proposer's id breaks ties. On a connected graph without loss all robots agree within
+    its diameter in communication rounds, because the highest key spreads and never changes. In a team that replans, the
     plan of the later epoch comes first, and within an epoch the one for more robots.
     """
 
