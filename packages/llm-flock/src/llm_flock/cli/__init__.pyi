@@ -12,6 +12,7 @@ from ._expected import short as short
 from ._export import needed as needed
 from ._extensions import Extension as Extension
 from ._extensions import Finding as Finding
+from ._extensions import chosen as chosen
 from ._extensions import extended as extended
 from ._options import EXIT_FAILED as EXIT_FAILED
 from ._options import EXIT_INTERRUPTED as EXIT_INTERRUPTED
@@ -21,7 +22,6 @@ from ._options import Quiet as Quiet
 from ._options import Record as Record
 from ._options import with_config_flags as with_config_flags
 from ._options import with_output_folder as with_output_folder
-from ._sinks import chosen as chosen
 from ._sinks import refuse as refuse
 from ._sinks import showing as showing
 from ._terminal import Screen as Screen

@@ -9,7 +9,6 @@ from llm_flock.cli._commands import Commands
 app = typer.Typer(
     name="llm-flock",
     cls=Commands,
-    help="Robots that agree on a formation, each with its own language model and without a central controller.",
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -20,6 +19,4 @@ app = typer.Typer(
 def start(ctx: typer.Context) -> None:
     """Robots that agree on a formation, each with its own language model and without a central controller."""
     if ctx.invoked_subcommand is None:
-        from llm_flock.cli._start import show_next_steps
-
-        show_next_steps()
+        typer.echo(ctx.get_help())

@@ -21,7 +21,7 @@ from llm_flock.record import RECORD_NAME
 from llm_flock.record._words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
-    from llm_flock.record._reader import RecordEnd, RunRecord
+    from llm_flock.record._reader import RunRecord
     from llm_flock.runtime._result import Summary
     from llm_flock.runtime._trial import TrialProgress
 
@@ -188,7 +188,7 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join("-".join(map(str, run)) for run in runs)
 
 
-def note_broken(records: Iterable[RunRecord | RecordEnd], done: str = "drawn") -> None:
+def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
     """Say which records end early. Call before they are drawn, or `done` otherwise."""
     for record in records:
         if not record.complete:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,17 +11,10 @@ from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock.plugins import Kind
 
-KEYWORD = "extensions"
-"""The parameter in which an extended command gets its `Extension`s."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extension:
-    """A plug-in with the flags that were given for it.
-
-    Attributes:
-        flags: values by parameter name; the first one switches the plug-in on, if it has any.
-    """
+    """A plug-in with the flags that were given for it by parameter name; the first one, if any, switches it on."""
 
     name: str
     function: Callable[..., Any]
@@ -32,18 +25,6 @@ class Extension:
         """Whether its first flag was given."""
         return bool(next(iter(self.flags.values()), None))
 
-    def refuse_idle_flags(self) -> None:
-        """Refuse flags without the first one.
-
-        Raises:
-            InputError: one was given.
-        """
-        defaults = {p.name: p.default for p in _flags(self.function)}
-        switch = next(iter(self.flags))
-        for field, value in self.flags.items():
-            if not self.on and value != defaults[field]:
-                raise InputError(field, value, says=f"has no effect without --{switch.replace('_', '-')}")
-
     def __call__(self, *args: Any) -> Any:
         """Call the plug-in with its flags."""
         return self.function(*args, **self.flags)
@@ -51,19 +32,23 @@ class Extension:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of `llm-flock doctor`.
+    """One line of `llm-flock doctor`."""
 
-    Attributes:
-        part: what it belongs to: base, extra, key or reach.
-        name: what was looked for.
-        ok: whether it is there.
-        detail: what was found, or what to do.
-    """
-
-    part: str
+    part: str  # base, extra, key or reach
     name: str
     ok: bool
-    detail: str
+    detail: str  # what was found, or what to do
+
+
+def chosen(extensions: Sequence[Extension]) -> list[Extension]:
+    """The plug-ins that are switched on; `InputError` where one has other flags, and is not."""
+    for extension in extensions:
+        defaults = {p.name: p.default for p in _flags(extension.function)}
+        for field, value in extension.flags.items():
+            if not extension.on and value != defaults[field]:
+                switch = next(iter(extension.flags)).replace("_", "-")
+                raise InputError(field, value, says=f"has no effect without --{switch}")
+    return [extension for extension in extensions if extension.on]
 
 
 def extended(kind: Kind) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -89,9 +74,9 @@ def with_extensions(command: Callable[..., None]) -> Callable[..., None]:
             Extension(name=name, function=functions[name], flags={p.name: given.pop(p.name) for p in parameters})
             for name, parameters in added.items()
         ]
-        command(**given, **{KEYWORD: extensions})
+        command(**given, extensions=extensions)
 
-    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != KEYWORD]
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "extensions"]
     flags = [p for parameters in added.values() for p in parameters]
     var = [p for p in own if p.kind is p.VAR_KEYWORD]
     parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p not in var] + flags

@@ -23,41 +23,19 @@ PACE = 2.0
 """Rounds a second at most while a run is shown: simulated models would be over before anybody looks."""
 
 
-def chosen(extensions: Sequence[Extension]) -> list[Extension]:
-    """The plug-ins that are switched on.
-
-    Raises:
-        InputError: one has other flags, and is not.
-    """
-    for extension in extensions:
-        extension.refuse_idle_flags()
-    return [extension for extension in extensions if extension.on]
-
-
 def refuse(sinks: Sequence[Extension], where: str) -> None:
-    """Refuse them for a command that shows nothing there.
-
-    Raises:
-        InputError: there is one.
-    """
+    """Refuse them, where there are any, for a command that shows nothing there."""
     for sink in sinks:
         raise InputError(next(iter(sink.flags)), None, says=f"has no effect in {where}")
 
 
 @contextmanager
 def showing(sinks: Sequence[Extension], config: RunConfig) -> Generator[RecordSink | None]:
-    """Open them while a run flies; one sink for all, None without any.
+    """Open them while a run flies; one sink for all, None without any."""
+    from llm_flock.record import both
 
-    Raises:
-        InputError: one cannot be opened.
-    """
     with ExitStack() as stack:
-        found: RecordSink | None = None
-        for sink in sinks:
-            from llm_flock.record._writer import both
-
-            found = both(found, stack.enter_context(sink(config)))
-        yield found
+        yield both(*[stack.enter_context(sink(config)) for sink in sinks])
 
 
 class Pacer:

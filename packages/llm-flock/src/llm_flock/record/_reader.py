@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -75,7 +75,7 @@ class RunRecord:
     @property
     def complete(self) -> bool:
         """Whether the run came to a clean end; False after a fault, a crash or a kill."""
-        return _is_complete(self.result)
+        return self.result is not None and self.result.get("stopped") != "failed"
 
     @property
     def mission(self) -> MissionInfo:
@@ -143,35 +143,6 @@ class RunRecord:
 
     def _repr_html_(self) -> str | None:
         return self.html()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordEnd:
-    """How far a record goes; see `RunRecord` for `complete` and `rounds`."""
-
-    path: Path
-    complete: bool
-    rounds: int
-
-
-def read_end(path: str | Path) -> RecordEnd:
-    """How far a record goes, read message by message. Call where the record may not fit into memory.
-
-    Raises:
-        RecordError: there is no such file, it is no record, or ends before round 0 did, or is damaged elsewhere.
-    """
-    path = record_file(path)
-    ends, result = 0, None
-    for entry in _open(path).entries():
-        ends += isinstance(entry, RoundEnd)
-        result = entry.result if isinstance(entry, SummaryMessage) else result
-    if not ends:
-        raise RecordError(f"{path}: {NO_START}")
-    return RecordEnd(path=path, complete=_is_complete(result), rounds=ends - 1)
-
-
-def _is_complete(result: Mapping[str, Any] | None) -> bool:
-    return result is not None and result.get("stopped") != "failed"
 
 
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:

@@ -44,14 +44,14 @@ BUFFER_BYTES = 1 << 20
 
 
 class Tee:
-    """A sink that passes everything on to two others, the first one first."""
+    """A sink that passes everything on to others, in their order."""
 
-    def __init__(self, first: RecordSink, second: RecordSink) -> None:
-        self._both = (first, second)
+    def __init__(self, *sinks: RecordSink) -> None:
+        self._sinks = sinks
 
     def write(self, entry: Entry) -> None:
-        """Write an entry to both."""
-        for sink in self._both:
+        """Write an entry to all of them."""
+        for sink in self._sinks:
             sink.write(entry)
 
 
@@ -72,9 +72,10 @@ class GivenUp:
                 self._on_failure(error)
 
 
-def both(first: RecordSink | None, second: RecordSink | None) -> RecordSink | None:
-    """One sink for two, each of which may be missing."""
-    return second if first is None else first if second is None else Tee(first, second)
+def both(*sinks: RecordSink | None) -> RecordSink | None:
+    """One sink for several, each of which may be missing."""
+    there = [sink for sink in sinks if sink is not None]
+    return Tee(*there) if len(there) > 1 else there[0] if there else None
 
 
 def check_new(path: Path) -> None:
