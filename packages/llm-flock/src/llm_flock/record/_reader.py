@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +18,6 @@ from llm_flock.record import RECORD_NAME
 from llm_flock.record._diagnosis import Diagnosis, diagnose
 from llm_flock.record._history import RunHistory
 from llm_flock.record._schema import (
-    CHANNELS,
     BodySample,
     Entry,
     FlightEvent,
@@ -40,24 +40,12 @@ if TYPE_CHECKING:
 
 E = TypeVar("E", bound=Entry)
 
-BAG_INDEX = "metadata.yaml"
-"""A folder with this file is a bag of ROS 2."""
-
 NO_START = "the run ended before its start was recorded; there is nothing to show"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RunRecord:
-    """One run, read into memory: its complete rounds, and the summary of a clean end.
-
-    Attributes:
-        missions: every mission, oldest first.
-        plans: every plan, in the order in which they were first seen.
-        states: the team after each round; the first is the start.
-        bodies: of a real flight, every drone about ten times a second, measured and commanded [m].
-        result: the run's summary; None when it did not end cleanly.
-        positions: true positions, shape (rounds + 1, n, d) [units; world frame].
-    """
+    """One run, read into memory: its complete rounds, the start included, and the summary of a clean end."""
 
     path: Path
     run: RunInfo
@@ -67,10 +55,10 @@ class RunRecord:
     events: tuple[ProtocolEvent, ...] = field(repr=False)
     llm: tuple[LlmEntry, ...] = field(repr=False)
     metrics: tuple[MetricsRow, ...] = field(repr=False)
-    bodies: tuple[BodySample, ...] = field(repr=False)
+    bodies: tuple[BodySample, ...] = field(repr=False)  # of a real flight [m]
     flight: tuple[FlightEvent, ...] = field(repr=False)
-    result: dict[str, Any] | None
-    positions: NDArray[np.float64] = field(repr=False)
+    result: dict[str, Any] | None  # None when the run did not end cleanly
+    positions: NDArray[np.float64] = field(repr=False)  # true ones, shape (rounds + 1, n, d) [units; world frame]
 
     @property
     def complete(self) -> bool:
@@ -107,30 +95,17 @@ class RunRecord:
         return diagnose(RunHistory.of((*seen, RoundEnd(round=self.rounds), *end)))
 
     def animate(self, *, fps: int = 12) -> Any:
-        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round.
-
-        Raises:
-            InputError: a rate below 1.
-            ExtraMissing: the extra `figures` is not installed.
-        """
+        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
         if "animation" not in plugins.entries("views"):
             raise ExtraMissing("animate()", "figures")
         return plugins.load("views", "animation")(self, fps=fps)
 
     def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
-        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
-
-        Raises:
-            InputError: there is no such table.
-        """
+        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round."""
         return to_polars(self, table)
 
     def to_pandas(self, table: TableName = "rounds") -> pandas.DataFrame:
-        """As `to_polars`, for pandas.
-
-        Raises:
-            InputError: there is no such table, or pandas is not installed.
-        """
+        """As `to_polars`, for pandas."""
         return to_pandas(self, table)
 
     def __repr__(self) -> str:
@@ -146,22 +121,15 @@ class RunRecord:
 
 
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:
-    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off.
+    """Every whole message of a record in the order of writing, for records that do not fit into memory.
 
-    Call it for records that do not fit into memory, or to see messages as they stand in the file.
-
-    Raises:
-        RecordError: there is no such file, it is no MCAP file, or it is damaged other than at its end.
+    Ends quietly where a killed run broke off; `RecordError` for a file that is damaged elsewhere, or no MCAP file.
     """
     yield from _open(record_file(path)).messages()
 
 
 def record_file(path: str | Path) -> Path:
-    """The file of a record, given by its own name or its folder's.
-
-    Raises:
-        RecordError: no path at all.
-    """
+    """The file of a record, given by its own name or its folder's; `RecordError` for what is no path at all."""
     try:
         given = Path(path).expanduser()
     except (TypeError, RuntimeError):
@@ -176,28 +144,23 @@ def read_record(path: str | Path) -> RunRecord:
         RecordError: the file is missing, empty, not a record, of a newer format, damaged, or ends before round 0 did.
     """
     path = record_file(path)
-    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
-    kept = dict.fromkeys(found, 0)
+    entries: list[Entry] = []
+    kept = 0
     for entry in _open(path).entries():
-        found[type(entry)].append(entry)
+        entries.append(entry)
         if isinstance(entry, RoundEnd | SummaryMessage):
-            # Everything up to here belongs to complete rounds, or to a run that ended cleanly within one.
-            kept = {kind: len(entries) for kind, entries in found.items()}
-    return gather_record(path, [entry for kind, entries in found.items() for entry in entries[: kept[kind]]])
+            kept = len(entries)  # up to here, all belongs to complete rounds, or to a run that ended cleanly within one
+    return gather_record(path, entries[:kept])
 
 
 def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
-    """A record of entries, those of each kind in the order of writing; `path` is only named.
-
-    Raises:
-        RecordError: a round, the run or the mission is missing.
-    """
-    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
+    """A record of entries in the order of writing, which may lack no round, run or mission; `path` is only named."""
+    found: defaultdict[type[Entry], list[Any]] = defaultdict(list)
     for entry in entries:
         found[type(entry)].append(entry)
 
     def all_of(model: type[E]) -> tuple[E, ...]:
-        return tuple(entry for entry in found[model] if isinstance(entry, model))
+        return tuple(found[model])
 
     runs, missions, rounds = all_of(RunInfo), all_of(MissionInfo), len(all_of(RoundEnd))
     if not rounds:
@@ -224,13 +187,12 @@ def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
 
 def _open(path: Path) -> RecordStream:
     try:
-        size = path.stat().st_size
+        if path.stat().st_size == 0:
+            raise RecordError(f"{path}: empty file")
     except OSError as error:
-        if path.name == RECORD_NAME and (path.parent / BAG_INDEX).is_file():
+        if path.name == RECORD_NAME and (path.parent / "metadata.yaml").is_file():
             raise RecordError(f"{path.parent}: {ROS_BAG}") from None
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:  # NUL in the name
         raise RecordError(f"{path}: cannot be read ({error})") from None
-    if size == 0:
-        raise RecordError(f"{path}: empty file")
     return RecordStream(path)

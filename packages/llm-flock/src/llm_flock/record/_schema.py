@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Annotated, Any, Protocol, Self, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -45,15 +44,12 @@ DEEPEST = 32
 """Deepest nesting of free values; those of this program have a quarter of it."""
 
 
-def check_plain(value: object, depth: int = DEEPEST) -> None:
+def check_plain(value: Any, depth: int = DEEPEST) -> None:
     """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
     if isinstance(value, Mapping | list | tuple):
         if depth == 0:
             raise ValueError("values are nested too deeply")
-        held = (
-            cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else cast("list[object]", value)
-        )
-        for one in held:
+        for one in cast("list[Any]", value.values() if isinstance(value, Mapping) else value):
             check_plain(one, depth - 1)
     elif isinstance(value, int | float) and not -1e300 <= value <= 1e300:
         raise ValueError("a number that readers cannot hold")
@@ -70,13 +66,12 @@ Free = Annotated[dict[str, Any], AfterValidator(_free)]
 """Values by name, of a form that this format does not know."""
 
 
-_Corner = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
-
-
 class _Obstacle(BaseModel):
     center: Row | None = None
     radius: Annotated[Coordinate, Field(ge=0)] | None = None
-    polygon: Annotated[list[_Corner], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
+    polygon: (
+        Annotated[list[Annotated[Row, Field(max_length=2)]], Field(min_length=3, max_length=MAX_CORNERS)] | None
+    ) = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -170,10 +165,6 @@ ROUND_NS = 1_000_000_000
 
 _VOLATILE: dict[str, Any] = {"volatile": True}
 """Marks fields that may differ between two runs of one seed."""
-
-VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record", "flight"})
-"""Keys of the summary's result that may differ between two runs of one seed."""
-
 
 DEAD, ASLEEP = "dead", "asleep"
 """Phase of a robot after it died, and before it began."""
@@ -397,10 +388,9 @@ SCENE_TOPIC = "/scene"
 
 
 class RecordSink(Protocol):
-    """Takes the entries of a run as they happen.
+    """Takes the entries of a run as they happen: `RunInfo` and `MissionInfo` first, `SummaryMessage` last.
 
-    `RunInfo` and `MissionInfo` come first. `RoundEnd` closes each round, from round 0 on. `SummaryMessage` comes last,
-    at a clean end only.
+    `RoundEnd` closes each round, from round 0 on. The summary comes at a clean end only.
     """
 
     def write(self, entry: Entry) -> None:
@@ -413,23 +403,6 @@ class NullWriter:
 
     def write(self, entry: Entry) -> None:
         """Ignore an entry."""
-
-
-@cache
-def volatile_fields(topic: str) -> frozenset[str]:
-    """Fields of a channel that may differ between two runs of one seed: time stamps, latencies, environment."""
-    if topic not in CHANNELS:
-        return frozenset()
-    fields = CHANNELS[topic].model_fields
-    return frozenset(name for name, info in fields.items() if info.json_schema_extra is _VOLATILE)
-
-
-def without_volatile(topic: str, message: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a message without the fields that may differ between two runs of one seed."""
-    kept = {key: value for key, value in message.items() if key not in volatile_fields(topic)}
-    if topic == "/summary":
-        kept["result"] = {key: value for key, value in kept["result"].items() if key not in VOLATILE_RESULTS}
-    return kept
 
 
 def channel_schema(model: type[Entry]) -> dict[str, Any]:

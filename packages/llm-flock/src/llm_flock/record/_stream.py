@@ -34,22 +34,10 @@ from llm_flock.record._schema import (
     State,
 )
 
-DAMAGED = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ArithmeticError,
-    AssertionError,
-    LookupError,
-    RuntimeError,
-    ValueError,
-)
-"""What the libraries raise on bytes that are no MCAP file."""
-
-ROS_PROFILE = "ros2"
-"""Profile of an MCAP file that is a bag of ROS 2."""
-
 ROS_BAG = "a bag of ROS 2, not a record of a run; `ros2 bag info` and Foxglove read it"
+
+_NO_MCAP = (ArithmeticError, AssertionError, LookupError, RuntimeError, ValueError)
+"""What the libraries raise, besides their own errors, on bytes that are no MCAP file."""
 
 MOST_UNPACKED, RATIO = 16 << 20, 50
 """Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
@@ -64,11 +52,7 @@ class RawMessage:
     data: bytes
 
     def decoded(self) -> dict[str, Any]:
-        """The message as plain values.
-
-        Raises:
-            RecordError: it is no JSON object.
-        """
+        """The message as plain values; `RecordError` if it is no JSON object."""
         try:
             value: object = json.loads(self.data)
         except (ValueError, RecursionError) as error:
@@ -110,12 +94,9 @@ class _Team:
                 return self._out_of_turn(entry.round, self._rows)
             case RoundEnd():
                 self._ends += 1
-                missing = (
-                    None
-                    if self._ends == self._states == self._rows
-                    else "not a record of a run: a round without /state or /metrics"
-                )
-                return missing or self._out_of_turn(entry.round, self._ends)
+                if not self._ends == self._states == self._rows:
+                    return "not a record of a run: a round without /state or /metrics"
+                return self._out_of_turn(entry.round, self._ends)
             case ProtocolEvent(robot=robot) | LlmEntry(robot=robot) if self._n is not None and robot >= self._n:
                 return f"robot {robot} in a team of {self._n}"
             case _:
@@ -135,10 +116,7 @@ class _Team:
 class RecordStream:
     """Reads a record from its start; `messages` and `entries` go on where the last call stopped.
 
-    The file may be created later, and may still grow.
-
-    Attributes:
-        ended: whether the file's proper end was reached, so that no more will come.
+    The file may be created later, and may still grow until `ended`: its proper end was reached.
     """
 
     def __init__(self, path: Path) -> None:
@@ -151,8 +129,7 @@ class RecordStream:
     def entries(self) -> Iterator[Entry]:
         """Every new entry, in the order of writing; `/scene` and unknown channels are skipped.
 
-        Raises:
-            RecordError: as `messages`; or an entry is not valid, or of a newer format.
+        `RecordError` as in `messages`, and for an entry that is not valid, or of a newer format.
         """
         for message in self.messages():
             model = CHANNELS.get(message.topic)
@@ -179,8 +156,7 @@ class RecordStream:
     def messages(self) -> Iterator[RawMessage]:
         """Every message that was completed since the last call; none while there is no file.
 
-        Raises:
-            RecordError: the file cannot be read, or is damaged other than at its end.
+        `RecordError` for a file that cannot be read, or is damaged other than at its end.
         """
         try:
             size = self.path.stat().st_size
@@ -191,15 +167,11 @@ class RecordStream:
                     raise RecordError(f"{self.path}: not a readable MCAP file (it does not begin like one)")
                 file.seek(self._position)
                 # No record is longer than the file; without the limit, memory for a broken length would be requested.
-                stream = StreamReader(
-                    _WholeReads(file, size),  # pyright: ignore[reportArgumentType]
-                    skip_magic=self._position > 0,
-                    emit_chunks=True,
-                    record_size_limit=size,
-                )
+                whole: Any = _WholeReads(file, size)
+                stream = StreamReader(whole, self._position > 0, emit_chunks=True, record_size_limit=size)
                 for record in self._unpacked(stream.records, size):
                     self._position = file.tell()
-                    if isinstance(record, Header) and record.profile == ROS_PROFILE:
+                    if isinstance(record, Header) and record.profile == "ros2":
                         raise RecordError(f"{self.path}: {ROS_BAG}")
                     if isinstance(record, Channel):
                         self._topics[record.id] = record.topic
@@ -213,16 +185,7 @@ class RecordStream:
             return  # the rest of this record was not written (yet); what came before is whole
         except OSError as error:
             raise RecordError(f"{self.path}: cannot be read ({error.strerror})") from None
-        except (
-            McapError,
-            LookupError,
-            ValueError,
-            ArithmeticError,
-            AssertionError,
-            RuntimeError,
-            struct.error,
-            zstandard.ZstdError,
-        ) as error:
+        except (McapError, zstandard.ZstdError, struct.error, *_NO_MCAP) as error:
             raise RecordError(f"{self.path}: not a readable MCAP file ({error})") from error
 
     def _unpacked(self, records: Iterable[McapRecord], size: int) -> Iterator[McapRecord]:

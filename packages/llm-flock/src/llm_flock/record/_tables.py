@@ -17,18 +17,15 @@ if TYPE_CHECKING:
 
 TableName: TypeAlias = Literal["rounds", "robots"]
 
-AXES = ("x", "y", "z")
-
-FIGURES = tuple(name for name in MetricsRow.model_fields if name != "messages_rejected")
-"""Columns of the table of rounds: the fields of `/metrics`."""
-
-TEXTS = frozenset({"plan_id", "origin", "phase"})
-WHOLE = frozenset({"round", "robot", "slot", "plans_in_use", "distinct_goals", "robots_at_goal"}) | {
-    "model_calls",
-    "tokens",
-    "messages_sent",
-    "bytes_sent",
+KINDS: dict[str, str] = {
+    name: {int: "Int64", bool: "Boolean"}.get(cast("type", info.annotation), "Float64")
+    for name, info in MetricsRow.model_fields.items()
+    if name != "messages_rejected"
 }
+"""Columns of the table of rounds, which are the fields of `/metrics`, and their types in polars."""
+
+KINDS_OF_ROBOTS = {"robot": "Int64", "slot": "Int64", "plan_id": "String", "origin": "String", "phase": "String"}
+"""Types of the columns of the table of robots that are neither the round nor a coordinate."""
 
 
 def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
@@ -36,23 +33,19 @@ def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
 
     `rounds`: the figures of each round, from the start, which is round 0. `robots`: of each round and robot its true
     position [units; world frame], the goal it heads for, its slot and plan, who supplied its waypoint, and its phase.
-
-    Raises:
-        InputError: there is no such table.
     """
     if table == "rounds":
-        return {name: [getattr(row, name) for row in record.metrics] for name in FIGURES}
+        return {name: [getattr(row, name) for row in record.metrics] for name in KINDS}
     if table != "robots":
         raise InputError("table", table, "rounds or robots")
-    dim = record.positions.shape[2]
-    found: dict[str, list[Any]] = {name: [] for name in ("round", "robot", *AXES[:dim])}
-    found |= {f"goal_{axis}": [] for axis in AXES[:dim]}
-    found |= {name: [] for name in ("slot", "plan_id", "origin", "phase")}
+    axes = ("x", "y", "z")[: record.positions.shape[2]]
+    names = ("round", "robot", *axes, *(f"goal_{axis}" for axis in axes), "slot", "plan_id", "origin", "phase")
+    found: dict[str, list[Any]] = {name: [] for name in names}
     for state in record.states:
         robots = range(len(state.positions))
         found["round"] += [state.round] * len(robots)
         found["robot"] += robots
-        for k, axis in enumerate(AXES[:dim]):
+        for k, axis in enumerate(axes):
             found[axis] += [place[k] for place in state.positions]
             found[f"goal_{axis}"] += [None if goal is None else goal[k] for goal in state.goals]
         found["slot"] += state.slots
@@ -63,41 +56,24 @@ def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
 
 
 def to_polars(record: RunRecord, table: TableName) -> polars.DataFrame:
-    """A table as a polars frame.
-
-    Raises:
-        InputError: there is no such table.
-        ExtraMissing: the extra `sweep` is not installed.
-    """
+    """A table as a polars frame; needs the extra `sweep`."""
     require("sweep", "to_polars()")
     import polars as pl
 
-    def kind(name: str) -> Any:
-        return (
-            pl.Int64
-            if name in WHOLE
-            else pl.String
-            if name in TEXTS
-            else pl.Boolean
-            if name == "connected"
-            else pl.Float64
-        )
-
     found = columns(record, table)
-    return pl.DataFrame(found, schema={name: kind(name) for name in found})
+    return pl.DataFrame(found, schema={name: getattr(pl, _kind(name)) for name in found})
+
+
+def _kind(name: str) -> str:
+    return (KINDS | KINDS_OF_ROBOTS).get(name, "Float64")
 
 
 def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
-    """A table as a pandas frame; whole numbers that may be missing are of type Int64.
-
-    Raises:
-        InputError: there is no such table.
-        ExtraMissing: the extra `notebook` is not installed.
-    """
+    """A table as a pandas frame; whole numbers that may be missing are of type Int64. Needs the extra `notebook`."""
     require("notebook", "to_pandas()")
     found = columns(record, table)
     library: Any = import_module("pandas")
     frame = library.DataFrame(found)
     kinds = {name: "Int64" for name in ("slot",) if name in found}
-    kinds |= {name: "float64" for name in found if name not in WHOLE | TEXTS | {"connected"}}
+    kinds |= {name: "float64" for name in found if _kind(name) == "Float64"}
     return cast("pandas.DataFrame", frame.astype(kinds))

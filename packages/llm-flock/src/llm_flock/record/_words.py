@@ -16,10 +16,7 @@ MOST_PLACES = 12
 
 
 def protocol_text(config: Mapping[str, Any]) -> str:
-    """The protocol of a run by its name, and what differs from it, such as: flock with index assignment.
-
-    Without a name, its rules; empty where the configuration does not say.
-    """
+    """The protocol of a run by its name, or else its rules, and what differs: flock with index assignment."""
     fields = cast("Mapping[str, Any]", config.get("protocol") or {})
     name, given = str(fields.get("protocol") or ""), [fields.get("consensus"), fields.get("assignment")]
     if name not in PRESET_RULES:
@@ -40,10 +37,7 @@ def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | 
 
 
 def formed_in(result: Mapping[str, Any]) -> int | None:
-    """The round of the run in which its last mission was formed, by its result; None if it was not.
-
-    `rounds_to_formed` of a result counts from when the last mission was given.
-    """
+    """The round of the run in which its last mission was formed, by its result; None if it was not."""
     if not result.get("formed"):
         return None
     missions = result.get("missions")

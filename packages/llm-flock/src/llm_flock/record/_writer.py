@@ -79,13 +79,7 @@ def both(*sinks: RecordSink | None) -> RecordSink | None:
 
 
 def check_new(path: Path) -> None:
-    """Refuse a place where no record can be written. Call it before others do what the record is to hold.
-
-    Missing folders are made.
-
-    Raises:
-        InputError: the file exists, or cannot be made.
-    """
+    """Refuse a place where no record can be written, before others do what it is to hold; missing folders are made."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         allowed = os.access(path.parent, os.W_OK | os.X_OK)
@@ -112,9 +106,7 @@ def _schemas() -> tuple[tuple[str, str, bytes], ...]:
 class RecordWriter:
     """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
 
-    Raises:
-        InputError: the file exists, or cannot be made.
-        RecordError: by every method, when the disk does not take what is written.
+    Every method raises `RecordError` when the disk does not take what is written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -149,13 +141,10 @@ class RecordWriter:
         self.close()
 
     def write(self, entry: Entry) -> None:
-        """Write an entry to its channel; a state is drawn as a scene as well.
+        """Write an entry to its channel; a state, which comes after the first mission, is drawn as a scene as well.
 
         The end of a round, the summary, and every event of a flight are handed to the operating system at once, with
         all that came before them.
-
-        Raises:
-            RecordError: a state comes before the first mission.
         """
         if self._scene is None and isinstance(entry, State):
             raise RecordError(f"{self.path}: a state comes before the mission")
