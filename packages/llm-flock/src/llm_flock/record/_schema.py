@@ -185,10 +185,10 @@ class Entry(BaseModel):
 class RunInfo(Entry):
     """Where the run came from. Written once, first."""
 
-    format_version: Whole = Field(FORMAT_VERSION, description="Version of this format")
+    format_version: Whole = Field(default=FORMAT_VERSION, description="Version of this format")
     config: Config = Field(description="The resolved configuration, every field of it")
     versions: dict[str, str] = Field(description="Versions of the packages that can change a result")
-    git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
+    git_revision: str | None = Field(default=None, description="Revision of the code, +dirty with local changes")
     seed: Whole = Field(description="Seed of the run")
     simulated: bool = Field(description="Whether any language model was a simulated stand-in")
     unrepeatable: list[str] | None = Field(

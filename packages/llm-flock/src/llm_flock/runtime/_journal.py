@@ -7,7 +7,7 @@ import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, TypedDict, Unpack
+from typing import Any
 
 from llm_flock import metrics
 from llm_flock.agent import Agent
@@ -39,15 +39,9 @@ from llm_flock.simulate import Bodies
 
 
 def run_info(
-    config: RunConfig,
-    *,
-    simulated: bool,
-    weights: Mapping[str, str] | None = None,
-    unrepeatable: Sequence[str] = (),
+    config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None, unrepeatable: Sequence[str] = ()
 ) -> RunInfo:
     """The origin of a run: configuration, versions (also of weights on board), and machine without any name or path.
-
-    `unrepeatable` says what the configuration alone cannot repeat.
 
     Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
@@ -55,7 +49,6 @@ def run_info(
 
     machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
     return RunInfo(
-        format_version=1,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
         versions={**versions.versions(), **(weights or {})},
         git_revision=versions.git_revision(),
@@ -91,49 +84,6 @@ def mission_info(mission: Mission, version: int, first_round: int) -> MissionInf
     """A mission as it is recorded; `version` counts the missions of a run from 0."""
     ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
     return MissionInfo(version=version, round=first_round, mission=mission.model_dump(mode="json"), ideal=ideal)
-
-
-class Totals(TypedDict):
-    """Counts from the start of a run, by their fields of `MetricsRow`."""
-
-    model_calls: int
-    tokens: int
-    cost_usd: float | None
-    messages_sent: int
-    bytes_sent: int
-    messages_rejected: dict[str, int]
-
-
-def metrics_row(
-    round_number: int,
-    *,
-    plan_ids: Sequence[str | None],
-    slots: Sequence[int | None],
-    at_goal: int,
-    error: tuple[float, float | None] | None,
-    separation: float,
-    on_segment: float | None,
-    connected: bool,
-    **totals: Unpack[Totals],
-) -> MetricsRow:
-    """The figures of one round, of robots with these plans and slots.
-
-    `error` is the mean distance to the ideal shape [units] and the mean squared one [units^2]. `separation` is the
-    smallest distance of two robots now, `on_segment` while they moved here [units].
-    """
-    mean, mean_squared = (None, None) if error is None else error
-    return MetricsRow(
-        round=round_number,
-        procrustes_mean=mean,
-        procrustes_mean_squared=mean_squared,
-        min_separation=finite(separation),
-        segment_separation=finite(on_segment),
-        plans_in_use=metrics.plans_in_use(plan_ids),
-        distinct_goals=metrics.distinct_goals(plan_ids, slots),
-        robots_at_goal=at_goal,
-        connected=connected,
-        **totals,
-    )
 
 
 def finite(value: float | None) -> float | None:
@@ -263,11 +213,9 @@ class Journal:
         if note.kind == "breaker" and note.detail["state"] == "open":
             self.breakers_opened.add(robot)
         if self._recording:
-            self.writer.write(
-                ProtocolEvent(
-                    round=round_number, comm_round=comm_round, robot=robot, kind=note.kind, detail=dict(note.detail)
-                )
-            )
+            kind, detail = note.kind, dict(note.detail)
+            event = ProtocolEvent(round=round_number, comm_round=comm_round, robot=robot, kind=kind, detail=detail)
+            self.writer.write(event)
 
     def proposed(self, round_number: int, agent: Agent, by: str) -> None:
         """A robot follows a plan of its own, made by a model of this name or by geometry: record its points once."""
@@ -356,14 +304,15 @@ class Journal:
             residual=residual,
             usable=usable,
         )
-        self.row = metrics_row(
-            round_number,
-            plan_ids=plan_ids,
-            slots=slots,
-            at_goal=at_goal,
-            error=error,
-            separation=separation,
-            on_segment=on_segment,
+        self.row = MetricsRow(
+            round=round_number,
+            procrustes_mean=None if error is None else error[0],
+            procrustes_mean_squared=None if error is None else error[1],
+            min_separation=finite(separation),
+            segment_separation=finite(on_segment),
+            plans_in_use=metrics.plans_in_use(plan_ids),
+            distinct_goals=metrics.distinct_goals(plan_ids, slots),
+            robots_at_goal=at_goal,
             connected=team.readings.connected(roster.awake),
             model_calls=self.calls,
             tokens=self.usage.total,

@@ -30,39 +30,18 @@ CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
     {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}
 )
 ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
-    {
-        "index": IndexAssignment,
-        "nearest": NearestAssignment,
-        "nearest-free": NearestFreeAssignment,
-        "auction": _auction,
-    }
+    {"index": IndexAssignment, "nearest": NearestAssignment, "nearest-free": NearestFreeAssignment, "auction": _auction}
 )
 
 
-def _rules_of(preset: str) -> dict[str, str | bool]:
-    return dict(zip(("consensus", "assignment", "shield"), PRESET_RULES[preset], strict=True))
-
+_CHECKED = {"verify": True, "comm_rounds": 5, "fallback": "breaker"}
+_BARE = {"verify": False, "comm_rounds": 1, "fallback": "hold"}
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "flock": {
-            **_rules_of("flock"),
-            "verify": True,
-            "comm_rounds": 5,
-            "fallback": "breaker",
-        },
-        "paper": {
-            **_rules_of("paper"),
-            "verify": False,
-            "comm_rounds": 1,
-            "fallback": "hold",
-        },
-        "baseline": {
-            **_rules_of("baseline"),
-            "verify": False,
-            "comm_rounds": 1,
-            "fallback": "hold",
-        },
+        name: dict(zip(("consensus", "assignment", "shield"), rules, strict=True))
+        | (_CHECKED if name == "flock" else _BARE)
+        for name, rules in PRESET_RULES.items()
     }
 )
 
@@ -126,7 +105,6 @@ def _rule(
 def _checked(field: str, rule: Any, methods: tuple[str, ...]) -> Any:
     complete = isinstance(getattr(rule, "name", None), str) and all(callable(getattr(rule, m, None)) for m in methods)
     if isinstance(rule, type) or not complete:
-        raise InputError(
-            field, rule, f"a name, or an object with a name and {' and '.join(methods)}; see llm_flock.testing"
-        )
+        allowed = f"a name, or an object with a name and {' and '.join(methods)}; see llm_flock.testing"
+        raise InputError(field, rule, allowed)
     return rule

@@ -107,7 +107,7 @@ class Trial:
         self._on_round = on_round
         self._steer = steer
         self._moves: dict[int, MoveTo] = {}
-        self._began = time.perf_counter()
+        self.began = time.perf_counter()
 
     @property
     def rounds(self) -> int:
@@ -328,20 +328,7 @@ class Trial:
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
             self.journal.measure_error(self.roster)
-        summary = summarize(
-            self.config,
-            self.schedule,
-            self.journal,
-            self.roster,
-            self.planners,
-            self.transport.traffic,
-            rounds=self.round,
-            stopped=self.stopped,
-            reason=self.reason,
-            wall_s=time.perf_counter() - self._began,
-            record=record,
-            flight=flight,
-        )
+        summary = summarize(self, record, flight)
         self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,

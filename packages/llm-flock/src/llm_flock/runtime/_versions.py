@@ -7,27 +7,16 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = (
-    "llm-flock",
-    "numpy",
-    "scipy",
-    "pydantic",
-    "pydantic-ai-slim",
-    "openai",
-    "anthropic",
-    "jinja2",
-    "mcap",
+_PACKAGES = (
+    *("llm-flock", "numpy", "scipy", "pydantic", "pydantic-ai-slim", "openai", "anthropic", "jinja2", "mcap"),
     "xllamacpp",
 )
-
-GIT_S = 60.0
-"""Longest time for one question to git [s]."""
 
 
 def versions() -> dict[str, str]:
     """Versions of this package and of those that can change a result."""
     found: dict[str, str] = {}
-    for name in PACKAGES:
+    for name in _PACKAGES:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -53,7 +42,7 @@ def _git(folder: Path, *arguments: str) -> str:
         env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
         capture_output=True,
         text=True,
-        timeout=GIT_S,
+        timeout=60.0,
         check=True,
     )
     return done.stdout.strip()
