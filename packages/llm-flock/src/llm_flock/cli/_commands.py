@@ -29,7 +29,7 @@ _CORE = {
 
 def _names() -> list[str]:
     """All commands, in the order of the help."""
-    return [*_CORE, *(name for name in plugins.entries("commands") if name not in _CORE)]
+    return list({**_CORE, **plugins.entries("commands")})
 
 
 def _find(name: str) -> Callable[..., None] | typer.Typer:
@@ -77,11 +77,7 @@ class Commands(TyperGroup):
         return TyperCommand(cmd_name, help=text)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is called, with all its flags, and the arguments that are left for it.
-
-        Raises:
-            FieldError: the command belongs to an extra that is not installed.
-        """
+        """The command that is called, with all its flags, and the arguments that are left for it."""
         absent = next((extra for extra in EXTRAS.values() if args[0] in extra.commands), None)
         if absent is not None and args[0] not in _names():
             raise FieldError("extra", absent.name, says=f"{args[0]} needs the extra {absent.name}: {absent.install}")

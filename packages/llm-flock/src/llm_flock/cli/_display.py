@@ -31,9 +31,6 @@ RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or
 MOST_MESSAGE = 100_000
 """Longest message that is shown of a conversation [characters]; the record has all of it."""
 
-MOST_VERDICT = 20_000
-"""Longest account of an answer in a conversation [characters]; a plan of a large team has some thousands."""
-
 
 def live_line(
     label: str, *, enabled: bool, waiting: str = ""
@@ -67,15 +64,9 @@ def live_line(
     def show(now: TrialProgress) -> None:
         if not now.n_robots:  # nobody is there yet
             return
-        error = "" if now.error is None else f" · error {now.error:.2f}"
-        cost = "" if not now.cost_usd else f" · {now.cost_usd:.4f} USD"
-        text = (
-            f"round {now.round} · at goal {now.at_goal}/{now.n_robots} · plans {now.plans_in_use} · "
-            f"goals {now.distinct_goals}{error} · calls {now.model_calls} · tokens {now.tokens:,}{cost}"
-        )
-        bar.update(task, description=text, completed=now.at_goal, total=now.n_robots)
+        bar.update(task, description=now.text, completed=now.at_goal, total=now.n_robots)
         if enabled and not redraws:
-            console.print(text, highlight=False, soft_wrap=True)
+            console.print(now.text, highlight=False, soft_wrap=True)
 
     return opened(), show
 
@@ -209,11 +200,7 @@ def _start(text: str) -> str:
 
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
-    """Print every call of one robot, of one round, or both.
-
-    Raises:
-        InputError: the record holds no such call.
-    """
+    """Print every call of one robot, of one round, or both."""
     found = [
         entry
         for entry in record.llm
@@ -242,7 +229,7 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
             console.print(Panel(Text(_start(entry.text)), title=answer, title_align="left", border_style="green"))
         faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
-        console.print(Text(f"{one_line(verdict(entry), MOST_VERDICT)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
+        console.print(Text(f"{one_line(verdict(entry), 20_000)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
 
 
 def record_file(path: Path) -> Path:

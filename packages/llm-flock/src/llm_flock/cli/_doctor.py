@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import sys
+from collections import defaultdict
 from dataclasses import asdict
 from importlib import metadata
 from itertools import groupby
@@ -30,7 +31,19 @@ def doctor(
 
     No language model is asked, and no key is shown. What is missing is no error: a simulated run needs none of it.
     """
-    found = [*base(), *extras(), *provider_keys()]
+    from llm_flock.llm._providers import PROVIDERS
+
+    python = f"{platform.python_version()}, {sys.prefix}"
+    users: defaultdict[str, list[str]] = defaultdict(list)
+    for info in PROVIDERS.values():
+        users[info.key_env].append(info.name)
+    found = [
+        Finding("base", "llm-flock", True, version()),
+        Finding("base", "Python", sys.version_info >= (3, 11), python),
+        Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
+        *(Finding("extra", extra.name, not extra.missing, extra.purpose) for extra in EXTRAS.values()),
+        *(Finding("key", name, is_set(name), ", ".join(providers)) for name, providers in users.items()),
+    ]
     for extension in extensions:
         found += extension()
     if json_output:
@@ -51,29 +64,6 @@ def version() -> str:
         return metadata.version("llm-flock")
     except metadata.PackageNotFoundError:
         return "not installed"
-
-
-def base() -> list[Finding]:
-    """This package, the interpreter and the system."""
-    return [
-        Finding("base", "llm-flock", True, version()),
-        Finding("base", "Python", sys.version_info >= (3, 11), f"{platform.python_version()}, {sys.prefix}"),
-        Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
-    ]
-
-
-def extras() -> list[Finding]:
-    """Each extra: whether its libraries are installed, and what needs them. Imports none of them."""
-    return [Finding("extra", extra.name, not extra.missing, extra.purpose) for extra in EXTRAS.values()]
-
-
-def provider_keys() -> list[Finding]:
-    """Each environment variable that may hold a provider's key, and whether it does; never its value."""
-    from llm_flock.llm._providers import PROVIDERS
-
-    names = dict.fromkeys(info.key_env for info in PROVIDERS.values())
-    users = {name: [info.name for info in PROVIDERS.values() if info.key_env == name] for name in names}
-    return [Finding("key", name, is_set(name), ", ".join(users[name])) for name in names]
 
 
 def is_set(variable: str) -> bool:

@@ -46,10 +46,8 @@ def with_config_flags(
 ) -> Callable[[Command], Command]:
     """Ask for a flag for each field of a configuration, for a command that takes the values typed as `**flags`.
 
-    Args:
-        config: module and name of its class, which takes long to import.
-        shown: fields whose flags `--help` lists; the others are in `--help-all`.
-        without: fields that get no flag, and sections, such as `[links]`, whose fields get none.
+    `config` is the module and name of its class, which takes long to import; `--help` lists the flags of the fields
+    `shown`. `without` are fields that get no flag, and sections, such as `[links]`, whose fields get none.
     """
 
     def decorate(command: Command) -> Command:
@@ -197,11 +195,7 @@ def _json_list(field: str, text: str) -> list[Any]:
 
 
 def with_output_folder(settings: Config, kind: str = "", *, record: bool, typed: str | None = None) -> Config:
-    """The configuration with an output folder: its own, or else a new one under runs/; with none if not recorded.
-
-    Raises:
-        InputError: a folder was typed, and nothing is recorded.
-    """
+    """The configuration with an output folder: its own, or else a new one under runs/; with none if not recorded."""
     if typed is not None and not record:
         raise InputError("out", typed, says="has no effect with --no-record")
     folder = settings.trial.out

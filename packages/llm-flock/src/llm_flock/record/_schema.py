@@ -16,29 +16,24 @@ MAGIC = b"\x89MCAP0\r\n"
 """How an MCAP file begins."""
 
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
-"""A figure: far more than any run reaches, and no trouble for the arithmetic of drawings."""
-
 Coordinate = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]
-"""A thousand times what missions accept, and no trouble for the arithmetic of drawings."""
+"""Far more than any run reaches or missions accept, and no trouble for the arithmetic of drawings."""
 
 Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
 """One position, d coordinates [units; world frame]."""
+
+Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
 
 Length = Annotated[float, Field(ge=1e-6, le=1e12, allow_inf_nan=False)]
 """A length that divides others [units]."""
 
 LARGEST_WHOLE = 2**53
+"""The largest whole number that every reader of JSON can hold."""
 
 Whole = Annotated[int, Field(ge=-LARGEST_WHOLE, le=LARGEST_WHOLE)]
-"""A whole number that every reader of JSON can hold."""
-
 Count = Annotated[int, Field(ge=0, le=LARGEST_WHOLE)]
-
 Round = Annotated[int, Field(ge=0, le=10**9)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
-
-Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
-"""One position for each of several robots or places."""
 
 DEEPEST = 32
 """Deepest nesting of free values; those of this program have a quarter of it."""

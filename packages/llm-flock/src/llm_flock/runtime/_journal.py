@@ -7,14 +7,13 @@ import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any
 
 from llm_flock import metrics
 from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.events import MoveTo, Note, Origin
 from llm_flock.links import Traffic
-from llm_flock.llm._port import Attempt, Usage
+from llm_flock.llm._port import Attempt, Reply, Usage
 from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
 from llm_flock.record._schema import (
@@ -60,26 +59,6 @@ def run_info(
     )
 
 
-def state_entry(
-    round_number: int, positions: Points, team: Bodies, roster: Roster, flown: Mapping[int, MoveTo], idle: Origin
-) -> State:
-    """Where the robots are and what they follow; `idle` is the origin for robots without a command."""
-    robots = range(len(roster.agents))
-    agents = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
-    return State(
-        round=round_number,
-        positions=positions.tolist(),
-        goals=[None if a is None or (goal := a.goal) is None else list(goal) for a in agents],
-        slots=[None if a is None else a.claim.slot for a in agents],
-        plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in agents],
-        influence=[len(roster.hears(team, robot)) / len(agents) for robot in robots],
-        waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
-        origins=[(flown[robot].origin if robot in flown else idle).value for robot in robots],
-        open_breakers=[[] if a is None else list(a.open_breakers) for a in agents],
-        phases=[roster.phase(robot) for robot in robots],
-    )
-
-
 def mission_info(mission: Mission, version: int, first_round: int) -> MissionInfo:
     """A mission as it is recorded; `version` counts the missions of a run from 0."""
     ideal = None if mission.ideal is None else [list(point) for point in mission.ideal]
@@ -93,9 +72,8 @@ def finite(value: float | None) -> float | None:
 
 def llm_entry(attempt: Attempt) -> LlmEntry:
     """A model call as it is recorded."""
-    call, reply = attempt.call, attempt.reply
-    settings: dict[str, Any] = {} if reply is None else dict(reply.settings)
-    usage = Usage() if reply is None else reply.usage
+    call, reply = attempt.call, attempt.reply or Reply(text="", model="")
+    usage = reply.usage
     return LlmEntry(
         round=call.round,
         robot=call.robot,
@@ -104,25 +82,25 @@ def llm_entry(attempt: Attempt) -> LlmEntry:
         model=attempt.model,
         request_hash=call.request_hash,
         messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
-        text=None if reply is None else reply.text,
+        text=None if attempt.reply is None else reply.text,
         parsed=None if attempt.parsed is None else dict(attempt.parsed),
         rejected=attempt.rejected,
         clipped=attempt.clipped,
-        probe=True if call.probe else None,
+        probe=call.probe or None,
         error=None if attempt.error is None else ": ".join(attempt.error),
-        finish_reason=None if reply is None else reply.finish_reason,
-        thought=True if reply is not None and reply.thought else None,
-        settings=settings,
+        finish_reason=reply.finish_reason,
+        thought=reply.thought or None,
+        settings=dict(reply.settings),
         usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
-        cost_usd=None if reply is None else reply.cost_usd,
+        cost_usd=reply.cost_usd,
         latency_s=attempt.latency_s,
         faults=list(attempt.faults),
     )
 
 
 ERROR_EVERY_ROUND_UP_TO = 300
-"""Team size up to which the shape error is measured after every round. The search takes seconds for a thousand robots,
-so a larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
+"""Team size up to which the shape error is measured after every round: the search takes seconds for a thousand robots.
+A larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
 
 
 class Journal:
@@ -239,13 +217,27 @@ class Journal:
         # While a robot flies on along its path, the run goes on without answers.
         silent = bool(calls) and calls == failed and not any(agent.on_path for agent in roster.awake_agents())
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
-        flown = dict[int, MoveTo]() if moves is None else moves
+        flown = moves or {}
         self.robot_rounds += len(flown)
         self.waypoints.update(move.origin.value for move in flown.values())
         positions = team.positions
         if self._recording or self.trace is not None:
             idle = Origin.START if moves is None else Origin.HOLD
-            self._put(state_entry(round_number, positions, team, roster, flown, idle))
+            agents = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
+            robots = range(len(agents))
+            state = State(
+                round=round_number,
+                positions=positions.tolist(),
+                goals=[None if a is None or (goal := a.goal) is None else list(goal) for a in agents],
+                slots=[None if a is None else a.claim.slot for a in agents],
+                plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in agents],
+                influence=[len(roster.hears(team, robot)) / len(agents) for robot in robots],
+                waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
+                origins=[(flown[robot].origin if robot in flown else idle).value for robot in robots],
+                open_breakers=[[] if a is None else list(a.open_breakers) for a in agents],
+                phases=[roster.phase(robot) for robot in robots],
+            )
+            self._put(state)
         self._measure(round_number, positions, team, roster, traffic)
         self._put(RoundEnd(round=round_number))
 

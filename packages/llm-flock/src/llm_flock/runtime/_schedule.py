@@ -111,10 +111,6 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
     """All events, checked as a whole.
 
     Robots that are named in no event die or join at random, each in a round from 1 to RANDOM_ROUNDS.
-
-    Raises:
-        InputError: no such robot, no such round, a robot dies twice or joins while it is awake, no robot is left awake,
-            or a mission cannot be changed like that.
     """
     rounds, kill_random = MOST_ROUNDS if trial.rounds is None else trial.rounds, trial.kill_random
     killed = _turns("kill", trial.kill, mission.n_robots, rounds)
@@ -156,10 +152,10 @@ def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Tur
 
 
 def _by_round(turns: Sequence[Turn]) -> dict[int, tuple[int, ...]]:
-    found: defaultdict[int, list[int]] = defaultdict(list)
+    found: defaultdict[int, tuple[int, ...]] = defaultdict(tuple)
     for robot, when in sorted(turns):
-        found[when].append(robot)
-    return {when: tuple(robots) for when, robots in found.items()}
+        found[when] += (robot,)
+    return dict(found)
 
 
 def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> frozenset[int]:
@@ -202,8 +198,8 @@ def _missions(
         fields = dict(change.set)
         try:
             if "since" in fields:
-                reason = "cannot be given: a changed mission counts from the round of the change"
-                raise InputError("since", fields["since"], says=reason)
+                says = "cannot be given: a changed mission counts from the round of the change"
+                raise InputError("since", fields["since"], says=says)
             load_points(fields)
             new = mission.at(when).change(**fields, since=when)
         except InputError as error:
@@ -217,11 +213,7 @@ def _missions(
 
 
 def points_file(shape: str) -> Path:
-    """The file of a shape `points:FILE`.
-
-    Raises:
-        InputError: it has no name.
-    """
+    """The file of a shape `points:FILE`."""
     name = shape.partition(":")[2].strip()
     if not name:
         raise InputError("shape", shape, "points:FILE, with the name of a file")
@@ -229,11 +221,7 @@ def points_file(shape: str) -> Path:
 
 
 def load_points(fields: dict[str, Any]) -> bool:
-    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one."""
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False

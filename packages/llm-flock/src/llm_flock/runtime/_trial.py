@@ -17,6 +17,7 @@ from llm_flock import events
 from llm_flock.arrays import Points
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
+from llm_flock.message import order_time
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record._schema import MetricsRow, SummaryMessage
 from llm_flock.runtime._config import RunConfig
@@ -36,9 +37,6 @@ ROUNDS_TO_LOOK = 10
 SILENT_ROUNDS = 3
 """Rounds in a row in which every model call fails, after which a run without circuit breakers ends."""
 
-UNUSABLE = frozenset({"answer", "unverified", "slow"})
-"""Causes of a failure in which the model did answer."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialProgress:
@@ -54,6 +52,16 @@ class TrialProgress:
     model_calls: int
     tokens: int
     cost_usd: float | None
+
+    @property
+    def text(self) -> str:
+        """The figures in a line."""
+        error = "" if self.error is None else f" · error {self.error:.2f}"
+        cost = "" if not self.cost_usd else f" · {self.cost_usd:.4f} USD"
+        return (
+            f"round {self.round} · at goal {self.at_goal}/{self.n_robots} · plans {self.plans_in_use} · "
+            f"goals {self.distinct_goals}{error} · calls {self.model_calls} · tokens {self.tokens:,}{cost}"
+        )
 
     @classmethod
     def of(cls, row: MetricsRow, *, rounds: int, n_robots: int) -> Self:
@@ -118,11 +126,7 @@ class Trial:
         return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
 
     async def run(self) -> None:
-        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more.
-
-        Raises:
-            asyncio.CancelledError: after the record was brought to a readable end by `finish`.
-        """
+        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more."""
         self.begin()
         try:
             while self.round < self.rounds:
@@ -170,7 +174,8 @@ class Trial:
         found = [failure for failure in failures if failure is not None]
         if self.schedule.last > self.round or len(found) < len(failures) or not found:
             return False
-        self.stopped = "no_plan" if any(failure.cause in UNUSABLE for failure in found) else "no_answers"
+        answered = any(failure.cause in ("answer", "unverified", "slow") for failure in found)
+        self.stopped = "no_plan" if answered else "no_answers"
         count, reason = commonest([failure.reason for failure in found])
         self.reason = f"{count} of {len(found)} robots: {reason}"
         return True
@@ -206,12 +211,7 @@ class Trial:
             journal.note(number, None, robot, Note("joined", {}))
         if killed or joined:
             journal.episode.disturb(number - 1)
-        given = schedule.missions.get(number, ())
-        if not given:
-            return
-        from llm_flock.message import order_time
-
-        for count, (robot, mission) in enumerate(given):
+        for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
             journal.mission_given(mission, number - 1, self.bodies.positions)
             self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
