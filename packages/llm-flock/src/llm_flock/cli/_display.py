@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -168,17 +168,6 @@ def show_overview(record: RunRecord) -> None:
     console.show(table)
 
 
-def _ranges(numbers: Sequence[int]) -> str:
-    """Sorted numbers in short: `1-5, 8`."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1][1:] = [number]
-        else:
-            runs.append([number])
-    return ", ".join("-".join(map(str, run)) for run in runs)
-
-
 def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
     """Say which records end early. Call before they are drawn, or `done` otherwise."""
     for record in records:
@@ -216,7 +205,9 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         rounds = sorted({entry.round for entry in record.llm if robot in (None, entry.robot)})
         if not rounds:
             raise FieldError("robot", robot, says=f"no model was asked{who} in this run")
-        raise InputError("round", round_number, says=f"no model was asked{who} then; calls: rounds {_ranges(rounds)}")
+        raise InputError(
+            "round", round_number, says=f"no model was asked{who} then; calls in rounds {rounds[0]} to {rounds[-1]}"
+        )
     console = Screen()
     for entry in found:
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from llm_flock import plugins
+from llm_flock.cli._options import with_parameters
 from llm_flock.errors import InputError
 from llm_flock.plugins import Kind
 
@@ -80,12 +81,7 @@ def with_extensions(command: Callable[..., None]) -> Callable[..., None]:
     flags = [p for parameters in added.values() for p in parameters]
     var = [p for p in own if p.kind is p.VAR_KEYWORD]
     parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p not in var] + flags
-    vars(call)["__signature__"] = inspect.Signature([*parameters, *var])
-    call.__annotations__ = {p.name: p.annotation for p in parameters}
-    call.__doc__ = command.__doc__
-    if "config_flags" in vars(command):
-        vars(call)["config_flags"] = vars(command)["config_flags"]
-    return call
+    return with_parameters(command, call, [*parameters, *var])
 
 
 def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:

@@ -76,14 +76,19 @@ def add_config_flags(command: Command) -> Command:
                 parameter, readers[field] = _flag(field, info, panel, hidden=field not in shown)
                 parameters.append(parameter)
 
-    @functools.wraps(command)
     def call(**given: Any) -> None:
         typed = {field: given.pop(field) for field in readers}
         flags = {field: readers[field](field, value) for field, value in typed.items() if value is not None}
         command(**given, **flags)
 
+    return with_parameters(command, call, parameters)
+
+
+def with_parameters(command: Command, call: Command, parameters: list[inspect.Parameter]) -> Command:
+    """A function to be called in place of a command, with its name and help, and these parameters."""
+    functools.update_wrapper(call, command)
     vars(call)["__signature__"] = inspect.Signature(parameters)
-    call.__annotations__ = {p.name: p.annotation for p in parameters}
+    call.__annotations__ = {p.name: p.annotation for p in parameters if p.kind is not p.VAR_KEYWORD}
     return call
 
 
@@ -177,15 +182,11 @@ def _points(field: str, name: str) -> Any:
 
 def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
-    around = 20  # characters shown on either side of the place where JSON breaks
     try:
         given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
         found = json.loads(given)
     except json.JSONDecodeError as error:
-        before, after = error.doc[: error.pos][-around:], error.doc[error.pos :][:around]
-        where = f"after {before!r} comes {after!r}" if after.strip() else f"it ends after {before!r}"
-        says = f"broken JSON in line {error.lineno}, column {error.colno}: {where} ({error.msg})"
-        raise InputError(field, None, says=says) from None
+        raise InputError(field, None, says=f"broken JSON: {error}") from None
     except (OSError, ValueError, RecursionError) as error:
         why = getattr(error, "strerror", None) or error
         raise InputError(field, text, f"a JSON list, or the name of a file with one ({why})") from None

@@ -238,9 +238,7 @@ class _LastRound:
         if not ideal or len(ideal) > most_points:
             return None
         wanted = _apart(ideal)
-        told: list[str] = []
-        robots: dict[int, None] = {}
-        shown: Cause | None = None
+        told, robots, shown = list[str](), dict[int, None](), None
         for plan_id in dict.fromkeys(plan for robot in self.awake if (plan := self.state.plan_ids[robot]) is not None):
             plan = run.plans.get(plan_id)
             if plan is None or len(plan.points) != len(ideal) or len(told) == MOST_TOLD:
@@ -260,19 +258,20 @@ class _LastRound:
     def steps(self) -> Cause | None:
         """Models that led their robots away from their goals in many of the last steps."""
         judged_rounds, least, share = 20, 5, 0.4
-        run, told, robots = self.run, list[str](), list[int]()
+        run, told = self.run, dict[int, str]()
         first = max(1, run.mission_at(run.rounds).round, run.rounds - judged_rounds + 1)
         for robot in self.away:
             judged = [away for k in range(first, run.rounds + 1) if (away := self.led_away(robot, k)) is not None]
             astray = sum(judged)
             if astray >= least and astray >= share * len(judged):
-                robots.append(robot)
                 what = f"led it away from its goal in {astray} of its last {len(judged)} steps"
-                told.append(f"Robot {robot}: {self.models([robot])} {what}.")
-        if not robots:
-            return None
-        calls = run.last_calls(robots[0], "step", run.rounds)
-        return Cause(" ".join(told[:MOST_TOLD]), tuple(robots), run.rounds, calls)
+                told[robot] = f"Robot {robot}: {self.models([robot])} {what}."
+        return self.each(told, run.last_calls(next(iter(told)), "step", run.rounds) if told else ())
+
+    def each(self, told: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
+        """A cause of what is told of each of some robots in the last round; None without any."""
+        text = " ".join(list(told.values())[:MOST_TOLD])
+        return Cause(text, tuple(told), self.run.rounds, calls) if told else None
 
     def led_away(self, robot: int, number: int) -> bool | None:
         """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
@@ -378,7 +377,7 @@ class _LastRound:
         """Robots that agreed with all others, and were kept from their places by what was in the way."""
         if self.without or len(self.groups) > 1 or self.shared:
             return None
-        run, told, robots = self.run, list[str](), list[int]()
+        run, told = self.run, dict[int, str]()
         recent = [event for k in range(max(1, run.rounds - 9), run.rounds + 1) for event in run.events.get(k, ())]
         waiting = {event.robot for event in recent if event.kind in ("deadlock", "gives_way")}
         for robot in self.away:
@@ -389,9 +388,8 @@ class _LastRound:
                 why = "other robots were in its way"
             else:
                 continue
-            robots.append(robot)
-            told.append(f"Robot {robot} had not reached its place: {why}.")
-        return Cause(" ".join(told[:MOST_TOLD]), tuple(robots), run.rounds) if told else None
+            told[robot] = f"Robot {robot} had not reached its place: {why}."
+        return self.each(told)
 
 
 def _apart(points: Sequence[Sequence[float]]) -> list[float]:

@@ -111,12 +111,10 @@ class RecordWriter:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        check_new(path)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=BUFFER_BYTES)
         except OSError as error:
-            if os.path.lexists(path):  # says no where the system does not take the name at all
-                raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
             raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
         from llm_flock.file_lock import lock_file
 
