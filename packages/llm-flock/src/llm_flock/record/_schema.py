@@ -99,16 +99,11 @@ class _MissionFields(BaseModel):
         return self
 
 
-def _mission_fields(mission: dict[str, Any]) -> dict[str, Any]:
-    _MissionFields.model_validate(mission)
-    return _free(mission)
+class _ConfigFields(BaseModel):
+    """Sections of a configuration on which readers of records rely."""
 
-
-def _config(config: dict[str, Any]) -> dict[str, Any]:
-    for name in ("protocol", "model"):
-        if not isinstance(config.get(name, {}), dict):
-            raise ValueError(f"{name} is a section of the configuration, with fields of its own")
-    return _free(config)
+    protocol: dict[str, Any] = {}
+    model: dict[str, Any] = {}
 
 
 _DETAILS: dict[str, tuple[type, ...]] = {
@@ -139,17 +134,22 @@ class _ResultFields(BaseModel):
     breakers_opened: list[Robot] | None = None
 
 
-def _result_fields(result: dict[str, Any]) -> dict[str, Any]:
-    _ResultFields.model_validate(result)
-    return _free(result)
+def _with(known: type[BaseModel]) -> AfterValidator:
+    """Checks free values of which some fields are known."""
+
+    def check(values: dict[str, Any]) -> dict[str, Any]:
+        known.model_validate(values)
+        return _free(values)
+
+    return AfterValidator(check)
 
 
-Config = Annotated[dict[str, Any], AfterValidator(_config)]
+Config = Annotated[dict[str, Any], _with(_ConfigFields)]
 """A configuration under current names, section by section."""
 
-MissionFields = Annotated[dict[str, Any], AfterValidator(_mission_fields)]
+MissionFields = Annotated[dict[str, Any], _with(_MissionFields)]
+Figures = Annotated[dict[str, Any], _with(_ResultFields)]
 Details = Annotated[dict[str, Any], AfterValidator(_details)]
-Figures = Annotated[dict[str, Any], AfterValidator(_result_fields)]
 
 
 FORMAT_VERSION = 1

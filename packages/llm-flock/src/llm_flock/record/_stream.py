@@ -10,7 +10,6 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, cast
 
-import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
 import zstandard
 from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
 from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Message
@@ -205,9 +204,6 @@ def _unpack(chunk: Chunk, most: int) -> bytes:
     match chunk.compression:
         case "":
             data = chunk.data
-        case "lz4":
-            unpacker: Any = lz4.frame.LZ4FrameDecompressor()
-            data = cast(bytes, unpacker.decompress(chunk.data, max_length=most + 1))
         case "zstd":
             with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
                 data = reader.read(most + 1)

@@ -197,7 +197,7 @@ def run(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResul
         ReplayDrift: a replayed conversation differs from the recorded one.
         KeyboardInterrupt: after the record was brought to a readable end.
     """
-    return wait_for(_fly(mission, **given))
+    return wait_for(run_async(mission, **given))
 
 
 async def run_async(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
@@ -206,22 +206,11 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
     Raises:
         asyncio.CancelledError: after the record was brought to a readable end.
     """
-    return await _fly(mission, **given)
-
-
-async def _fly(
-    mission: Mission | None,
-    *,
-    config: RunConfig | None = None,
-    on_round: Callable[[TrialProgress], None] | None = None,
-    progress: bool = True,
-    trace: bool = True,
-    sink: RecordSink | None = None,
-    lane: CallLane | None = None,
-    steer: Steer | None = None,
-    **fields: Any,
-) -> RunResult:
-    fields = {field: value for field, value in fields.items() if value is not None}
+    fields: dict[str, Any] = {field: value for field, value in given.items() if value is not None}
+    config: RunConfig | None = fields.pop("config", None)
+    on_round: Callable[[TrialProgress], None] | None = fields.pop("on_round", None)
+    sink, lane, steer = (fields.pop(name, None) for name in ("sink", "lane", "steer"))
+    progress, trace = (fields.pop(name, True) for name in ("progress", "trace"))
     if config is not None and (mission is not None or fields.keys() - _CHECKS.keys()):
         raise FieldError("config", says="give either config, or mission and options, not both")
     if config is not None and not isinstance(cast(object, config), RunConfig):
@@ -248,10 +237,10 @@ async def _fly(
 
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
     warn_of_mission(config.mission)
-    given = config.trial
-    rng = stream(given.seed, Stream.START)
-    start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
-    bodies = InstantBodies(Readings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE)))
+    asked = config.trial
+    rng = stream(asked.seed, Stream.START)
+    start = start_positions(config.mission, asked.start_positions, asked.start, rng, asked.start_area)
+    bodies = InstantBodies(Readings(config.mission, start, asked.noise, stream(asked.seed, Stream.NOISE)))
     planners = TeamPlanners(config, lane, own)
     code = own_rules((consensus, assignment))
     with ExitStack() as stack:

@@ -203,11 +203,10 @@ class RunConfig(ConfigSection):
     @classmethod
     def section_of(cls, field: str) -> str:
         """The section that holds a field; `InputError` if none does."""
-        for name, info in cls.model_fields.items():
-            if field in fields_of(info.annotation):
-                return name
-        known = [name for info in cls.model_fields.values() for name in fields_of(info.annotation)]
-        raise FieldError(field, says=unknown(f"field {field!r}", field, known))
+        sections = {known: name for name, info in cls.model_fields.items() for known in fields_of(info.annotation)}
+        if field not in sections:
+            raise FieldError(field, says=unknown(f"field {field!r}", field, sections))
+        return sections[field]
 
     @classmethod
     def build(cls, base: Mapping[str, Any] | None = None, /, **overrides: Any) -> Self:

@@ -26,23 +26,12 @@ def versions() -> dict[str, str]:
 
 def git_revision() -> str | None:
     """Revision of the checkout that this package runs from, `+dirty` with local changes; None outside a checkout."""
-    here = Path(__file__).parent
+    describe = ("describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+dirty")
+    # Asked by many workers at once: none of them may lock the index, and on a full machine this takes seconds.
+    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
+    command = ["git", "-C", str(Path(__file__).parent), *describe]
     try:
-        revision = _git(here, "rev-parse", "HEAD")
-        changed = _git(here, "status", "--porcelain", "--untracked-files=no")
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60.0, check=True)
     except (OSError, subprocess.SubprocessError):
         return None
-    return f"{revision}+dirty" if changed else revision
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    # Asked by many workers at once: none of them may lock the index, and on a full machine this takes seconds.
-    done = subprocess.run(
-        ["git", "-C", str(folder), *arguments],
-        env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},
-        capture_output=True,
-        text=True,
-        timeout=60.0,
-        check=True,
-    )
     return done.stdout.strip()
