@@ -83,3 +83,19 @@ class Commands(TyperGroup):
             raise FieldError("extra", absent.name, says=f"{args[0]} needs the extra {absent.name}: {absent.install}")
         name, listed, rest = super().resolve_command(ctx, args)
         return name, self.commands[name] if listed is not None and name is not None else None, rest
+
+
+app = typer.Typer(
+    name="llm-flock",
+    cls=Commands,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback(invoke_without_command=True)
+def start(ctx: typer.Context) -> None:
+    """Robots that agree on a formation, each with its own language model and without a central controller."""
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())

@@ -8,7 +8,6 @@ import platform
 import sys
 from collections import defaultdict
 from dataclasses import asdict
-from importlib import metadata
 from itertools import groupby
 from typing import Annotated
 
@@ -32,13 +31,14 @@ def doctor(
     No language model is asked, and no key is shown. What is missing is no error: a simulated run needs none of it.
     """
     from llm_flock.llm._providers import PROVIDERS
+    from llm_flock.runtime import versions
 
     python = f"{platform.python_version()}, {sys.prefix}"
     users: defaultdict[str, list[str]] = defaultdict(list)
     for info in PROVIDERS.values():
         users[info.key_env].append(info.name)
     found = [
-        Finding("base", "llm-flock", True, version()),
+        Finding("base", "llm-flock", True, versions()["llm-flock"]),
         Finding("base", "Python", sys.version_info >= (3, 11), python),
         Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
         *(Finding("extra", extra.name, not extra.missing, extra.purpose) for extra in EXTRAS.values()),
@@ -56,14 +56,6 @@ def doctor(
         Screen().show(table, copied=("name",))
     if any(extra.missing for extra in EXTRAS.values()):
         say("to add extras: pip install 'llm-flock[NAME,...]'")
-
-
-def version() -> str:
-    """This package's version; `not installed` where it runs from its sources alone."""
-    try:
-        return metadata.version("llm-flock")
-    except metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def is_set(variable: str) -> bool:

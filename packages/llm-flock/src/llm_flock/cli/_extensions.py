@@ -1,16 +1,30 @@
-"""Commands that plug-ins extend: each plug-in of a kind is a function whose keyword parameters become flags."""
+"""Commands that plug-ins extend: each plug-in of a kind is a function whose keyword parameters become flags.
+
+Those that show runs while they fly take the configuration and their flags, and return a context manager of a sink.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import inspect
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from llm_flock import plugins
 from llm_flock.cli._options import with_parameters
 from llm_flock.errors import InputError
 from llm_flock.plugins import Kind
+
+if TYPE_CHECKING:
+    from llm_flock.record._schema import RecordSink
+    from llm_flock.runtime._config import RunConfig
+    from llm_flock.runtime._trial import Trial
+
+PACE = 2.0
+"""Rounds a second at most while a run is shown: simulated models would be over before anybody looks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,3 +103,31 @@ def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:
     scope = vars(inspect.getmodule(function))
     found = inspect.signature(function).parameters.values()
     return [p.replace(annotation=eval(p.annotation, scope)) for p in found if p.kind is p.KEYWORD_ONLY]
+
+
+def refuse(sinks: Sequence[Extension], where: str) -> None:
+    """Refuse them, where there are any, for a command that shows nothing there."""
+    for sink in sinks:
+        raise InputError(next(iter(sink.flags)), None, says=f"has no effect in {where}")
+
+
+@contextmanager
+def showing(sinks: Sequence[Extension], config: RunConfig) -> Generator[RecordSink | None]:
+    """Open them while a run flies; one sink for all, None without any."""
+    from llm_flock.record import both
+
+    with ExitStack() as stack:
+        yield both(*[stack.enter_context(sink(config)) for sink in sinks])
+
+
+class Pacer:
+    """Holds a run to a pace [rounds/s]."""
+
+    def __init__(self, pace: float) -> None:
+        self._pace = pace
+        self._due = 0.0
+
+    async def __call__(self, trial: Trial) -> None:
+        """Wait until the next round is due."""
+        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
+        self._due = time.monotonic() + 1.0 / self._pace

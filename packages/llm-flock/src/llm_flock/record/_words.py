@@ -1,4 +1,4 @@
-"""How a run, its protocol, and the answers of its models are called in words: the same in figures, pages and tables."""
+"""How a run and its plans are shown in figures, pages and tables alike: in words and colours."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ if TYPE_CHECKING:
 
 MOST_PLACES = 12
 """Number of places of a plan that are listed."""
+
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#7F7F7F")
+"""Colours that can be told apart with any colour vision (Okabe, Ito 2008), with grey in place of their black."""
+
+NO_PLAN = "#FFFFFF"
 
 
 def protocol_text(config: Mapping[str, Any]) -> str:

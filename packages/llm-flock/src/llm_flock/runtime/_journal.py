@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
+import subprocess
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
+from importlib import metadata as installed
+from pathlib import Path
 
 from llm_flock import metrics
 from llm_flock.agent import Agent
@@ -36,6 +40,35 @@ from llm_flock.runtime._episode import Episode, blocked_places
 from llm_flock.runtime._roster import Roster
 from llm_flock.simulate import Bodies
 
+_PACKAGES = (
+    *("llm-flock", "numpy", "scipy", "pydantic", "pydantic-ai-slim", "openai", "anthropic", "jinja2", "mcap"),
+    "xllamacpp",
+)
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those that can change a result."""
+    found: dict[str, str] = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = installed.version(name)
+        except installed.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def git_revision() -> str | None:
+    """Revision of the checkout that this package runs from, `+dirty` with local changes; None outside a checkout."""
+    describe = ("describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+dirty")
+    # Asked by many workers at once: none of them may lock the index, and on a full machine this takes seconds.
+    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
+    command = ["git", "-C", str(Path(__file__).parent), *describe]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60.0, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
 
 def run_info(
     config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None, unrepeatable: Sequence[str] = ()
@@ -44,13 +77,11 @@ def run_info(
 
     Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
-    import llm_flock.runtime._versions as versions
-
     machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
     return RunInfo(
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
-        versions={**versions.versions(), **(weights or {})},
-        git_revision=versions.git_revision(),
+        versions={**versions(), **(weights or {})},
+        git_revision=git_revision(),
         seed=config.trial.seed,
         simulated=simulated,
         unrepeatable=list(unrepeatable) or None,

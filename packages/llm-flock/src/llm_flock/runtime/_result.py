@@ -24,8 +24,7 @@ if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
     import polars
 
-    from llm_flock.record._reader import RunRecord
-    from llm_flock.record._tables import TableName
+    from llm_flock.record._reader import RunRecord, TableName
     from llm_flock.runtime._trial import Trial
 
 
