@@ -18,11 +18,11 @@ from llm_flock.flags import PlainHelp
 
 _CORE = {
     "run": "llm_flock.cli._run",
-    "inspect": "llm_flock.cli._inspect",
+    "inspect": "llm_flock.cli._display",
     "export": "llm_flock.cli._export",
     "doctor": "llm_flock.cli._doctor",
-    "shapes": "llm_flock.cli._lists",
-    "models": "llm_flock.cli._lists",
+    "shapes": "llm_flock.cli._doctor",
+    "models": "llm_flock.cli._doctor",
 }
 """Commands of the core by name, each with the module of its function; plug-ins add theirs."""
 

@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 from rich.text import Text
 
+from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
@@ -226,3 +227,23 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
 def record_file(path: Path) -> Path:
     """The record, also if its folder is given."""
     return path / RECORD_NAME if path.is_dir() else path
+
+
+@extended("inspections")
+def inspect(
+    record: RecordPath,
+    robot: Annotated[int | None, typer.Option(min=0, help="Show only this robot's conversation")] = None,
+    round_number: Annotated[int | None, typer.Option("--round", min=0, help="Show only this round")] = None,
+    *,
+    extensions: list[Extension],
+) -> None:
+    """Show a record: its summary, or the conversation of a robot with its model."""
+    from llm_flock.record._reader import read_record
+
+    found = read_record(record)
+    if robot is None and round_number is None:
+        show_overview(found)
+        for extension in extensions:
+            extension(found)
+    else:
+        show_conversation(found, robot, round_number)

@@ -1,4 +1,4 @@
-"""`llm-flock doctor`: what is installed and which keys are set; plug-ins say what can be reached from here."""
+"""`llm-flock doctor`, `shapes` and `models`: what is installed, can be reached, can be flown, and can be asked."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from llm_flock import plugins
 from llm_flock.cli._extensions import Extension, Finding, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.extras import EXTRAS
@@ -61,3 +62,28 @@ def doctor(
 def is_set(variable: str) -> bool:
     """Whether an environment variable holds more than spaces."""
     return bool(os.environ.get(variable, "").strip())
+
+
+def shapes() -> None:
+    """List the formations and their possible team sizes."""
+    from llm_flock import shapes as formations
+
+    table = Table("shape", "robots", "description")
+    for shape in formations.shapes():
+        table.add_row(shape.name, shape.legal, shape.description)
+    Screen().show(table, copied=("shape",))
+
+
+def models() -> None:
+    """List the model providers, their environment variables, whether these are set, and examples."""
+    from llm_flock.llm._providers import PROVIDERS
+
+    table = Table("provider", "key in", "set", "default address", "example")
+    for provider in PROVIDERS.values():
+        known = "yes" if is_set(provider.key_env) else "no"
+        table.add_row(provider.name, provider.key_env, known, provider.base_url or "-", provider.example)
+    here = {name: source.example for name, source in plugins.load_all("models")}
+    here |= {"simulated": "simulated:ideal", "geometry": "geometry", "replay": "replay:FILE"}
+    for name, example in here.items():
+        table.add_row(name, "-", "-", "this process", example)
+    Screen().show(table, copied=("key in", "default address", "example"))

@@ -5,7 +5,6 @@ Those that show runs while they fly take the configuration and their flags, and 
 
 from __future__ import annotations
 
-import asyncio
 import inspect
 import time
 from collections.abc import Callable, Generator, Sequence
@@ -129,5 +128,7 @@ class Pacer:
 
     async def __call__(self, trial: Trial) -> None:
         """Wait until the next round is due."""
+        import asyncio  # longer to import than some commands take
+
         await asyncio.sleep(max(0.0, self._due - time.monotonic()))
         self._due = time.monotonic() + 1.0 / self._pace
