@@ -95,11 +95,7 @@ def say(text: object, *, error: bool = False) -> None:
 
 
 def while_shown(show: Callable[[P], None]) -> Callable[[P], None]:
-    """A function that shows what `show` does, on standard error, as long as somebody can read it.
-
-    Once the terminal is closed, or the program at the end of a pipe has ended, what is written there vanishes: nothing
-    else may fail for that.
-    """
+    """A function that shows what `show` does, on standard error; once nobody can read it, it vanishes without error."""
 
     def shown(what: P) -> None:
         try:

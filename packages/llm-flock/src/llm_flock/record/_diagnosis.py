@@ -24,27 +24,20 @@ MOST_TOLD = 3
 
 
 class Cause(NamedTuple):
-    """Something that kept a team from its formation: what happened, in sentences, and the robots it is about.
-
-    `round` is None where it was not at any one time; `calls` are the model call behind it and its retries.
-    """
+    """Something that kept a team from its formation: what happened, in sentences, and the robots it is about."""
 
     text: str
     robots: tuple[int, ...] = ()
-    round: int | None = None
-    calls: tuple[LlmEntry, ...] = ()
+    round: int | None = None  # None where it was not at any one time
+    calls: tuple[LlmEntry, ...] = ()  # the model call behind it, and its retries
 
 
 class Diagnosis(NamedTuple):
-    """Why a team did not form, the most important cause first; empty where nothing was flown.
-
-    `robots` are those that are the cause, also of causes that are not told. `look` is a robot that is worth a look, and
-    why, where no robot is the cause.
-    """
+    """Why a team did not form, the most important cause first; empty where nothing was flown."""
 
     causes: tuple[Cause, ...] = ()
-    robots: tuple[int, ...] = ()
-    look: tuple[int, str] | None = None
+    robots: tuple[int, ...] = ()  # that are the cause, also of causes that are not told
+    look: tuple[int, str] | None = None  # one that is worth a look, and why, where no robot is the cause
 
     @property
     def why(self) -> str:

@@ -134,11 +134,7 @@ KINDS_OF_ROBOTS = {"robot": "Int64", "slot": "Int64", "plan_id": "String", "orig
 
 
 def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
-    """The columns of a table, all of one length; None where there is no value.
-
-    `rounds`: the figures of each round, from the start, which is round 0. `robots`: of each round and robot its true
-    position [units; world frame], the goal it heads for, its slot and plan, who supplied its waypoint, and its phase.
-    """
+    """The columns of a table, all of one length; None where there is no value. Positions are true ones [units]."""
     if table == "rounds":
         return {name: [getattr(row, name) for row in record.metrics] for name in KINDS}
     if table != "robots":
@@ -185,10 +181,7 @@ def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
 
 
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:
-    """Every whole message of a record in the order of writing, for records that do not fit into memory.
-
-    Ends quietly where a killed run broke off; `RecordError` for a file that is damaged elsewhere, or no MCAP file.
-    """
+    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off."""
     yield from _open(record_file(path)).messages()
 
 

@@ -383,10 +383,7 @@ SCENE_TOPIC = "/scene"
 
 
 class RecordSink(Protocol):
-    """Takes the entries of a run as they happen: `RunInfo` and `MissionInfo` first, `SummaryMessage` last.
-
-    `RoundEnd` closes each round, from round 0 on. The summary comes at a clean end only.
-    """
+    """Takes the entries of a run as they happen: `RunInfo` and `MissionInfo` first, at a clean end `SummaryMessage`."""
 
     def write(self, entry: Entry) -> None:
         """Take one entry."""
@@ -401,17 +398,14 @@ class NullWriter:
 
 
 def channel_schema(model: type[Entry]) -> dict[str, Any]:
-    """JSON schema of a channel, in the subset that viewers understand as far as the data allow it.
-
-    Foxglove's and Lichtblick's reader of JSON schemas takes no references, no alternatives and no objects without
-    `properties`. So references are resolved, and a field that may be None is a field that may be left out.
-    """
+    """JSON schema of a channel, in the subset that viewers understand as far as the data allow it."""
     schema = model.model_json_schema()
     definitions = cast("dict[str, Any]", schema.pop("$defs", {}))
     return _plain(schema, definitions, in_list=False)
 
 
 def _plain(node: dict[str, Any], definitions: dict[str, Any], *, in_list: bool) -> dict[str, Any]:
+    # Readers take no references, no alternatives and no objects without properties; what may be None may be left out.
     plain = {key: value for key, value in node.items() if key not in ("$ref", "default")}
     if "$ref" in node:
         plain = definitions[node["$ref"].rpartition("/")[2]] | plain

@@ -126,10 +126,7 @@ class RecordStream:
         self._team = _Team()
 
     def entries(self) -> Iterator[Entry]:
-        """Every new entry, in the order of writing; `/scene` and unknown channels are skipped.
-
-        `RecordError` as in `messages`, and for an entry that is not valid, or of a newer format.
-        """
+        """Every new entry, checked, in the order of writing; `/scene` and unknown channels are skipped."""
         for message in self.messages():
             model = CHANNELS.get(message.topic)
             if model is None:
@@ -153,10 +150,7 @@ class RecordStream:
             yield entry
 
     def messages(self) -> Iterator[RawMessage]:
-        """Every message that was completed since the last call; none while there is no file.
-
-        `RecordError` for a file that cannot be read, or is damaged other than at its end.
-        """
+        """Every message that was completed since the last call; none while there is no file."""
         try:
             size = self.path.stat().st_size
             if self.ended or size <= self._position:

@@ -104,10 +104,7 @@ def _schemas() -> tuple[tuple[str, str, bytes], ...]:
 
 
 class RecordWriter:
-    """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
-
-    Every method raises `RecordError` when the disk does not take what is written.
-    """
+    """A sink that writes one new MCAP file; a context manager. `RecordError` where the disk does not take it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -139,11 +136,7 @@ class RecordWriter:
         self.close()
 
     def write(self, entry: Entry) -> None:
-        """Write an entry to its channel; a state, which comes after the first mission, is drawn as a scene as well.
-
-        The end of a round, the summary, and every event of a flight are handed to the operating system at once, with
-        all that came before them.
-        """
+        """Write an entry to its channel; a state, which comes after the first mission, is drawn as a scene as well."""
         if self._scene is None and isinstance(entry, State):
             raise RecordError(f"{self.path}: a state comes before the mission")
         number: int = getattr(entry, "round", self._last_round)
@@ -153,7 +146,7 @@ class RecordWriter:
                 self._put(SCENE_TOPIC, self._scene.draw(entry), number)
             elif isinstance(entry, RoundEnd | SummaryMessage | FlightEvent):
                 self._last_round = number
-                self._file.flush()
+                self._file.flush()  # to the operating system, with all that came before
         except OSError as error:
             raise self._failure(error) from error
         if isinstance(entry, MissionInfo):

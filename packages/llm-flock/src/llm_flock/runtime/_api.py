@@ -40,8 +40,7 @@ T = TypeVar("T")
 def wait_for(main: Coroutine[Any, Any, T]) -> T:
     """Run a coroutine to its end, and return its result or raise its error; Ctrl-C once it was cancelled and has ended.
 
-    Where an event loop runs in this thread, which cannot run another one, the coroutine gets a thread of its own. The
-    caller waits all the same, so that loop stands still until the end.
+    Where an event loop runs in this thread, which stands still meanwhile, the coroutine gets a thread of its own.
     """
     try:
         asyncio.get_running_loop()
@@ -274,8 +273,7 @@ def open_outputs(
 ) -> Generator[tuple[Journal, str | None]]:
     """Open the files that a run writes: its journal, which keeps a trace or not, and the path of its record.
 
-    `unrepeatable` says what the configuration cannot repeat, besides the models. With `on_broken`, a record that cannot
-    be written any more is given up, and `on_broken` gets the error; without, whoever writes gets it.
+    With `on_broken`, which gets the error, a record that cannot be written any more is given up.
     """
     with ExitStack() as stack:
         path, cassette = config.record, config.model.record_llm

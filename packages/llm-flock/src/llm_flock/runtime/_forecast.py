@@ -92,10 +92,7 @@ def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKEN
 
 
 def expect_run(config: RunConfig, on_round: Callable[[TrialProgress], None] | None = None) -> Expected:
-    """The expected use of one run, by a rehearsal that asks no model and writes no file.
-
-    `InputError` for a model that cannot work, as far as that is known without a key.
-    """
+    """The expected use of one run, by a rehearsal that asks no model and writes no file."""
     check_planners(config, asks=False)
     return priced(config, rehearse(stand_in(config), on_round))
 

@@ -135,13 +135,10 @@ A larger team is measured when all are at their goals, which `formed` needs anyw
 
 
 class Journal:
-    """Counts and records one run.
+    """Counts and records one run; for a `NullWriter` no entries are built.
 
-    Model calls are held back until `flush_attempts`, and written in the order of the robots: the order in which models
-    answer must not show in the record, which is the same for the same seed.
-
-    Where the team `replans` when robots die, only such a plan counts as formed then. For a `NullWriter` no entries are
-    built. With `trace`, missions, plans, states and figures are also kept, for whoever draws the run.
+    Where the team `replans` when robots die, only such a plan counts as formed then. With `trace`, missions, plans,
+    states and figures are also kept, for whoever draws the run.
     """
 
     def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False, trace: bool = False) -> None:
@@ -212,7 +209,7 @@ class Journal:
             self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
 
     def flush_attempts(self) -> None:
-        """Write the model calls made since the last flush, by robot and attempt."""
+        """Write the model calls made since the last flush, by robot: the order of the answers must not show."""
         for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
             self.writer.write(llm_entry(attempt))
         self._attempts.clear()
@@ -239,10 +236,7 @@ class Journal:
     def end_round(
         self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic
     ) -> None:
-        """Record where the robots are, what they follow, and what was measured; then the round is complete.
-
-        Call it after every round, and once as round 0, without moves, before the first.
-        """
+        """Record where the robots are, and what was measured, after every round; before the first one without moves."""
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
         # While a robot flies on along its path, the run goes on without answers.
@@ -279,17 +273,13 @@ class Journal:
             self.trace.append(entry)
 
     def measure_error(self, roster: Roster) -> None:
-        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet.
-
-        A shape can only be compared with as many robots as it has places: all that are awake, or, where some of them
-        are spare, those with a slot.
-        """
+        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet."""
         if self.errors[-1] is not None:
             return
         robots = roster.awake
         plan = self.episode.plan([roster.agents[robot] for robot in robots])
         places = self.episode.mission.n_places if plan is None else len(plan)
-        if len(robots) > places:
+        if len(robots) > places:  # a shape can only be compared with as many robots as it has places
             robots = [robot for robot in robots if roster.agents[robot].claim.slot is not None]
         if len(robots) == places:
             shape = self.episode.error(self.positions[-1][robots])

@@ -22,13 +22,12 @@ def load_solvers() -> None:
 def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
     """What one robot of a team without keys is made of; call once for each agent, as parts keep state.
 
-    Bodies pass each other if they are `apart` [units], the safe distance if not given. The paper's rules know of no
-    team, so there robots have no membership.
+    Bodies pass each other if they are `apart` [units], the safe distance if not given.
     """
     protocol, mission = config.protocol, config.mission
     any_size = protocol.gaps == "replan"
     team, safety, verifier = Membership(), Safety(), Checker(any_size=any_size)
-    if any_size or not are_the_papers(rules):
+    if any_size or not are_the_papers(rules):  # the paper's rules know of no team
         from llm_flock.protocol._membership.team import TeamMembership
 
         team = TeamMembership(robot, mission, time_out=protocol.time_out, gaps=protocol.gaps)

@@ -83,8 +83,7 @@ class TrialProgress:
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    After each round `on_round` is called, for a live display. Before each round `steer` is awaited: whoever steers may
-    change the schedule, the links and the planners by then.
+    `steer` is awaited before each round, and may change the schedule, the links and the planners.
     """
 
     def __init__(
