@@ -34,9 +34,6 @@ JsonOutput = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 Record = Annotated[bool, typer.Option("--record/--no-record", help="Write a record")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no live progress")]
 
-NOT_FLAGS = frozenset({"points"})
-"""Fields without a flag: `--shape points:FILE` sets them."""
-
 
 def with_config_flags(
     config: str = "llm_flock.runtime._config:RunConfig",
@@ -51,7 +48,7 @@ def with_config_flags(
     """
 
     def decorate(command: Command) -> Command:
-        vars(command)["config_flags"] = config, shown, NOT_FLAGS.union(without)
+        vars(command)["config_flags"] = config, shown, {"points", *without}  # `--shape points:FILE` sets them
         return command
 
     return decorate

@@ -42,8 +42,6 @@ E = TypeVar("E", bound=Entry)
 
 TableName: TypeAlias = Literal["rounds", "robots"]
 
-NO_START = "the run ended before its start was recorded; there is nothing to show"
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RunRecord:
@@ -221,7 +219,7 @@ def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
 
     runs, missions, rounds = all_of(RunInfo), all_of(MissionInfo), len(all_of(RoundEnd))
     if not rounds:
-        raise RecordError(f"{path}: {NO_START}")
+        raise RecordError(f"{path}: the run ended before its start was recorded; there is nothing to show")
     states, metrics = all_of(State)[:rounds], all_of(MetricsRow)[:rounds]
     if not runs or not missions or len(states) != rounds:
         raise RecordError(f"{path}: not a record of a run (/run, /mission or /state is missing)")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from io import BufferedReader
@@ -68,7 +69,7 @@ class _Team:
         self._n: int | None = None
         self._dim: int | None = None
         self.begun = False
-        self._states = self._rows = self._ends = 0
+        self._seen: Counter[type[Entry]] = Counter()
         self._first: int | None = None
 
     def objection(self, entry: Entry) -> str | None:
@@ -82,20 +83,16 @@ class _Team:
                 return self._differs(fields["n_robots"], *map(len, (*fields["arena"], *(entry.ideal or ()))))
             case PlanInfo(points=points):
                 return self._differs(None, *map(len, points))
-            case State():
-                found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
-                self._states += 1
-                if self._first is None or self._first > entry.round:
-                    return "a state before the first mission"
-                return found or self._out_of_turn(entry.round, self._states)
-            case MetricsRow():
-                self._rows += 1
-                return self._out_of_turn(entry.round, self._rows)
-            case RoundEnd():
-                self._ends += 1
-                if not self._ends == self._states == self._rows:
+            case State() | MetricsRow() | RoundEnd():
+                found, due = None, self._seen[type(entry)]
+                self._seen[type(entry)] += 1
+                if isinstance(entry, State):
+                    if self._first is None or self._first > entry.round:
+                        return "a state before the first mission"
+                    found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
+                elif isinstance(entry, RoundEnd) and not self._seen[State] == self._seen[MetricsRow] == due + 1:
                     return "not a record of a run: a round without /state or /metrics"
-                return self._out_of_turn(entry.round, self._ends)
+                return found or (None if entry.round == due else f"round {entry.round} where round {due} was due")
             case ProtocolEvent(robot=robot) | LlmEntry(robot=robot) if self._n is not None and robot >= self._n:
                 return f"robot {robot} in a team of {self._n}"
             case _:
@@ -107,9 +104,6 @@ class _Team:
         if n is not None and n != self._n:
             return f"{n} robots, not {self._n} as before"
         return "positions of different numbers of coordinates" if {*dims} - {self._dim} else None
-
-    def _out_of_turn(self, number: int, count: int) -> str | None:
-        return None if number == count - 1 else f"round {number} where round {count - 1} was due"
 
 
 class RecordStream:

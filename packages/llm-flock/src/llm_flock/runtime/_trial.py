@@ -31,12 +31,6 @@ from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
 
-ROUNDS_TO_LOOK = 10
-"""Rounds that a run continues after the time-out of the last robot that died."""
-
-SILENT_ROUNDS = 3
-"""Rounds in a row in which every model call fails, after which a run without circuit breakers ends."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialProgress:
@@ -165,7 +159,7 @@ class Trial:
     def _find_hopeless(self) -> bool:
         """Whether the run cannot succeed any more, and why: nobody has a plan, and no model gives one."""
         if self.config.protocol.fallback == "hold":
-            silent = self.journal.silent_rounds >= SILENT_ROUNDS
+            silent = self.journal.silent_rounds >= 3  # every call failed
             if silent:
                 self.stopped, self.reason = "no_answers", self.journal.last_failure
             return silent
@@ -188,7 +182,8 @@ class Trial:
         from llm_flock.protocol._membership.liveness import patience
 
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        return max(kills) + time_out + ROUNDS_TO_LOOK
+        rounds_to_look = 10
+        return max(kills) + time_out + rounds_to_look
 
     @property
     def _done(self) -> bool:
