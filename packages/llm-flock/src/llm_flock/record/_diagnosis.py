@@ -111,10 +111,8 @@ class _LastRound:
     def causes(self) -> list[Cause]:
         """All causes, in the order in which they are told."""
         found: list[Cause] = []
-        for find in (
-            *(self.accused, self.answers, self.plans, self.steps),
-            *(self.dead, self.ended, self.links, self.blocked),
-        ):
+        of_models = (self.accused, self.answers, self.plans, self.steps)
+        for find in (*of_models, self.dead, self.ended, self.links, self.blocked):
             cause = find()
             if cause is not None:
                 found.append(cause)
