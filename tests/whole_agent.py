@@ -8,8 +8,10 @@ from llm_flock.mission import Mission
 from llm_flock.protocol._agreement.assignment import AssignmentRule
 from llm_flock.protocol._agreement.consensus import ConsensusRule
 from llm_flock.protocol._breaker import Fallback
-from llm_flock.protocol._parts import Gaps
-from llm_flock.runtime._roster import make_parts
+from llm_flock.protocol._membership.team import TeamMembership
+from llm_flock.protocol._motion.safety import ShieldedSafety
+from llm_flock.protocol._parts import Checker, Gaps, Parts, Safety
+from llm_flock.protocol._verification.validator import Validator
 from llm_flock_swarm._signed.certificates import LIARS, Authenticator
 from llm_flock_swarm._signed.parts import signed_parts
 
@@ -33,16 +35,13 @@ def whole_agent(
     liars: int = LIARS,
 ) -> Agent:
     """An agent whose membership, safety and verifier are as given, with signatures if there is an authenticator."""
-    parts = make_parts(
-        robot,
-        mission,
-        (consensus, assignment),
-        shield=shield_on,
-        verify=verify,
-        noise_bound=noise_bound,
-        time_out=time_out,
-        gaps=gaps,
-        apart=apart,
+    any_size = gaps == "replan"
+    parts = Parts(
+        consensus=consensus,
+        assignment=assignment,
+        membership=TeamMembership(robot, mission, time_out=time_out, gaps=gaps),
+        safety=ShieldedSafety(robot, mission, noise_bound, apart) if shield_on else Safety(),
+        verifier=Validator(shield_on=shield_on, any_size=any_size) if verify else Checker(any_size=any_size),
     )
     if authenticator is not None:
         parts = signed_parts(parts, robot, mission, authenticator, liars=liars)

@@ -10,7 +10,7 @@ from mcap.writer import Writer
 from sample_records import make_record
 
 from llm_flock.errors import RecordError
-from llm_flock.record._reader import read_end, read_record
+from llm_flock.record._reader import read_record
 from llm_flock_swarm._ros2.bag import write_bag
 
 
@@ -26,16 +26,6 @@ def test_the_export_of_a_broken_record_says_where_it_ends(tmp_path: Path) -> Non
     assert 0 < rounds < 4
     done = flock("export", "half", *formats, cwd=tmp_path)
     assert done.stderr == f"warning: half/run.mcap ends early (the run was stopped): exported up to round {rounds}\n"
-
-
-def test_the_end_of_a_record_is_that_of_the_whole_record(tmp_path: Path) -> None:
-    for name, finish in (("a", True), ("b", False)):
-        path = make_record(tmp_path / name / "run.mcap", n=3, rounds=2, finish=finish)
-        end, found = read_end(path.parent), read_record(path)
-        assert (end.path, end.complete, end.rounds) == (found.path, found.complete, found.rounds)
-        (tmp_path / "c.mcap").write_bytes(path.read_bytes()[:40])
-    with pytest.raises(RecordError, match="before its start"):
-        read_end(tmp_path / "c.mcap")
 
 
 def test_a_bag_of_ros_is_called_one(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pickle
 import re
 import subprocess
@@ -17,7 +16,6 @@ import typer.main
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
-from llm_flock.cli._start import next_steps
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, ExtraMissing, require, require_posix
 
@@ -171,23 +169,6 @@ def test_commands_name_the_extra_that_they_need(
     result = CliRunner().invoke(app, line.split())
     assert isinstance(result.exception, ExtraMissing)
     assert str(result.exception).endswith(f" needs the extra {extra}: pip install 'llm-flock[{extra}]'")
-
-
-def test_the_next_step_follows_what_is_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in [key for key in os.environ if key.endswith("_API_KEY")]:
-        monkeypatch.delenv(name)
-    lines = [line for line, _ in next_steps(tmp_path)]
-    assert lines[0].startswith("llm-flock run ") and "llm-flock models" in lines
-    (tmp_path / "one").mkdir()
-    (tmp_path / "one" / "run.mcap").touch()
-    monkeypatch.setenv("ANTHROPIC_API_KEY", "a-secret")
-    steps = next_steps(tmp_path)
-    assert (f"llm-flock view {tmp_path / 'one'}", "the newest run here") in steps
-    told = next(text for line, text in steps if "--model anthropic:" in line)
-    assert told.startswith("ANTHROPIC_API_KEY is set")
-    assert "a-secret" not in str(steps)
-    monkeypatch.setitem(sys.modules, "anthropic", None)
-    assert EXTRAS["anthropic"].install in [line for line, _ in next_steps(tmp_path)]
 
 
 def test_models_lists_what_needs_no_provider(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,7 +17,7 @@ import pytest
 from foxglove_client import FoxgloveClient
 from sample_records import FakeRun
 
-from llm_flock.cli._sinks import Pacer
+from llm_flock.cli._extensions import Pacer
 from llm_flock.errors import InputError
 from llm_flock.record._schema import CHANNELS, Entry, RoundEnd
 from llm_flock.runtime._api import run

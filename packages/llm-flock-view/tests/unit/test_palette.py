@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from llm_flock.record._palette import PALETTE
+from llm_flock.record._words import PALETTE
 from llm_flock_view._figures.style import LINES, MARKERS, SERIES, SERIES_ON_DARK
 
 # What is seen of linear RGB without one kind of cone (Machado, Oliveira, Fernandes 2009, severity 1).

@@ -8,10 +8,10 @@ An entry point of the group `llm_flock.KIND` is one thing of that kind, under it
 | `models` | prefix of a model string | a `llm_flock.llm.ModelSource` |
 | `consensus`, `assignment` | the rule | a class without parameters that is a `ConsensusRule` or an `AssignmentRule` |
 | `robots` | the driver | makes the robots of a flight (`llm_flock_flight._flight.fleet.Driver`) |
-| `sinks` | the flag | a function that shows runs while they fly (`llm_flock.cli._sinks`) |
+| `sinks` | the flag | a function that shows runs while they fly (`llm_flock.cli._extensions`) |
 | `exports` | the flag | a function that writes a record for another program (`llm_flock.cli._export`) |
 | `inspections` | the subject | a function that shows more of a record in `llm-flock inspect` |
-| `watches` | what is watched | makes a `llm_flock.runtime._watched.WatchedTeam` |
+| `watches` | what is watched | makes a `llm_flock_view._viewer.swarm.WatchedTeam` |
 | `flights` | what shows them | shows flights, and provides poses (`llm_flock_flight._flight.shown`) |
 | `doctor` | the subject | a function that returns the findings of `llm-flock doctor` |
 | `views` | `html` or `animation` | how a notebook shows a record |

@@ -15,7 +15,7 @@ from llm_flock.llm._limits import Limited
 from llm_flock.llm._port import Call, Reply
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record._reader import iter_messages
-from llm_flock.record._schema import without_volatile
+from llm_flock.record._schema import CHANNELS, channel_schema
 from llm_flock.runtime import _journal as journal
 
 VOLATILE: dict[str, Any] = {"wall_s": 0.0, "latency_mean_s": 0.0}
@@ -97,7 +97,17 @@ def test_free_text_has_no_ideal_to_compare_with() -> None:
 
 def messages(path: Path) -> list[tuple[str, str]]:
     """Everything in a record but what may differ between two runs of one seed."""
-    return [(m.topic, json.dumps(without_volatile(m.topic, m.decoded()), sort_keys=True)) for m in iter_messages(path)]
+    found: list[tuple[str, str]] = []
+    for message in iter_messages(path):
+        fields = message.decoded()
+        entry = CHANNELS.get(message.topic)
+        declared: dict[str, Any] = {} if entry is None else channel_schema(entry)["properties"]
+        if message.topic == "/summary":
+            for name in ("wall_s", "latency_mean_s", "record", "flight"):
+                fields["result"].pop(name, None)
+        kept = {name: value for name, value in fields.items() if "volatile" not in declared.get(name, {})}
+        found.append((message.topic, json.dumps(kept, sort_keys=True)))
+    return found
 
 
 @pytest.mark.parametrize(

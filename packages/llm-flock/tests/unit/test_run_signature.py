@@ -127,7 +127,7 @@ def test_ctrl_c_in_a_notebook_ends_the_run_before_it_is_raised(monkeypatch: pyte
             begun.wait()
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("llm_flock.runtime._api.Future", Interrupted)
+    monkeypatch.setattr("concurrent.futures._base.Future", Interrupted)
 
     async def cell() -> None:
         wait_for(forever())

@@ -24,8 +24,8 @@ from llm_flock.llm import parse_models
 from llm_flock.message import MissionStamp
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.record import ASLEEP, DEAD, LlmEntry, PlanInfo, ProtocolEvent, RecordSink, RoundEnd, State
-from llm_flock.runtime import TrialProgress, commonest, metrics_row, mission_info
+from llm_flock.record import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RecordSink, RoundEnd, State
+from llm_flock.runtime import TrialProgress, commonest, finite, mission_info
 from llm_flock.validation import input_error
 from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
@@ -332,14 +332,16 @@ class Observer:
         self._sink.write(self._state(positions))
         near = graph.distances(positions) <= self.mission.comm_range
         messages, volume = sent(self.reports.values())
-        row = metrics_row(
-            self._row,
-            plan_ids=[self.reports[robot].plan_id for robot in robots],
-            slots=[self.reports[robot].slot for robot in robots],
-            at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
-            error=None if error is None else (error, None),
-            separation=metrics.min_separation(positions),
-            on_segment=self._row_closest,
+        plan_ids = [self.reports[robot].plan_id for robot in robots]
+        row = MetricsRow(
+            round=self._row,
+            procrustes_mean=error,
+            procrustes_mean_squared=None,
+            min_separation=finite(metrics.min_separation(positions)),
+            segment_separation=finite(self._row_closest),
+            plans_in_use=metrics.plans_in_use(plan_ids),
+            distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
+            robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
             model_calls=self.said.calls,
             tokens=self.said.tokens,

@@ -16,8 +16,8 @@ from llm_flock_view._viewer.server import Address
 
 if TYPE_CHECKING:
     from llm_flock.llm import MissionReader
-    from llm_flock.runtime import WatchedTeam
     from llm_flock_view._foxglove.server import FoxgloveServer
+    from llm_flock_view._viewer.swarm import WatchedTeam
 
 MOST_WAIT_S = 1.0
 """Longest time for which the first page has the processor to itself, for its record and for what it shows [s]."""

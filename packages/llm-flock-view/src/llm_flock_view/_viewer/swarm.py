@@ -3,12 +3,31 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Any
+from typing import Any, Protocol
 
 from llm_flock.errors import FlockError
 from llm_flock.record import RecordSink, Tee
-from llm_flock.runtime import WatchedTeam
+from llm_flock.runtime import RunConfig
 from llm_flock_view._viewer.recording import Recording
+
+
+class WatchedTeam(Protocol):
+    """What a plug-in of the kind `watches` makes of a configuration file, an endpoint and a name, or None for each."""
+
+    name: str
+
+    @property
+    def config(self) -> RunConfig:
+        """How the team flies, as far as it is known here."""
+        ...
+
+    async def follow(self, sink: RecordSink) -> None:
+        """Write what the team does, as a record would hold it, until cancelled."""
+        ...
+
+    async def give(self, fields: dict[str, object]) -> int:
+        """Change the team's mission; returns the robot that took the order. `InputError` if none did."""
+        ...
 
 
 class SwarmSource:

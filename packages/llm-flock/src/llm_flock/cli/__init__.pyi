@@ -1,5 +1,5 @@
-from ._app import app as app
-from ._app import start as start
+from ._commands import app as app
+from ._commands import start as start
 from ._display import RecordPath as RecordPath
 from ._display import live_line as live_line
 from ._display import note_broken as note_broken
@@ -12,7 +12,10 @@ from ._expected import short as short
 from ._export import needed as needed
 from ._extensions import Extension as Extension
 from ._extensions import Finding as Finding
+from ._extensions import chosen as chosen
 from ._extensions import extended as extended
+from ._extensions import refuse as refuse
+from ._extensions import showing as showing
 from ._options import EXIT_FAILED as EXIT_FAILED
 from ._options import EXIT_INTERRUPTED as EXIT_INTERRUPTED
 from ._options import ConfigPath as ConfigPath
@@ -21,9 +24,6 @@ from ._options import Quiet as Quiet
 from ._options import Record as Record
 from ._options import with_config_flags as with_config_flags
 from ._options import with_output_folder as with_output_folder
-from ._sinks import chosen as chosen
-from ._sinks import refuse as refuse
-from ._sinks import showing as showing
 from ._terminal import Screen as Screen
 from ._terminal import say as say
 from ._terminal import while_shown as while_shown

@@ -18,18 +18,18 @@ from llm_flock.flags import PlainHelp
 
 _CORE = {
     "run": "llm_flock.cli._run",
-    "inspect": "llm_flock.cli._inspect",
+    "inspect": "llm_flock.cli._display",
     "export": "llm_flock.cli._export",
     "doctor": "llm_flock.cli._doctor",
-    "shapes": "llm_flock.cli._lists",
-    "models": "llm_flock.cli._lists",
+    "shapes": "llm_flock.cli._doctor",
+    "models": "llm_flock.cli._doctor",
 }
 """Commands of the core by name, each with the module of its function; plug-ins add theirs."""
 
 
 def _names() -> list[str]:
     """All commands, in the order of the help."""
-    return [*_CORE, *(name for name in plugins.entries("commands") if name not in _CORE)]
+    return list({**_CORE, **plugins.entries("commands")})
 
 
 def _find(name: str) -> Callable[..., None] | typer.Typer:
@@ -77,13 +77,25 @@ class Commands(TyperGroup):
         return TyperCommand(cmd_name, help=text)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is called, with all its flags, and the arguments that are left for it.
-
-        Raises:
-            FieldError: the command belongs to an extra that is not installed.
-        """
+        """The command that is called, with all its flags, and the arguments that are left for it."""
         absent = next((extra for extra in EXTRAS.values() if args[0] in extra.commands), None)
         if absent is not None and args[0] not in _names():
             raise FieldError("extra", absent.name, says=f"{args[0]} needs the extra {absent.name}: {absent.install}")
         name, listed, rest = super().resolve_command(ctx, args)
         return name, self.commands[name] if listed is not None and name is not None else None, rest
+
+
+app = typer.Typer(
+    name="llm-flock",
+    cls=Commands,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback(invoke_without_command=True)
+def start(ctx: typer.Context) -> None:
+    """Robots that agree on a formation, each with its own language model and without a central controller."""
+    if ctx.invoked_subcommand is None:
+        typer.echo(ctx.get_help())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from rich.table import Table
 from rich.text import Text
 
+from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
@@ -21,7 +22,7 @@ from llm_flock.record import RECORD_NAME
 from llm_flock.record._words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
-    from llm_flock.record._reader import RecordEnd, RunRecord
+    from llm_flock.record._reader import RunRecord
     from llm_flock.runtime._result import Summary
     from llm_flock.runtime._trial import TrialProgress
 
@@ -30,9 +31,6 @@ RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or
 
 MOST_MESSAGE = 100_000
 """Longest message that is shown of a conversation [characters]; the record has all of it."""
-
-MOST_VERDICT = 20_000
-"""Longest account of an answer in a conversation [characters]; a plan of a large team has some thousands."""
 
 
 def live_line(
@@ -67,15 +65,9 @@ def live_line(
     def show(now: TrialProgress) -> None:
         if not now.n_robots:  # nobody is there yet
             return
-        error = "" if now.error is None else f" · error {now.error:.2f}"
-        cost = "" if not now.cost_usd else f" · {now.cost_usd:.4f} USD"
-        text = (
-            f"round {now.round} · at goal {now.at_goal}/{now.n_robots} · plans {now.plans_in_use} · "
-            f"goals {now.distinct_goals}{error} · calls {now.model_calls} · tokens {now.tokens:,}{cost}"
-        )
-        bar.update(task, description=text, completed=now.at_goal, total=now.n_robots)
+        bar.update(task, description=now.text, completed=now.at_goal, total=now.n_robots)
         if enabled and not redraws:
-            console.print(text, highlight=False, soft_wrap=True)
+            console.print(now.text, highlight=False, soft_wrap=True)
 
     return opened(), show
 
@@ -177,18 +169,7 @@ def show_overview(record: RunRecord) -> None:
     console.show(table)
 
 
-def _ranges(numbers: Sequence[int]) -> str:
-    """Sorted numbers in short: `1-5, 8`."""
-    runs: list[list[int]] = []
-    for number in numbers:
-        if runs and number == runs[-1][-1] + 1:
-            runs[-1][1:] = [number]
-        else:
-            runs.append([number])
-    return ", ".join("-".join(map(str, run)) for run in runs)
-
-
-def note_broken(records: Iterable[RunRecord | RecordEnd], done: str = "drawn") -> None:
+def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
     """Say which records end early. Call before they are drawn, or `done` otherwise."""
     for record in records:
         if not record.complete:
@@ -209,11 +190,7 @@ def _start(text: str) -> str:
 
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
-    """Print every call of one robot, of one round, or both.
-
-    Raises:
-        InputError: the record holds no such call.
-    """
+    """Print every call of one robot, of one round, or both."""
     found = [
         entry
         for entry in record.llm
@@ -229,7 +206,9 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         rounds = sorted({entry.round for entry in record.llm if robot in (None, entry.robot)})
         if not rounds:
             raise FieldError("robot", robot, says=f"no model was asked{who} in this run")
-        raise InputError("round", round_number, says=f"no model was asked{who} then; calls: rounds {_ranges(rounds)}")
+        raise InputError(
+            "round", round_number, says=f"no model was asked{who} then; calls in rounds {rounds[0]} to {rounds[-1]}"
+        )
     console = Screen()
     for entry in found:
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
@@ -242,9 +221,29 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
             console.print(Panel(Text(_start(entry.text)), title=answer, title_align="left", border_style="green"))
         faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
-        console.print(Text(f"{one_line(verdict(entry), MOST_VERDICT)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
+        console.print(Text(f"{one_line(verdict(entry), 20_000)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
 
 
 def record_file(path: Path) -> Path:
     """The record, also if its folder is given."""
     return path / RECORD_NAME if path.is_dir() else path
+
+
+@extended("inspections")
+def inspect(
+    record: RecordPath,
+    robot: Annotated[int | None, typer.Option(min=0, help="Show only this robot's conversation")] = None,
+    round_number: Annotated[int | None, typer.Option("--round", min=0, help="Show only this round")] = None,
+    *,
+    extensions: list[Extension],
+) -> None:
+    """Show a record: its summary, or the conversation of a robot with its model."""
+    from llm_flock.record._reader import read_record
+
+    found = read_record(record)
+    if robot is None and round_number is None:
+        show_overview(found)
+        for extension in extensions:
+            extension(found)
+    else:
+        show_conversation(found, robot, round_number)

@@ -1,4 +1,4 @@
-"""`llm-flock doctor`: what is installed and which keys are set; plug-ins say what can be reached from here."""
+"""`llm-flock doctor`, `shapes` and `models`: what is installed, can be reached, can be flown, and can be asked."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import json
 import os
 import platform
 import sys
+from collections import defaultdict
 from dataclasses import asdict
-from importlib import metadata
 from itertools import groupby
 from typing import Annotated
 
@@ -15,6 +15,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from llm_flock import plugins
 from llm_flock.cli._extensions import Extension, Finding, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.extras import EXTRAS
@@ -30,7 +31,20 @@ def doctor(
 
     No language model is asked, and no key is shown. What is missing is no error: a simulated run needs none of it.
     """
-    found = [*base(), *extras(), *provider_keys()]
+    from llm_flock.llm._providers import PROVIDERS
+    from llm_flock.runtime import versions
+
+    python = f"{platform.python_version()}, {sys.prefix}"
+    users: defaultdict[str, list[str]] = defaultdict(list)
+    for info in PROVIDERS.values():
+        users[info.key_env].append(info.name)
+    found = [
+        Finding("base", "llm-flock", True, versions()["llm-flock"]),
+        Finding("base", "Python", sys.version_info >= (3, 11), python),
+        Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
+        *(Finding("extra", extra.name, not extra.missing, extra.purpose) for extra in EXTRAS.values()),
+        *(Finding("key", name, is_set(name), ", ".join(providers)) for name, providers in users.items()),
+    ]
     for extension in extensions:
         found += extension()
     if json_output:
@@ -45,37 +59,31 @@ def doctor(
         say("to add extras: pip install 'llm-flock[NAME,...]'")
 
 
-def version() -> str:
-    """This package's version; `not installed` where it runs from its sources alone."""
-    try:
-        return metadata.version("llm-flock")
-    except metadata.PackageNotFoundError:
-        return "not installed"
-
-
-def base() -> list[Finding]:
-    """This package, the interpreter and the system."""
-    return [
-        Finding("base", "llm-flock", True, version()),
-        Finding("base", "Python", sys.version_info >= (3, 11), f"{platform.python_version()}, {sys.prefix}"),
-        Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
-    ]
-
-
-def extras() -> list[Finding]:
-    """Each extra: whether its libraries are installed, and what needs them. Imports none of them."""
-    return [Finding("extra", extra.name, not extra.missing, extra.purpose) for extra in EXTRAS.values()]
-
-
-def provider_keys() -> list[Finding]:
-    """Each environment variable that may hold a provider's key, and whether it does; never its value."""
-    from llm_flock.llm._providers import PROVIDERS
-
-    names = dict.fromkeys(info.key_env for info in PROVIDERS.values())
-    users = {name: [info.name for info in PROVIDERS.values() if info.key_env == name] for name in names}
-    return [Finding("key", name, is_set(name), ", ".join(users[name])) for name in names]
-
-
 def is_set(variable: str) -> bool:
     """Whether an environment variable holds more than spaces."""
     return bool(os.environ.get(variable, "").strip())
+
+
+def shapes() -> None:
+    """List the formations and their possible team sizes."""
+    from llm_flock import shapes as formations
+
+    table = Table("shape", "robots", "description")
+    for shape in formations.shapes():
+        table.add_row(shape.name, shape.legal, shape.description)
+    Screen().show(table, copied=("shape",))
+
+
+def models() -> None:
+    """List the model providers, their environment variables, whether these are set, and examples."""
+    from llm_flock.llm._providers import PROVIDERS
+
+    table = Table("provider", "key in", "set", "default address", "example")
+    for provider in PROVIDERS.values():
+        known = "yes" if is_set(provider.key_env) else "no"
+        table.add_row(provider.name, provider.key_env, known, provider.base_url or "-", provider.example)
+    here = {name: source.example for name, source in plugins.load_all("models")}
+    here |= {"simulated": "simulated:ideal", "geometry": "geometry", "replay": "replay:FILE"}
+    for name, example in here.items():
+        table.add_row(name, "-", "-", "this process", example)
+    Screen().show(table, copied=("key in", "default address", "example"))

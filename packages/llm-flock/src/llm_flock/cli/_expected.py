@@ -16,11 +16,7 @@ from llm_flock.runtime._forecast import OUTPUT_TOKENS, PROFILE, expect_run, stan
 
 
 def show_expected_run(config: RunConfig, *, as_json: bool, quiet: bool) -> None:
-    """Rehearse a run with stand-ins, and print the calls, tokens and money to expect. Nothing is written.
-
-    Raises:
-        InputError: a model cannot work, as far as that is known without a key.
-    """
+    """Rehearse a run with stand-ins, and print the calls, tokens and money to expect. Nothing is written."""
     bar, on_round = live_line("rehearsal", enabled=not quiet and not as_json)
     with bar:
         found = expect_run(config, on_round)

@@ -9,13 +9,10 @@ import typer
 
 from llm_flock import plugins
 from llm_flock.cli._display import note_broken, record_file
-from llm_flock.cli._extensions import Extension, extended
+from llm_flock.cli._extensions import Extension, chosen, extended
 from llm_flock.cli._terminal import say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.extras import EXTRAS
-
-TABLES = "tables"
-"""The plug-in without a flag: writes a directory of results as CSV files."""
 
 
 @extended("exports")
@@ -37,16 +34,14 @@ def export(
     Without a format, PATH is a directory of results, whose tables go to trials.csv and rounds.csv.
     """
     formats = [extension for extension in extensions if extension.flags]
-    for extension in formats:
-        extension.refuse_idle_flags()
-    chosen = [extension for extension in formats if extension.on]
+    on = chosen(formats)
     record = None if path is None else record_file(path)
-    if chosen:
+    if on:
         if record is not None:
-            from llm_flock.record._reader import read_end
+            from llm_flock.record._reader import read_record
 
-            note_broken([read_end(record)], "exported")
-        for extension in chosen:
+            note_broken([read_record(record)], "exported")
+        for extension in on:
             for written in extension(record, out or (Path() if record is None else record.parent)):
                 say(written)
         return
@@ -56,12 +51,12 @@ def export(
         flags = [f"--{extension.name}" for extension in formats]
         listed = " and ".join(filter(None, (", ".join(flags[:-1]), *flags[-1:])))
         raise FieldError("format", says=f"a record is exported with at least one of {listed}")
-    if TABLES not in plugins.entries("exports"):
+    if "tables" not in plugins.entries("exports"):
         says = f"export of a sweep needs the extra sweep: {EXTRAS['sweep'].install}"
         raise FieldError("extra", "sweep", says=says)
     if not path.is_dir():
         raise InputError("path", str(path), "a record, or a directory of results as `llm-flock sweep` makes it")
-    for written in plugins.load("exports", TABLES)(path, out or path):
+    for written in plugins.load("exports", "tables")(path, out or path):
         say(written)
 
 
@@ -69,11 +64,7 @@ NEEDS_PATH = "export needs the path of a record or of a directory of results; on
 
 
 def needed(record: Path | None) -> Path:
-    """The record that an export writes.
-
-    Raises:
-        FieldError: for field `path`: there is none.
-    """
+    """The record that an export writes; `FieldError` if there is none."""
     if record is None:
         raise FieldError("path", says=NEEDS_PATH)
     return record

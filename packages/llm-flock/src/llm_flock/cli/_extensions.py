@@ -1,27 +1,34 @@
-"""Commands that plug-ins extend: each plug-in of a kind is a function whose keyword parameters become flags."""
+"""Commands that plug-ins extend: each plug-in of a kind is a function whose keyword parameters become flags.
+
+Those that show runs while they fly take the configuration and their flags, and return a context manager of a sink.
+"""
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Generator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from llm_flock import plugins
+from llm_flock.cli._options import with_parameters
 from llm_flock.errors import InputError
 from llm_flock.plugins import Kind
 
-KEYWORD = "extensions"
-"""The parameter in which an extended command gets its `Extension`s."""
+if TYPE_CHECKING:
+    from llm_flock.record._schema import RecordSink
+    from llm_flock.runtime._config import RunConfig
+    from llm_flock.runtime._trial import Trial
+
+PACE = 2.0
+"""Rounds a second at most while a run is shown: simulated models would be over before anybody looks."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Extension:
-    """A plug-in with the flags that were given for it.
-
-    Attributes:
-        flags: values by parameter name; the first one switches the plug-in on, if it has any.
-    """
+    """A plug-in with the flags that were given for it by parameter name; the first one, if any, switches it on."""
 
     name: str
     function: Callable[..., Any]
@@ -32,18 +39,6 @@ class Extension:
         """Whether its first flag was given."""
         return bool(next(iter(self.flags.values()), None))
 
-    def refuse_idle_flags(self) -> None:
-        """Refuse flags without the first one.
-
-        Raises:
-            InputError: one was given.
-        """
-        defaults = {p.name: p.default for p in _flags(self.function)}
-        switch = next(iter(self.flags))
-        for field, value in self.flags.items():
-            if not self.on and value != defaults[field]:
-                raise InputError(field, value, says=f"has no effect without --{switch.replace('_', '-')}")
-
     def __call__(self, *args: Any) -> Any:
         """Call the plug-in with its flags."""
         return self.function(*args, **self.flags)
@@ -51,19 +46,23 @@ class Extension:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of `llm-flock doctor`.
+    """One line of `llm-flock doctor`."""
 
-    Attributes:
-        part: what it belongs to: base, extra, key or reach.
-        name: what was looked for.
-        ok: whether it is there.
-        detail: what was found, or what to do.
-    """
-
-    part: str
+    part: str  # base, extra, key or reach
     name: str
     ok: bool
-    detail: str
+    detail: str  # what was found, or what to do
+
+
+def chosen(extensions: Sequence[Extension]) -> list[Extension]:
+    """The plug-ins that are switched on; `InputError` where one has other flags, and is not."""
+    for extension in extensions:
+        defaults = {p.name: p.default for p in _flags(extension.function)}
+        for field, value in extension.flags.items():
+            if not extension.on and value != defaults[field]:
+                switch = next(iter(extension.flags)).replace("_", "-")
+                raise InputError(field, value, says=f"has no effect without --{switch}")
+    return [extension for extension in extensions if extension.on]
 
 
 def extended(kind: Kind) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -89,18 +88,13 @@ def with_extensions(command: Callable[..., None]) -> Callable[..., None]:
             Extension(name=name, function=functions[name], flags={p.name: given.pop(p.name) for p in parameters})
             for name, parameters in added.items()
         ]
-        command(**given, **{KEYWORD: extensions})
+        command(**given, extensions=extensions)
 
-    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != KEYWORD]
+    own = [p for p in inspect.signature(command, eval_str=True).parameters.values() if p.name != "extensions"]
     flags = [p for parameters in added.values() for p in parameters]
     var = [p for p in own if p.kind is p.VAR_KEYWORD]
     parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in own if p not in var] + flags
-    vars(call)["__signature__"] = inspect.Signature([*parameters, *var])
-    call.__annotations__ = {p.name: p.annotation for p in parameters}
-    call.__doc__ = command.__doc__
-    if "config_flags" in vars(command):
-        vars(call)["config_flags"] = vars(command)["config_flags"]
-    return call
+    return with_parameters(command, call, [*parameters, *var])
 
 
 def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:
@@ -108,3 +102,33 @@ def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:
     scope = vars(inspect.getmodule(function))
     found = inspect.signature(function).parameters.values()
     return [p.replace(annotation=eval(p.annotation, scope)) for p in found if p.kind is p.KEYWORD_ONLY]
+
+
+def refuse(sinks: Sequence[Extension], where: str) -> None:
+    """Refuse them, where there are any, for a command that shows nothing there."""
+    for sink in sinks:
+        raise InputError(next(iter(sink.flags)), None, says=f"has no effect in {where}")
+
+
+@contextmanager
+def showing(sinks: Sequence[Extension], config: RunConfig) -> Generator[RecordSink | None]:
+    """Open them while a run flies; one sink for all, None without any."""
+    from llm_flock.record import both
+
+    with ExitStack() as stack:
+        yield both(*[stack.enter_context(sink(config)) for sink in sinks])
+
+
+class Pacer:
+    """Holds a run to a pace [rounds/s]."""
+
+    def __init__(self, pace: float) -> None:
+        self._pace = pace
+        self._due = 0.0
+
+    async def __call__(self, trial: Trial) -> None:
+        """Wait until the next round is due."""
+        import asyncio  # longer to import than some commands take
+
+        await asyncio.sleep(max(0.0, self._due - time.monotonic()))
+        self._due = time.monotonic() + 1.0 / self._pace

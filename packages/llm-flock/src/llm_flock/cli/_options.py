@@ -34,9 +34,6 @@ JsonOutput = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 Record = Annotated[bool, typer.Option("--record/--no-record", help="Write a record")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show no live progress")]
 
-NOT_FLAGS = frozenset({"points"})
-"""Fields without a flag: `--shape points:FILE` sets them."""
-
 
 def with_config_flags(
     config: str = "llm_flock.runtime._config:RunConfig",
@@ -46,14 +43,12 @@ def with_config_flags(
 ) -> Callable[[Command], Command]:
     """Ask for a flag for each field of a configuration, for a command that takes the values typed as `**flags`.
 
-    Args:
-        config: module and name of its class, which takes long to import.
-        shown: fields whose flags `--help` lists; the others are in `--help-all`.
-        without: fields that get no flag, and sections, such as `[links]`, whose fields get none.
+    `config` is the module and name of its class, which takes long to import; `--help` lists the flags of the fields
+    `shown`. `without` are fields that get no flag, and sections, such as `[links]`, whose fields get none.
     """
 
     def decorate(command: Command) -> Command:
-        vars(command)["config_flags"] = config, shown, NOT_FLAGS.union(without)
+        vars(command)["config_flags"] = config, shown, {"points", *without}  # `--shape points:FILE` sets them
         return command
 
     return decorate
@@ -78,14 +73,19 @@ def add_config_flags(command: Command) -> Command:
                 parameter, readers[field] = _flag(field, info, panel, hidden=field not in shown)
                 parameters.append(parameter)
 
-    @functools.wraps(command)
     def call(**given: Any) -> None:
         typed = {field: given.pop(field) for field in readers}
         flags = {field: readers[field](field, value) for field, value in typed.items() if value is not None}
         command(**given, **flags)
 
+    return with_parameters(command, call, parameters)
+
+
+def with_parameters(command: Command, call: Command, parameters: list[inspect.Parameter]) -> Command:
+    """A function to be called in place of a command, with its name and help, and these parameters."""
+    functools.update_wrapper(call, command)
     vars(call)["__signature__"] = inspect.Signature(parameters)
-    call.__annotations__ = {p.name: p.annotation for p in parameters}
+    call.__annotations__ = {p.name: p.annotation for p in parameters if p.kind is not p.VAR_KEYWORD}
     return call
 
 
@@ -179,15 +179,11 @@ def _points(field: str, name: str) -> Any:
 
 def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
-    around = 20  # characters shown on either side of the place where JSON breaks
     try:
         given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
         found = json.loads(given)
     except json.JSONDecodeError as error:
-        before, after = error.doc[: error.pos][-around:], error.doc[error.pos :][:around]
-        where = f"after {before!r} comes {after!r}" if after.strip() else f"it ends after {before!r}"
-        says = f"broken JSON in line {error.lineno}, column {error.colno}: {where} ({error.msg})"
-        raise InputError(field, None, says=says) from None
+        raise InputError(field, None, says=f"broken JSON: {error}") from None
     except (OSError, ValueError, RecursionError) as error:
         why = getattr(error, "strerror", None) or error
         raise InputError(field, text, f"a JSON list, or the name of a file with one ({why})") from None
@@ -197,11 +193,7 @@ def _json_list(field: str, text: str) -> list[Any]:
 
 
 def with_output_folder(settings: Config, kind: str = "", *, record: bool, typed: str | None = None) -> Config:
-    """The configuration with an output folder: its own, or else a new one under runs/; with none if not recorded.
-
-    Raises:
-        InputError: a folder was typed, and nothing is recorded.
-    """
+    """The configuration with an output folder: its own, or else a new one under runs/; with none if not recorded."""
     if typed is not None and not record:
         raise InputError("out", typed, says="has no effect with --no-record")
     folder = settings.trial.out

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from llm_flock.cli._display import live_line, no_success, summary_table
-from llm_flock.cli._extensions import Extension, extended
+from llm_flock.cli._extensions import PACE, Extension, Pacer, chosen, extended, refuse, showing
 from llm_flock.cli._options import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -19,7 +19,6 @@ from llm_flock.cli._options import (
     with_config_flags,
     with_output_folder,
 )
-from llm_flock.cli._sinks import PACE, Pacer, chosen, refuse, showing
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import InputError
 

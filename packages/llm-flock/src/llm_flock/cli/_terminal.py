@@ -55,20 +55,16 @@ class Screen(Console):
             return
         if table.title:
             self.print(table.title, style="italic", soft_wrap=True)
-        rows = list(zip(*columns, strict=True))
-        if table.show_header:
-            heads = [Text(head.plain.replace("\n", " ")) for head in heads]
-            names = max(cell_len(head.plain) for head in heads[1:])
-            for first, *rest in rows:
-                self.print(first, style="bold", soft_wrap=True)
-                for head, cell in zip(heads[1:], rest, strict=True):
-                    if cell.plain:
-                        self.print(Text(f"  {head.plain.ljust(names)}  ").append_text(cell), soft_wrap=True)
-            return
-        names = max((cell_len(row[0].plain) for row in rows), default=0)
-        for name, *rest in rows:
-            line = Text(name.plain.ljust(names + 2), style="dim")
-            self.print(Text.assemble(line, *rest), soft_wrap=True)
+        named = [head.plain.replace("\n", " ") for head in heads[1:]]
+        names = max(map(cell_len, named if table.show_header else (cell.plain for cell in columns[0])), default=0)
+        for first, *rest in zip(*columns, strict=True):
+            if not table.show_header:
+                self.print(Text.assemble((first.plain.ljust(names + 2), "dim"), *rest), soft_wrap=True)
+                continue
+            self.print(first, style="bold", soft_wrap=True)
+            for name, cell in zip(named, rest, strict=True):
+                if cell.plain:
+                    self.print(Text(f"  {name.ljust(names)}  ").append_text(cell), soft_wrap=True)
 
 
 def _widths(
@@ -95,11 +91,7 @@ def say(text: object, *, error: bool = False) -> None:
 
 
 def while_shown(show: Callable[[P], None]) -> Callable[[P], None]:
-    """A function that shows what `show` does, on standard error, as long as somebody can read it.
-
-    Once the terminal is closed, or the program at the end of a pipe has ended, what is written there vanishes: nothing
-    else may fail for that.
-    """
+    """A function that shows what `show` does, on standard error; once nobody can read it, it vanishes without error."""
 
     def shown(what: P) -> None:
         try:

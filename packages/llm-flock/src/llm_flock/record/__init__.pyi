@@ -4,8 +4,6 @@ from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import deaths_text as deaths_text
 from ._diagnosis import diagnose as diagnose
 from ._history import RunHistory as RunHistory
-from ._palette import NO_PLAN as NO_PLAN
-from ._palette import PALETTE as PALETTE
 from ._reader import RunRecord as RunRecord
 from ._reader import read_record as read_record
 from ._scene import FRAME as FRAME
@@ -46,6 +44,8 @@ from ._schema import SummaryMessage as SummaryMessage
 from ._schema import channel_schema as channel_schema
 from ._stream import RecordStream as RecordStream
 from ._words import MOST_PLACES as MOST_PLACES
+from ._words import NO_PLAN as NO_PLAN
+from ._words import PALETTE as PALETTE
 from ._words import begun as begun
 from ._words import counted as counted
 from ._words import formed_in as formed_in

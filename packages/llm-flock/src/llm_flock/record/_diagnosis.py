@@ -22,38 +22,22 @@ AT_GOAL, IN_SHAPE = 0.05, 0.1
 MOST_TOLD = 3
 """Most groups of robots, plans, and causes that are told."""
 
-SETTLING = ("provenance", "auction")
-"""The rules by which a team in radio contact comes to one plan, and to a place for each robot."""
-
 
 class Cause(NamedTuple):
-    """Something that kept a team from its formation.
-
-    Attributes:
-        text: what happened, in sentences.
-        robots: whom it is about.
-        round: when; None where it was not at any one time.
-        calls: the model call behind it and its retries; empty where no model was called.
-    """
+    """Something that kept a team from its formation: what happened, in sentences, and the robots it is about."""
 
     text: str
     robots: tuple[int, ...] = ()
-    round: int | None = None
-    calls: tuple[LlmEntry, ...] = ()
+    round: int | None = None  # None where it was not at any one time
+    calls: tuple[LlmEntry, ...] = ()  # the model call behind it, and its retries
 
 
 class Diagnosis(NamedTuple):
-    """Why a team did not form; empty where nothing was flown.
-
-    Attributes:
-        causes: the most important ones, the first one first.
-        robots: those that are the cause, also of causes that are not told.
-        look: a robot that is worth a look, and why, where no robot is the cause.
-    """
+    """Why a team did not form, the most important cause first; empty where nothing was flown."""
 
     causes: tuple[Cause, ...] = ()
-    robots: tuple[int, ...] = ()
-    look: tuple[int, str] | None = None
+    robots: tuple[int, ...] = ()  # that are the cause, also of causes that are not told
+    look: tuple[int, str] | None = None  # one that is worth a look, and why, where no robot is the cause
 
     @property
     def why(self) -> str:
@@ -66,23 +50,18 @@ def diagnose(run: RunHistory) -> Diagnosis:
     if run.rounds < 1:
         return Diagnosis()
     end = _LastRound(run)
-    found: list[Cause] = []
-    for find in _CAUSES:
-        cause = find(run, end, frozenset(robot for one in found for robot in one.robots))
-        if cause is not None:
-            found.append(cause)
+    found = end.causes()
     fact, look = end.fact()
-    settles = _settles(run)
-    if not found and fact is not None and not settles:
-        return Diagnosis((Cause(f"No robot is to blame: {_rules_failed(run, end)} {fact.text}"),), (), look)
+    if not found and fact is not None and not end.settles:
+        return Diagnosis((Cause(f"No robot is to blame: {end.rules_failed()} {fact.text}"),), (), look)
     if not found:
         only = fact or Cause("By the record, nothing was wrong in the last round.", round=run.rounds)
         return Diagnosis((only,), only.robots, look)
     robots = tuple(dict.fromkeys(robot for cause in found for robot in cause.robots))
     told = found[:MOST_TOLD]
-    if not settles and end.quarrel(robots):
+    if not end.settles and end.quarrel(robots):
         others = "The other robots did not agree either" if robots else "The robots did not agree"
-        told.append(Cause(f"{others}, {_rules_alone(run)}.", round=run.rounds))
+        told.append(Cause(f"{others}, {'for' if end.alone else 'by'} {end.rules}.", round=run.rounds))
     elif fact is not None and len(told) < MOST_TOLD and not (fact.robots and {*fact.robots} <= {*robots}):
         told.append(fact)
     return Diagnosis(tuple(told), robots, look)
@@ -100,13 +79,8 @@ def _dead_robots(run: RunHistory) -> list[int]:
     return [robot for robot, phase in enumerate(run.states[run.rounds].phases) if phase == DEAD]
 
 
-def _settles(run: RunHistory) -> bool:
-    """Whether rules bring a team in radio contact together; True for those of which the record says nothing."""
-    return run.rules == SETTLING or not all(run.rules)
-
-
 class _LastRound:
-    """The team in the last round: plans, claims, ways to the places, and parts out of radio range."""
+    """The team in the last round, and what led to it; methods without a verb find one kind of cause each."""
 
     def __init__(self, run: RunHistory) -> None:
         self.run, self.state = run, run.states[run.rounds]
@@ -114,12 +88,8 @@ class _LastRound:
         self.spacing = float(self.mission["spacing"])
         self.awake = [robot for robot, phase in enumerate(state.phases) if phase not in SILENT]
         self.without = [robot for robot in self.awake if state.plan_ids[robot] is None]
-        owners = Counter((state.plan_ids[robot], state.slots[robot]) for robot in self.awake)
-        self.shared = [
-            robot
-            for robot in self.awake
-            if state.slots[robot] is not None and owners[state.plan_ids[robot], state.slots[robot]] > 1
-        ]
+        owners = Counter(map(self.claim, self.awake))
+        self.shared = [k for k in self.awake if state.slots[k] is not None and owners[self.claim(k)] > 1]
         self.away = [robot for robot in self.awake if self.far(robot) > AT_GOAL * self.spacing]
         held: defaultdict[str, list[int]] = defaultdict(list)
         for robot in self.awake:
@@ -130,58 +100,247 @@ class _LastRound:
         # Where no plan has most of the robots, none of them stands apart from the team.
         self.most = 2 * len(largest) > len(self.awake) - len(self.without)
         others = self.groups[1 if self.most else 0 :] if len(self.groups) > 1 else []
-        self.alone = run.rules[0] == "none"
         self.strays = sorted(robot for _, members in others for robot in members)
+        self.alone = run.rules[0] == "none"
+        # Whether the rules bring a team in radio contact together; True for those of which the record says nothing.
+        self.settles = run.rules == ("provenance", "auction") or not all(run.rules)
+        named = f"this protocol's rules ({', '.join(run.rules)})"
+        self.rules = "this protocol has no consensus" if self.alone else named
+        self.named: set[int] = set()  # by the causes found so far
+
+    def causes(self) -> list[Cause]:
+        """All causes, in the order in which they are told."""
+        found: list[Cause] = []
+        of_models = (self.accused, self.answers, self.plans, self.steps)
+        for find in (*of_models, self.dead, self.ended, self.links, self.blocked):
+            cause = find()
+            if cause is not None:
+                found.append(cause)
+                self.named.update(cause.robots)
+        return found
+
+    def claim(self, robot: int) -> tuple[str | None, int | None]:
+        """The place that a robot claims, in its plan."""
+        return self.state.plan_ids[robot], self.state.slots[robot]
 
     def far(self, robot: int) -> float:
         """Distance of a robot from its goal; 0 without one [units]."""
         goal = self.state.goals[robot]
         return 0.0 if goal is None else math.dist(self.state.positions[robot], goal)
 
+    def models(self, robots: Sequence[int]) -> str:
+        """The models of some robots, by their names where the record has them."""
+        names = dict.fromkeys(self.run.tallies[robot].model for robot in robots if robot in self.run.tallies)
+        some = ", ".join([name for name in names if name][:MOST_TOLD])
+        return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
+
+    def rules_failed(self) -> str:
+        """What the rules did not do."""
+        if self.alone:
+            own = (
+                "each robot kept its own plan"
+                if len(self.groups) == len(self.awake)
+                else "robots kept plans of their own"
+            )
+            return f"{self.rules}, so {own}."
+        return f"{self.rules} did not bring the team to one plan and each robot to a place of its own."
+
     def quarrel(self, robots: Sequence[int]) -> bool:
         """Whether the team without some robots, and without their plans, has several plans or claims a place twice."""
-        others = [robot for robot in self.awake if robot not in robots]
         owned = {plan for plan, info in self.run.plans.items() if info.proposer in robots}
-        claims = [(self.state.plan_ids[robot], self.state.slots[robot]) for robot in others]
+        claims = [self.claim(robot) for robot in self.awake if robot not in robots]
         claims = [claim for claim in claims if claim[0] is not None and claim[0] not in owned]
         return len({plan for plan, _ in claims}) > 1 or len(set(claims)) < len(claims)
 
     def fact(self) -> tuple[Cause | None, tuple[int, str] | None]:
         """What was wrong in the last round, and who is worth a look; None where nothing was."""
-        text, robots, look, kind = self._wrong()
-        if look is None:
+        robots: Sequence[int] = ()
+        kind, when = "plan", self.run.rounds
+        if self.without:
+            robots, look = self.without, (self.without[0], "it has no plan")
+            text = f"{begun(robots_text(robots))} got no plan."
+        elif len(self.groups) > 1:
+            asked, why = self.groups[-1][1][0], "it kept a plan of its own"
+            text = f"{len(self.groups)} plans were in use at the end"
+            if not self.alone:
+                why = "it holds another plan than most" if self.most else "few others hold its plan"
+                robots = self.strays if self.most else ()
+                told = [f"{robots_text(held)} had plan {name}" for name, held in self.groups[:MOST_TOLD]]
+                told += ["and so on"] if len(self.groups) > MOST_TOLD else []
+                held = f"{robots_text(self.strays)} held another than most" if self.most else "; ".join(told)
+                text = f"The team did not agree: {text}; {held}"
+            text, look = f"{text}.", (asked, why)
+        elif self.shared:
+            one = len(set(map(self.claim, self.shared))) == 1
+            claimed = "claimed the same place" if one else "claimed places that others claimed too"
+            robots, look = self.shared, (self.shared[0], "another robot claims its place too")
+            text = f"{begun(robots_text(robots))} {claimed}."
+        elif self.away:
+            kind, robots, look = "step", self.away, (max(self.away, key=self.far), "it has not reached its place")
+            text = (
+                f"{begun(robots_text(robots))} had not reached {'its place' if len(robots) == 1 else 'their places'}."
+            )
+        else:
             return None, None
-        asked, when = look[0], self.run.rounds
+        asked = look[0]
         plan = self.run.plans.get(self.state.plan_ids[asked] or "")
         if len(self.groups) > 1 and plan is not None:
             asked, when = plan.proposer, plan.round
         return Cause(text, tuple(robots), self.run.rounds, self.run.last_calls(asked, kind, when)), look
 
-    def _wrong(self) -> tuple[str, Sequence[int], tuple[int, str] | None, str]:
-        """The fact in words, whom it is about, who is worth a look, and the kind of question that led to it."""
-        if self.without:
-            text = f"{begun(robots_text(self.without))} got no plan."
-            return text, self.without, (self.without[0], "it has no plan"), "plan"
-        if len(self.groups) > 1 and self.alone:
-            text = f"{len(self.groups)} plans were in use at the end."
-            return text, (), (self.groups[-1][1][0], "it kept a plan of its own"), "plan"
-        if len(self.groups) > 1:
-            told = [f"{robots_text(held)} had plan {name}" for name, held in self.groups[:MOST_TOLD]]
-            held = f"{robots_text(self.strays)} held another than most" if self.most else "; ".join(told)
-            more = "" if self.most or len(self.groups) <= MOST_TOLD else "; and so on"
-            text = f"The team did not agree: {len(self.groups)} plans were in use at the end; {held}{more}."
-            why = "it holds another plan than most" if self.most else "few others hold its plan"
-            return text, self.strays if self.most else (), (self.groups[-1][1][0], why), "plan"
-        if self.shared:
-            one = len({(self.state.plan_ids[robot], self.state.slots[robot]) for robot in self.shared}) == 1
-            claimed = "claimed the same place" if one else "claimed places that others claimed too"
-            text = f"{begun(robots_text(self.shared))} {claimed}."
-            return text, self.shared, (self.shared[0], "another robot claims its place too"), "plan"
-        if self.away:
-            places = "its place" if len(self.away) == 1 else "their places"
-            text = f"{begun(robots_text(self.away))} had not reached {places}."
-            return text, self.away, (max(self.away, key=self.far), "it has not reached its place"), "step"
-        return "", (), None, ""
+    def accused(self) -> Cause | None:
+        """Robots that others caught in a lie."""
+        told = [
+            f"Robot {robot} was accused of sending what no honest robot sends: {reason}"
+            for robot, reason in sorted(self.run.accused.items())
+        ]
+        return Cause(". ".join(told[:MOST_TOLD]) + ".", tuple(sorted(self.run.accused))) if told else None
+
+    def answers(self) -> Cause | None:
+        """Models of which at least half of the answers were of no use, or that are no longer asked."""
+        run, hopeless = self.run, 0.5
+        tallies = {robot: run.tallies.get(robot, CallCounts()) for robot in self.awake}
+        poor = [robot for robot in self.awake if 0 < tallies[robot].unusable >= hopeless * tallies[robot].asked]
+        breakers = self.state.open_breakers or [[]] * len(self.state.phases)
+        hit = {*self.without, *self.strays, *self.shared, *self.away}
+        # Where one of them went wrong, models whose robots had help are not to blame.
+        robots = [robot for robot in self.awake if robot in hit and (robot in poor or breakers[robot])] or poor
+        if not robots:
+            return None
+        unusable, asked = sum(tallies[k].unusable for k in robots), sum(tallies[k].asked for k in robots)
+        last = next((tallies[k].last for k in reversed(robots) if tallies[k].last), "").strip()
+        quoted = f" The last reason: {sentence(last, 160)}" if last else ""
+        calls = f"{unusable} of {counted(asked, 'call')}"
+        said = f"{begun(robots_text(robots))}: {self.models(robots)} gave no usable answer in {calls}.{quoted}"
+        refused = [
+            entry
+            for k in robots
+            for kind in ("plan", "step")
+            for entry in run.last_calls(k, kind, run.rounds)
+            if entry.error is not None or entry.rejected is not None
+        ]
+        shown = run.last_calls(refused[-1].robot, refused[-1].kind, refused[-1].round) if refused else ()
+        return Cause(said, tuple(robots), shown[-1].round if shown else None, shown)
+
+    def plans(self) -> Cause | None:
+        """Plans in use that are not the shape, by whoever proposed them."""
+        most_points = 250  # the work grows with the square of a plan's places
+        run, ideal = self.run, self.run.mission_at(self.run.rounds).ideal
+        if not ideal or len(ideal) > most_points:
+            return None
+        wanted = _apart(ideal)
+        told, robots, shown = list[str](), dict[int, None](), None
+        for plan_id in dict.fromkeys(plan for robot in self.awake if (plan := self.state.plan_ids[robot]) is not None):
+            plan = run.plans.get(plan_id)
+            if plan is None or len(plan.points) != len(ideal) or len(told) == MOST_TOLD:
+                continue
+            off = sum(abs(a - b) for a, b in zip(_apart(plan.points), wanted, strict=True)) / max(1, len(wanted))
+            if off <= IN_SHAPE * self.spacing:
+                continue
+            robots[plan.proposer] = None
+            held = [robot for robot in self.awake if self.state.plan_ids[robot] == plan_id]
+            who = "all flew it" if len(held) == len(self.awake) else f"{robots_text(held)} flew it"
+            whose = "geometry" if run.made_by_geometry(plan_id) else self.models([plan.proposer])
+            by = f"distances between its places by {off:.2g} units on average"
+            told.append(f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape ({by}), and {who}.")
+            shown = shown or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
+        return None if shown is None else shown._replace(text=" ".join(told), robots=tuple(robots))
+
+    def steps(self) -> Cause | None:
+        """Models that led their robots away from their goals in many of the last steps."""
+        judged_rounds, least, share = 20, 5, 0.4
+        run, told = self.run, dict[int, str]()
+        first = max(1, run.mission_at(run.rounds).round, run.rounds - judged_rounds + 1)
+        for robot in self.away:
+            judged = [away for k in range(first, run.rounds + 1) if (away := self.led_away(robot, k)) is not None]
+            astray = sum(judged)
+            if astray >= least and astray >= share * len(judged):
+                what = f"led it away from its goal in {astray} of its last {len(judged)} steps"
+                told[robot] = f"Robot {robot}: {self.models([robot])} {what}."
+        return self.each(told, run.last_calls(next(iter(told)), "step", run.rounds) if told else ())
+
+    def each(self, told: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
+        """A cause of what is told of each of some robots in the last round; None without any."""
+        text = " ".join(list(told.values())[:MOST_TOLD])
+        return Cause(text, tuple(told), self.run.rounds, calls) if told else None
+
+    def led_away(self, robot: int, number: int) -> bool | None:
+        """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
+        state, before = self.run.states[number], self.run.states[number - 1]
+        to, at = state.waypoints[robot], before.positions[robot]
+        # A goal may change after the question: a step towards the one or the other is no mistake.
+        goals = [goal for goal in (state.goals[robot], before.goals[robot]) if goal is not None]
+        if to is None or not goals or state.origins[robot] not in ("model", "clipped"):
+            return None
+        near = AT_GOAL * float(self.run.mission_at(number).mission["spacing"])
+        return all(math.dist(to, goal) > max(near, math.dist(at, goal) - 1e-3) for goal in goals)
+
+    def dead(self) -> Cause | None:
+        """Robots that died."""
+        dead = _dead_robots(self.run)
+        if not dead:
+            return None
+        others = "and the others did not fill the formation" if self.awake else "and no robot was left"
+        when = max((self.run.died[robot] for robot in dead if robot in self.run.died), default=None)
+        return Cause(f"{begun(deaths_text(self.run))}, {others}.", tuple(dead), when)
+
+    def ended(self) -> Cause | None:
+        """Runs that ended before they could form."""
+        run, stopped = self.run, (self.run.result or {}).get("stopped")
+        if stopped in ("budget", "interrupted"):
+            what = "The budget was used up" if stopped == "budget" else "The run was ended"
+            return Cause(f"{what} in round {run.rounds}.", round=run.rounds)
+        step = self.mission.get("max_step")
+        if stopped != "rounds" or self.alone or not isinstance(step, int | float):
+            return None
+        coming = [
+            robot
+            for robot in self.away
+            if robot not in self.named
+            and self.far(robot) > step
+            and all(self.nearer(robot, k) > step / 2 for k in (0, 1))
+        ]
+        if not coming:
+            return None
+        far = f"{max(map(self.far, coming)):.0f} units from"
+        one = len(coming) == 1
+        were = f"was still on its way, {far} its place" if one else f"were still on their way, up to {far} their places"
+        return Cause(f"{begun(robots_text(coming))} {were}, when the rounds were used up.", round=run.rounds)
+
+    def nearer(self, robot: int, ago: int) -> float:
+        """By how much a robot came nearer to its last goal in the last round, or the one before [units]."""
+        goal, number = self.state.goals[robot], self.run.rounds - ago
+        if goal is None or number <= 0:
+            return 0.0
+        before, after = (state.positions[robot] for state in self.run.states[number - 1 : number + 1])
+        return math.dist(before, goal) - math.dist(after, goal)
+
+    def links(self) -> Cause | None:
+        """Robots that could not hear the others, and messages that were lost."""
+        run, told, robots = self.run, list[str](), list[int]()
+        parts = self.parts()
+        apart = sorted(robot for part in parts[1:] for robot in part)
+        if not self.settles:
+            # With rules that bring no team together, robots that have met part because of these.
+            robots = [k for k in apart if not self.alone and k not in self.named and not self.met(k)]
+            if robots:
+                told.append(f"{_robots_were(robots)} out of radio range of all others in every round.")
+        elif not {*apart} <= self.named:  # a robot that was named before is apart for that reason
+            last = next((k for k in range(run.rounds, -1, -1) if run.rows[k].connected), None)
+            once = "never were all robots in contact" if last is None else f"all were in contact up to round {last}"
+            if len(parts) == len(self.awake):
+                told.append("At the end no robot was in radio range of another one.")
+            elif 2 * len(parts[0]) > len(self.awake):
+                robots = apart
+                told.append(f"{_robots_were(robots)} out of radio range of the others at the end; {once}.")
+            else:
+                some = "; ".join(robots_text(part) for part in parts[:MOST_TOLD])
+                more = "; and so on" if len(parts) > MOST_TOLD else ""
+                told.append(f"The team was in {len(parts)} parts out of radio range of one another: {some}{more}.")
+        many = 0.3
+        if run.loss >= many:
+            told.append(f"{100 * run.loss:.0f} % of the messages were lost.")
+        return Cause(" ".join(told), tuple(robots)) if told else None
 
     def parts(self) -> list[list[int]]:
         """The robots that hear one another, directly or through others; the largest part first."""
@@ -205,71 +364,23 @@ class _LastRound:
             math.dist(state.positions[robot], state.positions[other]) <= reach for state in states for other in others
         )
 
-
-def _accused(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    if not run.accused:
-        return None
-    told = [
-        f"Robot {robot} was accused of sending what no honest robot sends: {run.accused[robot]}"
-        for robot in sorted(run.accused)
-    ]
-    return Cause(". ".join(told[:MOST_TOLD]) + ".", tuple(sorted(run.accused)))
-
-
-def _answers(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """Models of which at least half of the answers were of no use, or that are no longer asked."""
-    hopeless = 0.5
-    tallies = {robot: run.tallies.get(robot, CallCounts()) for robot in end.awake}
-    poor = [robot for robot in end.awake if 0 < tallies[robot].unusable >= hopeless * tallies[robot].asked]
-    breakers = end.state.open_breakers or [[]] * len(end.state.phases)
-    hit = {*end.without, *end.strays, *end.shared, *end.away}
-    # Where one of them went wrong, models whose robots had help are not to blame.
-    robots = [robot for robot in end.awake if robot in hit and (robot in poor or breakers[robot])] or poor
-    if not robots:
-        return None
-    unusable, asked = sum(tallies[k].unusable for k in robots), sum(tallies[k].asked for k in robots)
-    last = next((tallies[k].last for k in reversed(robots) if tallies[k].last), "").strip()
-    quoted = f" The last reason: {sentence(last, 160)}" if last else ""
-    calls = f"{unusable} of {counted(asked, 'call')}"
-    said = f"{begun(robots_text(robots))}: {_models(run, robots)} gave no usable answer in {calls}.{quoted}"
-    refused = [
-        entry
-        for k in robots
-        for kind in ("plan", "step")
-        for entry in run.last_calls(k, kind, run.rounds)
-        if entry.error is not None or entry.rejected is not None
-    ]
-    shown = run.last_calls(refused[-1].robot, refused[-1].kind, refused[-1].round) if refused else ()
-    return Cause(said, tuple(robots), shown[-1].round if shown else None, shown)
-
-
-def _plans(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """Plans in use that are not the shape, by whoever proposed them."""
-    most_points = 250  # the work grows with the square of a plan's places
-    ideal = run.mission_at(run.rounds).ideal
-    if not ideal or len(ideal) > most_points:
-        return None
-    wanted = _apart(ideal)
-    told: list[str] = []
-    robots: dict[int, None] = {}
-    shown: Cause | None = None
-    for plan_id in dict.fromkeys(plan for robot in end.awake if (plan := end.state.plan_ids[robot]) is not None):
-        plan = run.plans.get(plan_id)
-        if plan is None or len(plan.points) != len(ideal) or len(told) == MOST_TOLD:
-            continue
-        off = sum(abs(a - b) for a, b in zip(_apart(plan.points), wanted, strict=True)) / max(1, len(wanted))
-        if off <= IN_SHAPE * end.spacing:
-            continue
-        robots[plan.proposer] = None
-        held = [robot for robot in end.awake if end.state.plan_ids[robot] == plan_id]
-        who = "all flew it" if len(held) == len(end.awake) else f"{robots_text(held)} flew it"
-        whose = "geometry" if run.made_by_geometry(plan_id) else _models(run, [plan.proposer])
-        told.append(
-            f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape (distances between its places by "
-            f"{off:.2g} units on average), and {who}."
-        )
-        shown = shown or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
-    return None if shown is None else shown._replace(text=" ".join(told), robots=tuple(robots))
+    def blocked(self) -> Cause | None:
+        """Robots that agreed with all others, and were kept from their places by what was in the way."""
+        if self.without or len(self.groups) > 1 or self.shared:
+            return None
+        run, told = self.run, dict[int, str]()
+        recent = [event for k in range(max(1, run.rounds - 9), run.rounds + 1) for event in run.events.get(k, ())]
+        waiting = {event.robot for event in recent if event.kind in ("deadlock", "gives_way")}
+        for robot in self.away:
+            at, goal = self.state.positions[robot], self.state.goals[robot]
+            if any(crosses((at, goal or at), obstacle) for obstacle in self.mission.get("obstacles", ())):
+                why = "an obstacle stood in its way"
+            elif robot in waiting:
+                why = "other robots were in its way"
+            else:
+                continue
+            told[robot] = f"Robot {robot} had not reached its place: {why}."
+        return self.each(told)
 
 
 def _apart(points: Sequence[Sequence[float]]) -> list[float]:
@@ -277,132 +388,8 @@ def _apart(points: Sequence[Sequence[float]]) -> list[float]:
     return sorted(math.dist(one, other) for one, other in combinations(points, 2))
 
 
-def _steps(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """Models that led their robots away from their goals in many of the last steps."""
-    judged_rounds, least, share = 20, 5, 0.4
-    told: list[str] = []
-    robots: list[int] = []
-    first = max(1, run.mission_at(run.rounds).round, run.rounds - judged_rounds + 1)
-    for robot in end.away:
-        judged = [away for k in range(first, run.rounds + 1) if (away := _led_away(run, robot, k)) is not None]
-        astray = sum(judged)
-        if astray >= least and astray >= share * len(judged):
-            robots.append(robot)
-            model = _models(run, [robot])
-            told.append(
-                f"Robot {robot}: {model} led it away from its goal in {astray} of its last {len(judged)} steps."
-            )
-    if not robots:
-        return None
-    calls = run.last_calls(robots[0], "step", run.rounds)
-    return Cause(" ".join(told[:MOST_TOLD]), tuple(robots), run.rounds, calls)
-
-
-def _led_away(run: RunHistory, robot: int, number: int) -> bool | None:
-    """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
-    state, before = run.states[number], run.states[number - 1]
-    to, at = state.waypoints[robot], before.positions[robot]
-    # A goal may change after the question: a step towards the one or the other is no mistake.
-    goals = [goal for goal in (state.goals[robot], before.goals[robot]) if goal is not None]
-    if to is None or not goals or state.origins[robot] not in ("model", "clipped"):
-        return None
-    near = AT_GOAL * float(run.mission_at(number).mission["spacing"])
-    return all(math.dist(to, goal) > max(near, math.dist(at, goal) - 1e-3) for goal in goals)
-
-
-def _dead(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    dead = _dead_robots(run)
-    if not dead:
-        return None
-    others = "and the others did not fill the formation" if end.awake else "and no robot was left"
-    when = max((run.died[robot] for robot in dead if robot in run.died), default=None)
-    return Cause(f"{begun(deaths_text(run))}, {others}.", tuple(dead), when)
-
-
-def _ended(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """Runs that ended before they could form."""
-    stopped = (run.result or {}).get("stopped")
-    if stopped in ("budget", "interrupted"):
-        what = "The budget was used up" if stopped == "budget" else "The run was ended"
-        return Cause(f"{what} in round {run.rounds}.", round=run.rounds)
-    step = end.mission.get("max_step")
-    if stopped != "rounds" or end.alone or not isinstance(step, int | float):
-        return None
-    coming = [
-        robot
-        for robot in end.away
-        if robot not in named and end.far(robot) > step and all(_nearer(run, robot, k) > step / 2 for k in (0, 1))
-    ]
-    if not coming:
-        return None
-    far = f"{max(map(end.far, coming)):.0f} units from"
-    one = len(coming) == 1
-    were = f"was still on its way, {far} its place" if one else f"were still on their way, up to {far} their places"
-    return Cause(f"{begun(robots_text(coming))} {were}, when the rounds were used up.", round=run.rounds)
-
-
-def _nearer(run: RunHistory, robot: int, ago: int) -> float:
-    """By how much a robot came nearer to its last goal in the last round, or the one before [units]."""
-    goal, states = run.states[run.rounds].goals[robot], run.states
-    if goal is None or run.rounds <= ago:
-        return 0.0
-    after, before = states[run.rounds - ago].positions[robot], states[run.rounds - ago - 1].positions[robot]
-    return math.dist(before, goal) - math.dist(after, goal)
-
-
-def _links(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """Robots that could not hear the others, and messages that were lost."""
-    told: list[str] = []
-    robots: list[int] = []
-    parts = end.parts()
-    apart = sorted(robot for part in parts[1:] for robot in part)
-    last = next((k for k in range(run.rounds, -1, -1) if run.rows[k].connected), None)
-    if not _settles(run):
-        # With rules that bring no team together, robots that have met part because of these.
-        robots = [robot for robot in apart if not end.alone and robot not in named and not end.met(robot)]
-        if robots:
-            told.append(f"{_robots_were(robots)} out of radio range of all others in every round.")
-    elif not {*apart} <= named:  # a robot that was named before is apart for that reason
-        once = "never were all robots in contact" if last is None else f"all were in contact up to round {last}"
-        if len(parts) == len(end.awake):
-            told.append("At the end no robot was in radio range of another one.")
-        elif 2 * len(parts[0]) > len(end.awake):
-            robots = apart
-            told.append(f"{_robots_were(robots)} out of radio range of the others at the end; {once}.")
-        else:
-            some = "; ".join(robots_text(part) for part in parts[:MOST_TOLD])
-            more = "; and so on" if len(parts) > MOST_TOLD else ""
-            told.append(f"The team was in {len(parts)} parts out of radio range of one another: {some}{more}.")
-    many = 0.3
-    if run.loss >= many:
-        told.append(f"{100 * run.loss:.0f} % of the messages were lost.")
-    return Cause(" ".join(told), tuple(robots)) if told else None
-
-
 def _robots_were(robots: Sequence[int]) -> str:
     return f"{begun(robots_text(robots))} {'was' if len(robots) == 1 else 'were'}"
-
-
-def _blocked(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """Robots that agreed with all others, and were kept from their places by what was in the way."""
-    if end.without or len(end.groups) > 1 or end.shared:
-        return None
-    told: list[str] = []
-    robots: list[int] = []
-    for robot in end.away:
-        goal = end.state.goals[robot]
-        way = (end.state.positions[robot], goal or end.state.positions[robot])
-        recent = [event for k in range(max(1, run.rounds - 9), run.rounds + 1) for event in run.events.get(k, ())]
-        waits = [event for event in recent if event.robot == robot and event.kind in ("deadlock", "gives_way")]
-        if any(crosses(way, obstacle) for obstacle in end.mission.get("obstacles", ())):
-            why = "an obstacle stood in its way"
-        elif waits:
-            why = "other robots were in its way"
-        else:
-            continue
-        robots.append(robot)
-        told.append(f"Robot {robot} had not reached its place: {why}.")
-    return Cause(" ".join(told[:MOST_TOLD]), tuple(robots), run.rounds) if told else None
 
 
 def crosses(way: tuple[Sequence[float], Sequence[float]], obstacle: Mapping[str, Any]) -> bool:
@@ -411,7 +398,11 @@ def crosses(way: tuple[Sequence[float], Sequence[float]], obstacle: Mapping[str,
     if obstacle.get("polygon") is not None:
         corners = cast("Sequence[Sequence[float]]", obstacle["polygon"])
         sides = zip(corners, [*corners[1:], corners[0]], strict=True)
-        return any(_cross(start, goal, one, other) for one, other in sides)
+        return any(
+            _side(start, goal, one) * _side(start, goal, other) < 0
+            and _side(one, other, start) * _side(one, other, goal) < 0
+            for one, other in sides
+        )
     middle = cast("Sequence[float]", obstacle["center"])
     along = [b - a for a, b in zip(start, goal, strict=True)]
     long = sum(part * part for part in along) or 1.0
@@ -420,46 +411,6 @@ def crosses(way: tuple[Sequence[float], Sequence[float]], obstacle: Mapping[str,
     return math.dist(nearest[: len(middle)], middle[: len(nearest)]) < float(obstacle["radius"])
 
 
-def _cross(a: Sequence[float], b: Sequence[float], c: Sequence[float], d: Sequence[float]) -> bool:
-    """Whether two lines, each from a point to another, cross."""
-
-    def side(p: Sequence[float], q: Sequence[float], r: Sequence[float]) -> float:
-        return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])
-
-    return side(a, b, c) * side(a, b, d) < 0 and side(c, d, a) * side(c, d, b) < 0
-
-
-def _shape(run: RunHistory, end: _LastRound, named: frozenset[int]) -> Cause | None:
-    """All are at their places, and these are not those of the shape."""
-    steps = run.provenance(end.awake[0], run.rounds) if end.awake else []
-    error = run.rows[run.rounds].procrustes_mean
-    if end.fact()[0] or not steps or error is None or error <= IN_SHAPE * end.spacing:
-        return None
-    robot, when = steps[0].robot, steps[0].round
-    text = f"Robot {robot} proposed a plan that is {error:.2g} units off the shape, and all flew it."
-    return Cause(text, (robot,), when, run.last_calls(robot, "plan", when))
-
-
-_CAUSES = (_accused, _answers, _plans, _steps, _dead, _ended, _links, _blocked, _shape)
-"""Causes in the order in which they are told."""
-
-
-def _rules_failed(run: RunHistory, end: _LastRound) -> str:
-    if run.rules[0] == "none":
-        own = "each robot kept its own plan" if len(end.groups) == len(end.awake) else "robots kept plans of their own"
-        return f"this protocol has no consensus, so {own}."
-    rules = f"this protocol's rules ({', '.join(run.rules)})"
-    return f"{rules} did not bring the team to one plan and each robot to a place of its own."
-
-
-def _rules_alone(run: RunHistory) -> str:
-    if run.rules[0] == "none":
-        return "for this protocol has no consensus"
-    return f"by this protocol's rules ({', '.join(run.rules)})"
-
-
-def _models(run: RunHistory, robots: Sequence[int]) -> str:
-    """The models of some robots, by their names where the record has them."""
-    names = dict.fromkeys(run.tallies[robot].model for robot in robots if robot in run.tallies)
-    some = ", ".join([name for name in names if name][:MOST_TOLD])
-    return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
+def _side(p: Sequence[float], q: Sequence[float], r: Sequence[float]) -> float:
+    """On which side of the line from p to q a point r lies."""
+    return (q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])

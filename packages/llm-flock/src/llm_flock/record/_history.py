@@ -27,15 +27,12 @@ from llm_flock.record._words import letters
 
 
 class PlanOrigin(NamedTuple):
-    """One step on the way of a plan to a robot: `robot` has it from `round` on, from `source`.
-
-    The first one proposed it, so its source is None; then `by` says who made the plan: `model` or `geometry`.
-    """
+    """One step on the way of a plan to a robot, which has it from `round` on; the first step has no source."""
 
     round: int
     robot: int
     source: int | None
-    by: str = "model"
+    by: str = "model"  # who made the plan, where it was proposed: `model` or `geometry`
 
 
 @dataclass(slots=True)
@@ -76,18 +73,6 @@ class RunHistory:
     """A sink for the entries of one run; each round becomes visible when it is complete.
 
     Another thread may write: entries are only ever appended, and `rounds` is raised last.
-
-    Attributes:
-        rounds: last complete round, -1 before the start.
-        rows: figures of each round.
-        plan_numbers: number of each plan, in the order in which plans were first seen.
-        plans: the places of each plan, and who proposed it.
-        events: the events of each round, in the order of the record.
-        calls: the calls of a robot's model in a round, by round and robot.
-        accused: robots that others accused of lying, each with the last reason.
-        died: the round in which each robot died last.
-        disturbed: last round in which a robot died or joined, 0 before any did.
-        tallies: what became of the calls of each robot's model.
     """
 
     def __init__(self) -> None:
@@ -96,14 +81,14 @@ class RunHistory:
         self.result: Mapping[str, Any] | None = None
         self.states: list[State] = []
         self.rows: list[MetricsRow] = []
-        self.rounds = -1
-        self.plan_numbers: dict[str, int] = {}
+        self.rounds = -1  # the last complete one
+        self.plan_numbers: dict[str, int] = {}  # in the order in which plans were first seen
         self.plans: dict[str, PlanInfo] = {}
-        self.events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)
-        self.calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)
-        self.accused: dict[int, str] = {}
-        self.died: dict[int, int] = {}
-        self.disturbed = 0
+        self.events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)  # by round
+        self.calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)  # by round and robot
+        self.accused: dict[int, str] = {}  # robots that others accused of lying, each with the last reason
+        self.died: dict[int, int] = {}  # the round in which each robot died last
+        self.disturbed = 0  # last round in which a robot died or joined
         self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self._loss: float | None = None
         self._origins: defaultdict[tuple[int, str], list[PlanOrigin]] = defaultdict(list)

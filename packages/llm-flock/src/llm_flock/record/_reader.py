@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from llm_flock import plugins
-from llm_flock.errors import RecordError
-from llm_flock.extras import ExtraMissing
+from llm_flock.errors import InputError, RecordError
+from llm_flock.extras import ExtraMissing, require
 from llm_flock.record import RECORD_NAME
 from llm_flock.record._diagnosis import Diagnosis, diagnose
 from llm_flock.record._history import RunHistory
 from llm_flock.record._schema import (
-    CHANNELS,
     BodySample,
     Entry,
     FlightEvent,
@@ -32,7 +33,6 @@ from llm_flock.record._schema import (
     SummaryMessage,
 )
 from llm_flock.record._stream import ROS_BAG, RawMessage, RecordStream
-from llm_flock.record._tables import TableName, to_pandas, to_polars
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
@@ -40,24 +40,12 @@ if TYPE_CHECKING:
 
 E = TypeVar("E", bound=Entry)
 
-BAG_INDEX = "metadata.yaml"
-"""A folder with this file is a bag of ROS 2."""
-
-NO_START = "the run ended before its start was recorded; there is nothing to show"
+TableName: TypeAlias = Literal["rounds", "robots"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class RunRecord:
-    """One run, read into memory: its complete rounds, and the summary of a clean end.
-
-    Attributes:
-        missions: every mission, oldest first.
-        plans: every plan, in the order in which they were first seen.
-        states: the team after each round; the first is the start.
-        bodies: of a real flight, every drone about ten times a second, measured and commanded [m].
-        result: the run's summary; None when it did not end cleanly.
-        positions: true positions, shape (rounds + 1, n, d) [units; world frame].
-    """
+    """One run, read into memory: its complete rounds, the start included, and the summary of a clean end."""
 
     path: Path
     run: RunInfo
@@ -67,15 +55,15 @@ class RunRecord:
     events: tuple[ProtocolEvent, ...] = field(repr=False)
     llm: tuple[LlmEntry, ...] = field(repr=False)
     metrics: tuple[MetricsRow, ...] = field(repr=False)
-    bodies: tuple[BodySample, ...] = field(repr=False)
+    bodies: tuple[BodySample, ...] = field(repr=False)  # of a real flight [m]
     flight: tuple[FlightEvent, ...] = field(repr=False)
-    result: dict[str, Any] | None
-    positions: NDArray[np.float64] = field(repr=False)
+    result: dict[str, Any] | None  # None when the run did not end cleanly
+    positions: NDArray[np.float64] = field(repr=False)  # true ones, shape (rounds + 1, n, d) [units; world frame]
 
     @property
     def complete(self) -> bool:
         """Whether the run came to a clean end; False after a fault, a crash or a kill."""
-        return _is_complete(self.result)
+        return self.result is not None and self.result.get("stopped") != "failed"
 
     @property
     def mission(self) -> MissionInfo:
@@ -107,30 +95,17 @@ class RunRecord:
         return diagnose(RunHistory.of((*seen, RoundEnd(round=self.rounds), *end)))
 
     def animate(self, *, fps: int = 12) -> Any:
-        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round.
-
-        Raises:
-            InputError: a rate below 1.
-            ExtraMissing: the extra `figures` is not installed.
-        """
+        """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
         if "animation" not in plugins.entries("views"):
             raise ExtraMissing("animate()", "figures")
         return plugins.load("views", "animation")(self, fps=fps)
 
     def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
-        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
-
-        Raises:
-            InputError: there is no such table.
-        """
+        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round."""
         return to_polars(self, table)
 
     def to_pandas(self, table: TableName = "rounds") -> pandas.DataFrame:
-        """As `to_polars`, for pandas.
-
-        Raises:
-            InputError: there is no such table, or pandas is not installed.
-        """
+        """As `to_polars`, for pandas."""
         return to_pandas(self, table)
 
     def __repr__(self) -> str:
@@ -145,52 +120,71 @@ class RunRecord:
         return self.html()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RecordEnd:
-    """How far a record goes; see `RunRecord` for `complete` and `rounds`."""
+KINDS: dict[str, str] = {
+    name: {int: "Int64", bool: "Boolean"}.get(cast("type", info.annotation), "Float64")
+    for name, info in MetricsRow.model_fields.items()
+    if name != "messages_rejected"
+}
+"""Columns of the table of rounds, which are the fields of `/metrics`, and their types in polars."""
 
-    path: Path
-    complete: bool
-    rounds: int
-
-
-def read_end(path: str | Path) -> RecordEnd:
-    """How far a record goes, read message by message. Call where the record may not fit into memory.
-
-    Raises:
-        RecordError: there is no such file, it is no record, or ends before round 0 did, or is damaged elsewhere.
-    """
-    path = record_file(path)
-    ends, result = 0, None
-    for entry in _open(path).entries():
-        ends += isinstance(entry, RoundEnd)
-        result = entry.result if isinstance(entry, SummaryMessage) else result
-    if not ends:
-        raise RecordError(f"{path}: {NO_START}")
-    return RecordEnd(path=path, complete=_is_complete(result), rounds=ends - 1)
+KINDS_OF_ROBOTS = {"robot": "Int64", "slot": "Int64", "plan_id": "String", "origin": "String", "phase": "String"}
+"""Types of the columns of the table of robots that are neither the round nor a coordinate."""
 
 
-def _is_complete(result: Mapping[str, Any] | None) -> bool:
-    return result is not None and result.get("stopped") != "failed"
+def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
+    """The columns of a table, all of one length; None where there is no value. Positions are true ones [units]."""
+    if table == "rounds":
+        return {name: [getattr(row, name) for row in record.metrics] for name in KINDS}
+    if table != "robots":
+        raise InputError("table", table, "rounds or robots")
+    axes = ("x", "y", "z")[: record.positions.shape[2]]
+    names = ("round", "robot", *axes, *(f"goal_{axis}" for axis in axes), "slot", "plan_id", "origin", "phase")
+    found: dict[str, list[Any]] = {name: [] for name in names}
+    for state in record.states:
+        robots = range(len(state.positions))
+        found["round"] += [state.round] * len(robots)
+        found["robot"] += robots
+        for k, axis in enumerate(axes):
+            found[axis] += [place[k] for place in state.positions]
+            found[f"goal_{axis}"] += [None if goal is None else goal[k] for goal in state.goals]
+        found["slot"] += state.slots
+        found["plan_id"] += state.plan_ids
+        found["origin"] += state.origins
+        found["phase"] += state.phases
+    return found
+
+
+def to_polars(record: RunRecord, table: TableName) -> polars.DataFrame:
+    """A table as a polars frame; needs the extra `sweep`."""
+    require("sweep", "to_polars()")
+    import polars as pl
+
+    found = columns(record, table)
+    return pl.DataFrame(found, schema={name: getattr(pl, _kind(name)) for name in found})
+
+
+def _kind(name: str) -> str:
+    return (KINDS | KINDS_OF_ROBOTS).get(name, "Float64")
+
+
+def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
+    """A table as a pandas frame; whole numbers that may be missing are of type Int64. Needs the extra `notebook`."""
+    require("notebook", "to_pandas()")
+    found = columns(record, table)
+    library: Any = import_module("pandas")
+    frame = library.DataFrame(found)
+    kinds = {name: "Int64" for name in ("slot",) if name in found}
+    kinds |= {name: "float64" for name in found if _kind(name) == "Float64"}
+    return cast("pandas.DataFrame", frame.astype(kinds))
 
 
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:
-    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off.
-
-    Call it for records that do not fit into memory, or to see messages as they stand in the file.
-
-    Raises:
-        RecordError: there is no such file, it is no MCAP file, or it is damaged other than at its end.
-    """
+    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off."""
     yield from _open(record_file(path)).messages()
 
 
 def record_file(path: str | Path) -> Path:
-    """The file of a record, given by its own name or its folder's.
-
-    Raises:
-        RecordError: no path at all.
-    """
+    """The file of a record, given by its own name or its folder's; `RecordError` for what is no path at all."""
     try:
         given = Path(path).expanduser()
     except (TypeError, RuntimeError):
@@ -205,32 +199,27 @@ def read_record(path: str | Path) -> RunRecord:
         RecordError: the file is missing, empty, not a record, of a newer format, damaged, or ends before round 0 did.
     """
     path = record_file(path)
-    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
-    kept = dict.fromkeys(found, 0)
+    entries: list[Entry] = []
+    kept = 0
     for entry in _open(path).entries():
-        found[type(entry)].append(entry)
+        entries.append(entry)
         if isinstance(entry, RoundEnd | SummaryMessage):
-            # Everything up to here belongs to complete rounds, or to a run that ended cleanly within one.
-            kept = {kind: len(entries) for kind, entries in found.items()}
-    return gather_record(path, [entry for kind, entries in found.items() for entry in entries[: kept[kind]]])
+            kept = len(entries)  # up to here, all belongs to complete rounds, or to a run that ended cleanly within one
+    return gather_record(path, entries[:kept])
 
 
 def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
-    """A record of entries, those of each kind in the order of writing; `path` is only named.
-
-    Raises:
-        RecordError: a round, the run or the mission is missing.
-    """
-    found: dict[type[Entry], list[Entry]] = {model: [] for model in CHANNELS.values()}
+    """A record of entries in the order of writing, which may lack no round, run or mission; `path` is only named."""
+    found: defaultdict[type[Entry], list[Any]] = defaultdict(list)
     for entry in entries:
         found[type(entry)].append(entry)
 
     def all_of(model: type[E]) -> tuple[E, ...]:
-        return tuple(entry for entry in found[model] if isinstance(entry, model))
+        return tuple(found[model])
 
     runs, missions, rounds = all_of(RunInfo), all_of(MissionInfo), len(all_of(RoundEnd))
     if not rounds:
-        raise RecordError(f"{path}: {NO_START}")
+        raise RecordError(f"{path}: the run ended before its start was recorded; there is nothing to show")
     states, metrics = all_of(State)[:rounds], all_of(MetricsRow)[:rounds]
     if not runs or not missions or len(states) != rounds:
         raise RecordError(f"{path}: not a record of a run (/run, /mission or /state is missing)")
@@ -253,13 +242,12 @@ def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
 
 def _open(path: Path) -> RecordStream:
     try:
-        size = path.stat().st_size
+        if path.stat().st_size == 0:
+            raise RecordError(f"{path}: empty file")
     except OSError as error:
-        if path.name == RECORD_NAME and (path.parent / BAG_INDEX).is_file():
+        if path.name == RECORD_NAME and (path.parent / "metadata.yaml").is_file():
             raise RecordError(f"{path.parent}: {ROS_BAG}") from None
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
     except ValueError as error:  # NUL in the name
         raise RecordError(f"{path}: cannot be read ({error})") from None
-    if size == 0:
-        raise RecordError(f"{path}: empty file")
     return RecordStream(path)

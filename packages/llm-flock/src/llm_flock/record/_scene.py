@@ -13,8 +13,8 @@ import numpy as np
 from pydantic_core import to_json
 
 from llm_flock import graph
-from llm_flock.record._palette import NO_PLAN, PALETTE
 from llm_flock.record._schema import DEAD, SILENT, MissionInfo, State
+from llm_flock.record._words import NO_PLAN, PALETTE
 
 FRAME = "world"
 DECIMALS = 3

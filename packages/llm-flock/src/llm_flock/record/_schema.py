@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from typing import Annotated, Any, Protocol, Self, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -17,43 +16,35 @@ MAGIC = b"\x89MCAP0\r\n"
 """How an MCAP file begins."""
 
 Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
-"""A figure: far more than any run reaches, and no trouble for the arithmetic of drawings."""
-
 Coordinate = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]
-"""A thousand times what missions accept, and no trouble for the arithmetic of drawings."""
+"""Far more than any run reaches or missions accept, and no trouble for the arithmetic of drawings."""
 
 Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
 """One position, d coordinates [units; world frame]."""
+
+Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
 
 Length = Annotated[float, Field(ge=1e-6, le=1e12, allow_inf_nan=False)]
 """A length that divides others [units]."""
 
 LARGEST_WHOLE = 2**53
+"""The largest whole number that every reader of JSON can hold."""
 
 Whole = Annotated[int, Field(ge=-LARGEST_WHOLE, le=LARGEST_WHOLE)]
-"""A whole number that every reader of JSON can hold."""
-
 Count = Annotated[int, Field(ge=0, le=LARGEST_WHOLE)]
-
 Round = Annotated[int, Field(ge=0, le=10**9)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
-
-Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
-"""One position for each of several robots or places."""
 
 DEEPEST = 32
 """Deepest nesting of free values; those of this program have a quarter of it."""
 
 
-def check_plain(value: object, depth: int = DEEPEST) -> None:
+def check_plain(value: Any, depth: int = DEEPEST) -> None:
     """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
     if isinstance(value, Mapping | list | tuple):
         if depth == 0:
             raise ValueError("values are nested too deeply")
-        held = (
-            cast("Mapping[str, object]", value).values() if isinstance(value, Mapping) else cast("list[object]", value)
-        )
-        for one in held:
+        for one in cast("list[Any]", value.values() if isinstance(value, Mapping) else value):
             check_plain(one, depth - 1)
     elif isinstance(value, int | float) and not -1e300 <= value <= 1e300:
         raise ValueError("a number that readers cannot hold")
@@ -70,13 +61,12 @@ Free = Annotated[dict[str, Any], AfterValidator(_free)]
 """Values by name, of a form that this format does not know."""
 
 
-_Corner = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
-
-
 class _Obstacle(BaseModel):
     center: Row | None = None
     radius: Annotated[Coordinate, Field(ge=0)] | None = None
-    polygon: Annotated[list[_Corner], Field(min_length=3, max_length=MAX_CORNERS)] | None = None
+    polygon: (
+        Annotated[list[Annotated[Row, Field(max_length=2)]], Field(min_length=3, max_length=MAX_CORNERS)] | None
+    ) = None
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -109,16 +99,11 @@ class _MissionFields(BaseModel):
         return self
 
 
-def _mission_fields(mission: dict[str, Any]) -> dict[str, Any]:
-    _MissionFields.model_validate(mission)
-    return _free(mission)
+class _ConfigFields(BaseModel):
+    """Sections of a configuration on which readers of records rely."""
 
-
-def _config(config: dict[str, Any]) -> dict[str, Any]:
-    for name in ("protocol", "model"):
-        if not isinstance(config.get(name, {}), dict):
-            raise ValueError(f"{name} is a section of the configuration, with fields of its own")
-    return _free(config)
+    protocol: dict[str, Any] = {}
+    model: dict[str, Any] = {}
 
 
 _DETAILS: dict[str, tuple[type, ...]] = {
@@ -149,17 +134,22 @@ class _ResultFields(BaseModel):
     breakers_opened: list[Robot] | None = None
 
 
-def _result_fields(result: dict[str, Any]) -> dict[str, Any]:
-    _ResultFields.model_validate(result)
-    return _free(result)
+def _with(known: type[BaseModel]) -> AfterValidator:
+    """Checks free values of which some fields are known."""
+
+    def check(values: dict[str, Any]) -> dict[str, Any]:
+        known.model_validate(values)
+        return _free(values)
+
+    return AfterValidator(check)
 
 
-Config = Annotated[dict[str, Any], AfterValidator(_config)]
+Config = Annotated[dict[str, Any], _with(_ConfigFields)]
 """A configuration under current names, section by section."""
 
-MissionFields = Annotated[dict[str, Any], AfterValidator(_mission_fields)]
+MissionFields = Annotated[dict[str, Any], _with(_MissionFields)]
+Figures = Annotated[dict[str, Any], _with(_ResultFields)]
 Details = Annotated[dict[str, Any], AfterValidator(_details)]
-Figures = Annotated[dict[str, Any], AfterValidator(_result_fields)]
 
 
 FORMAT_VERSION = 1
@@ -170,10 +160,6 @@ ROUND_NS = 1_000_000_000
 
 _VOLATILE: dict[str, Any] = {"volatile": True}
 """Marks fields that may differ between two runs of one seed."""
-
-VOLATILE_RESULTS = frozenset({"wall_s", "latency_mean_s", "record", "flight"})
-"""Keys of the summary's result that may differ between two runs of one seed."""
-
 
 DEAD, ASLEEP = "dead", "asleep"
 """Phase of a robot after it died, and before it began."""
@@ -194,10 +180,10 @@ class Entry(BaseModel):
 class RunInfo(Entry):
     """Where the run came from. Written once, first."""
 
-    format_version: Whole = Field(FORMAT_VERSION, description="Version of this format")
+    format_version: Whole = Field(default=FORMAT_VERSION, description="Version of this format")
     config: Config = Field(description="The resolved configuration, every field of it")
     versions: dict[str, str] = Field(description="Versions of the packages that can change a result")
-    git_revision: str | None = Field(None, description="Revision of the code, +dirty with local changes")
+    git_revision: str | None = Field(default=None, description="Revision of the code, +dirty with local changes")
     seed: Whole = Field(description="Seed of the run")
     simulated: bool = Field(description="Whether any language model was a simulated stand-in")
     unrepeatable: list[str] | None = Field(
@@ -397,11 +383,7 @@ SCENE_TOPIC = "/scene"
 
 
 class RecordSink(Protocol):
-    """Takes the entries of a run as they happen.
-
-    `RunInfo` and `MissionInfo` come first. `RoundEnd` closes each round, from round 0 on. `SummaryMessage` comes last,
-    at a clean end only.
-    """
+    """Takes the entries of a run as they happen: `RunInfo` and `MissionInfo` first, at a clean end `SummaryMessage`."""
 
     def write(self, entry: Entry) -> None:
         """Take one entry."""
@@ -415,35 +397,15 @@ class NullWriter:
         """Ignore an entry."""
 
 
-@cache
-def volatile_fields(topic: str) -> frozenset[str]:
-    """Fields of a channel that may differ between two runs of one seed: time stamps, latencies, environment."""
-    if topic not in CHANNELS:
-        return frozenset()
-    fields = CHANNELS[topic].model_fields
-    return frozenset(name for name, info in fields.items() if info.json_schema_extra is _VOLATILE)
-
-
-def without_volatile(topic: str, message: dict[str, Any]) -> dict[str, Any]:
-    """A copy of a message without the fields that may differ between two runs of one seed."""
-    kept = {key: value for key, value in message.items() if key not in volatile_fields(topic)}
-    if topic == "/summary":
-        kept["result"] = {key: value for key, value in kept["result"].items() if key not in VOLATILE_RESULTS}
-    return kept
-
-
 def channel_schema(model: type[Entry]) -> dict[str, Any]:
-    """JSON schema of a channel, in the subset that viewers understand as far as the data allow it.
-
-    Foxglove's and Lichtblick's reader of JSON schemas takes no references, no alternatives and no objects without
-    `properties`. So references are resolved, and a field that may be None is a field that may be left out.
-    """
+    """JSON schema of a channel, in the subset that viewers understand as far as the data allow it."""
     schema = model.model_json_schema()
     definitions = cast("dict[str, Any]", schema.pop("$defs", {}))
     return _plain(schema, definitions, in_list=False)
 
 
 def _plain(node: dict[str, Any], definitions: dict[str, Any], *, in_list: bool) -> dict[str, Any]:
+    # Readers take no references, no alternatives and no objects without properties; what may be None may be left out.
     plain = {key: value for key, value in node.items() if key not in ("$ref", "default")}
     if "$ref" in node:
         plain = definitions[node["$ref"].rpartition("/")[2]] | plain

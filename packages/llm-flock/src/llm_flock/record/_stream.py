@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import struct
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, cast
 
-import lz4.frame  # pyright: ignore[reportMissingTypeStubs]
 import zstandard
 from mcap.exceptions import EndOfFile, McapError, RecordLengthLimitExceeded
 from mcap.records import Channel, Chunk, Footer, Header, McapRecord, Message
@@ -34,22 +34,10 @@ from llm_flock.record._schema import (
     State,
 )
 
-DAMAGED = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ArithmeticError,
-    AssertionError,
-    LookupError,
-    RuntimeError,
-    ValueError,
-)
-"""What the libraries raise on bytes that are no MCAP file."""
-
-ROS_PROFILE = "ros2"
-"""Profile of an MCAP file that is a bag of ROS 2."""
-
 ROS_BAG = "a bag of ROS 2, not a record of a run; `ros2 bag info` and Foxglove read it"
+
+_NO_MCAP = (ArithmeticError, AssertionError, LookupError, RuntimeError, ValueError)
+"""What the libraries raise, besides their own errors, on bytes that are no MCAP file."""
 
 MOST_UNPACKED, RATIO = 16 << 20, 50
 """Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
@@ -64,11 +52,7 @@ class RawMessage:
     data: bytes
 
     def decoded(self) -> dict[str, Any]:
-        """The message as plain values.
-
-        Raises:
-            RecordError: it is no JSON object.
-        """
+        """The message as plain values; `RecordError` if it is no JSON object."""
         try:
             value: object = json.loads(self.data)
         except (ValueError, RecursionError) as error:
@@ -85,7 +69,7 @@ class _Team:
         self._n: int | None = None
         self._dim: int | None = None
         self.begun = False
-        self._states = self._rows = self._ends = 0
+        self._seen: Counter[type[Entry]] = Counter()
         self._first: int | None = None
 
     def objection(self, entry: Entry) -> str | None:
@@ -99,23 +83,16 @@ class _Team:
                 return self._differs(fields["n_robots"], *map(len, (*fields["arena"], *(entry.ideal or ()))))
             case PlanInfo(points=points):
                 return self._differs(None, *map(len, points))
-            case State():
-                found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
-                self._states += 1
-                if self._first is None or self._first > entry.round:
-                    return "a state before the first mission"
-                return found or self._out_of_turn(entry.round, self._states)
-            case MetricsRow():
-                self._rows += 1
-                return self._out_of_turn(entry.round, self._rows)
-            case RoundEnd():
-                self._ends += 1
-                missing = (
-                    None
-                    if self._ends == self._states == self._rows
-                    else "not a record of a run: a round without /state or /metrics"
-                )
-                return missing or self._out_of_turn(entry.round, self._ends)
+            case State() | MetricsRow() | RoundEnd():
+                found, due = None, self._seen[type(entry)]
+                self._seen[type(entry)] += 1
+                if isinstance(entry, State):
+                    if self._first is None or self._first > entry.round:
+                        return "a state before the first mission"
+                    found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
+                elif isinstance(entry, RoundEnd) and not self._seen[State] == self._seen[MetricsRow] == due + 1:
+                    return "not a record of a run: a round without /state or /metrics"
+                return found or (None if entry.round == due else f"round {entry.round} where round {due} was due")
             case ProtocolEvent(robot=robot) | LlmEntry(robot=robot) if self._n is not None and robot >= self._n:
                 return f"robot {robot} in a team of {self._n}"
             case _:
@@ -128,17 +105,11 @@ class _Team:
             return f"{n} robots, not {self._n} as before"
         return "positions of different numbers of coordinates" if {*dims} - {self._dim} else None
 
-    def _out_of_turn(self, number: int, count: int) -> str | None:
-        return None if number == count - 1 else f"round {number} where round {count - 1} was due"
-
 
 class RecordStream:
     """Reads a record from its start; `messages` and `entries` go on where the last call stopped.
 
-    The file may be created later, and may still grow.
-
-    Attributes:
-        ended: whether the file's proper end was reached, so that no more will come.
+    The file may be created later, and may still grow until `ended`: its proper end was reached.
     """
 
     def __init__(self, path: Path) -> None:
@@ -149,11 +120,7 @@ class RecordStream:
         self._team = _Team()
 
     def entries(self) -> Iterator[Entry]:
-        """Every new entry, in the order of writing; `/scene` and unknown channels are skipped.
-
-        Raises:
-            RecordError: as `messages`; or an entry is not valid, or of a newer format.
-        """
+        """Every new entry, checked, in the order of writing; `/scene` and unknown channels are skipped."""
         for message in self.messages():
             model = CHANNELS.get(message.topic)
             if model is None:
@@ -177,11 +144,7 @@ class RecordStream:
             yield entry
 
     def messages(self) -> Iterator[RawMessage]:
-        """Every message that was completed since the last call; none while there is no file.
-
-        Raises:
-            RecordError: the file cannot be read, or is damaged other than at its end.
-        """
+        """Every message that was completed since the last call; none while there is no file."""
         try:
             size = self.path.stat().st_size
             if self.ended or size <= self._position:
@@ -191,15 +154,11 @@ class RecordStream:
                     raise RecordError(f"{self.path}: not a readable MCAP file (it does not begin like one)")
                 file.seek(self._position)
                 # No record is longer than the file; without the limit, memory for a broken length would be requested.
-                stream = StreamReader(
-                    _WholeReads(file, size),  # pyright: ignore[reportArgumentType]
-                    skip_magic=self._position > 0,
-                    emit_chunks=True,
-                    record_size_limit=size,
-                )
+                whole: Any = _WholeReads(file, size)
+                stream = StreamReader(whole, self._position > 0, emit_chunks=True, record_size_limit=size)
                 for record in self._unpacked(stream.records, size):
                     self._position = file.tell()
-                    if isinstance(record, Header) and record.profile == ROS_PROFILE:
+                    if isinstance(record, Header) and record.profile == "ros2":
                         raise RecordError(f"{self.path}: {ROS_BAG}")
                     if isinstance(record, Channel):
                         self._topics[record.id] = record.topic
@@ -213,16 +172,7 @@ class RecordStream:
             return  # the rest of this record was not written (yet); what came before is whole
         except OSError as error:
             raise RecordError(f"{self.path}: cannot be read ({error.strerror})") from None
-        except (
-            McapError,
-            LookupError,
-            ValueError,
-            ArithmeticError,
-            AssertionError,
-            RuntimeError,
-            struct.error,
-            zstandard.ZstdError,
-        ) as error:
+        except (McapError, zstandard.ZstdError, struct.error, *_NO_MCAP) as error:
             raise RecordError(f"{self.path}: not a readable MCAP file ({error})") from error
 
     def _unpacked(self, records: Iterable[McapRecord], size: int) -> Iterator[McapRecord]:
@@ -242,9 +192,6 @@ def _unpack(chunk: Chunk, most: int) -> bytes:
     match chunk.compression:
         case "":
             data = chunk.data
-        case "lz4":
-            unpacker: Any = lz4.frame.LZ4FrameDecompressor()
-            data = cast(bytes, unpacker.decompress(chunk.data, max_length=most + 1))
         case "zstd":
             with zstandard.ZstdDecompressor().stream_reader(chunk.data) as reader:
                 data = reader.read(most + 1)

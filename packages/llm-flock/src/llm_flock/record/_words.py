@@ -1,4 +1,4 @@
-"""How a run, its protocol, and the answers of its models are called in words: the same in figures, pages and tables."""
+"""How a run and its plans are shown in figures, pages and tables alike: in words and colours."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ if TYPE_CHECKING:
 MOST_PLACES = 12
 """Number of places of a plan that are listed."""
 
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#7F7F7F")
+"""Colours that can be told apart with any colour vision (Okabe, Ito 2008), with grey in place of their black."""
+
+NO_PLAN = "#FFFFFF"
+
 
 def protocol_text(config: Mapping[str, Any]) -> str:
-    """The protocol of a run by its name, and what differs from it, such as: flock with index assignment.
-
-    Without a name, its rules; empty where the configuration does not say.
-    """
+    """The protocol of a run by its name, or else its rules, and what differs: flock with index assignment."""
     fields = cast("Mapping[str, Any]", config.get("protocol") or {})
     name, given = str(fields.get("protocol") or ""), [fields.get("consensus"), fields.get("assignment")]
     if name not in PRESET_RULES:
@@ -40,10 +42,7 @@ def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | 
 
 
 def formed_in(result: Mapping[str, Any]) -> int | None:
-    """The round of the run in which its last mission was formed, by its result; None if it was not.
-
-    `rounds_to_formed` of a result counts from when the last mission was given.
-    """
+    """The round of the run in which its last mission was formed, by its result; None if it was not."""
     if not result.get("formed"):
         return None
     missions = result.get("missions")

@@ -44,14 +44,14 @@ BUFFER_BYTES = 1 << 20
 
 
 class Tee:
-    """A sink that passes everything on to two others, the first one first."""
+    """A sink that passes everything on to others, in their order."""
 
-    def __init__(self, first: RecordSink, second: RecordSink) -> None:
-        self._both = (first, second)
+    def __init__(self, *sinks: RecordSink) -> None:
+        self._sinks = sinks
 
     def write(self, entry: Entry) -> None:
-        """Write an entry to both."""
-        for sink in self._both:
+        """Write an entry to all of them."""
+        for sink in self._sinks:
             sink.write(entry)
 
 
@@ -72,19 +72,14 @@ class GivenUp:
                 self._on_failure(error)
 
 
-def both(first: RecordSink | None, second: RecordSink | None) -> RecordSink | None:
-    """One sink for two, each of which may be missing."""
-    return second if first is None else first if second is None else Tee(first, second)
+def both(*sinks: RecordSink | None) -> RecordSink | None:
+    """One sink for several, each of which may be missing."""
+    there = [sink for sink in sinks if sink is not None]
+    return Tee(*there) if len(there) > 1 else there[0] if there else None
 
 
 def check_new(path: Path) -> None:
-    """Refuse a place where no record can be written. Call it before others do what the record is to hold.
-
-    Missing folders are made.
-
-    Raises:
-        InputError: the file exists, or cannot be made.
-    """
+    """Refuse a place where no record can be written, before others do what it is to hold; missing folders are made."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         allowed = os.access(path.parent, os.W_OK | os.X_OK)
@@ -109,21 +104,14 @@ def _schemas() -> tuple[tuple[str, str, bytes], ...]:
 
 
 class RecordWriter:
-    """A sink that writes one MCAP file; a context manager. Missing folders are made, and no file is overwritten.
-
-    Raises:
-        InputError: the file exists, or cannot be made.
-        RecordError: by every method, when the disk does not take what is written.
-    """
+    """A sink that writes one new MCAP file; a context manager. `RecordError` where the disk does not take it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        check_new(path)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("xb", buffering=BUFFER_BYTES)
         except OSError as error:
-            if os.path.lexists(path):  # says no where the system does not take the name at all
-                raise InputError("out", str(path), "a place without a record: none is ever overwritten") from None
             raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
         from llm_flock.file_lock import lock_file
 
@@ -148,14 +136,7 @@ class RecordWriter:
         self.close()
 
     def write(self, entry: Entry) -> None:
-        """Write an entry to its channel; a state is drawn as a scene as well.
-
-        The end of a round, the summary, and every event of a flight are handed to the operating system at once, with
-        all that came before them.
-
-        Raises:
-            RecordError: a state comes before the first mission.
-        """
+        """Write an entry to its channel; a state, which comes after the first mission, is drawn as a scene as well."""
         if self._scene is None and isinstance(entry, State):
             raise RecordError(f"{self.path}: a state comes before the mission")
         number: int = getattr(entry, "round", self._last_round)
@@ -165,7 +146,7 @@ class RecordWriter:
                 self._put(SCENE_TOPIC, self._scene.draw(entry), number)
             elif isinstance(entry, RoundEnd | SummaryMessage | FlightEvent):
                 self._last_round = number
-                self._file.flush()
+                self._file.flush()  # to the operating system, with all that came before
         except OSError as error:
             raise self._failure(error) from error
         if isinstance(entry, MissionInfo):

@@ -20,10 +20,11 @@ from ._forecast import rehearse as rehearse
 from ._forecast import stand_in as stand_in
 from ._journal import Journal as Journal
 from ._journal import finite as finite
+from ._journal import git_revision as git_revision
 from ._journal import llm_entry as llm_entry
-from ._journal import metrics_row as metrics_row
 from ._journal import mission_info as mission_info
 from ._journal import run_info as run_info
+from ._journal import versions as versions
 from ._mission_frame import Metres as Metres
 from ._mission_frame import MissionFrame as MissionFrame
 from ._mission_frame import WorldConfig as WorldConfig
@@ -52,6 +53,3 @@ from ._schedule import stream as stream
 from ._trial import Trial as Trial
 from ._trial import TrialProgress as TrialProgress
 from ._trial import commonest as commonest
-from ._versions import git_revision as git_revision
-from ._versions import versions as versions
-from ._watched import WatchedTeam as WatchedTeam

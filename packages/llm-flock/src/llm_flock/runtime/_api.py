@@ -8,7 +8,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Coroutine, Generator, Mapping, Sequence
-from concurrent.futures import Future
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast
@@ -38,20 +38,15 @@ T = TypeVar("T")
 
 
 def wait_for(main: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine to its end, and return its result or raise its error.
+    """Run a coroutine to its end, and return its result or raise its error; Ctrl-C once it was cancelled and has ended.
 
-    Where an event loop runs in this thread, which cannot run another one, the coroutine gets a thread of its own. The
-    caller waits all the same, so that loop stands still until the end.
-
-    Raises:
-        KeyboardInterrupt: Ctrl-C, after the coroutine was cancelled and has ended.
+    Where an event loop runs in this thread, which stands still meanwhile, the coroutine gets a thread of its own.
     """
     around: asyncio.AbstractEventLoop | None = None
     with suppress(RuntimeError):
         around = asyncio.get_running_loop()
     if around is None:  # outside of the handler, whose error every traceback of `main` would begin with
         return asyncio.run(main)
-    done: Future[T] = Future()
     begun = threading.Event()
     running: list[tuple[asyncio.AbstractEventLoop, asyncio.Task[T]]] = []
 
@@ -61,32 +56,21 @@ def wait_for(main: Coroutine[Any, Any, T]) -> T:
         begun.set()
         return await task
 
-    def work() -> None:
+    with ThreadPoolExecutor(1, "llm-flock run") as pool:
+        done = pool.submit(contextvars.copy_context().run, asyncio.run, outer())
         try:
-            done.set_result(asyncio.run(outer()))
-        except BaseException as error:  # noqa: BLE001 - it is raised in the thread that waits
-            done.set_exception(error)
-
-    thread = threading.Thread(target=contextvars.copy_context().run, args=(work,), name="llm-flock run")
-    thread.start()
-    try:
-        return done.result()
-    except BaseException:
-        if not done.done():  # Ctrl-C: end the run as it would end in a script
-            begun.wait()
-            loop, task = running[0]
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(task.cancel)
-        raise
-    finally:
-        thread.join()
+            return done.result()
+        except BaseException:
+            if not done.done():  # Ctrl-C: end the run as it would end in a script
+                begun.wait()
+                loop, task = running[0]
+                with suppress(RuntimeError):  # the loop has just been closed
+                    loop.call_soon_threadsafe(task.cancel)
+            raise
 
 
 Row: TypeAlias = Sequence[float]
 """Coordinates of a point [units]."""
-
-FILES = ("out", "record_llm", "prompts")
-"""Fields that name files or folders: paths are taken too."""
 
 
 class Parameters(TypedDict, total=False):
@@ -171,7 +155,7 @@ class Parameters(TypedDict, total=False):
 
 def plain(field: str, value: Any) -> Any:
     """A value as the configuration takes it: paths as text, NumPy's arrays and numbers as Python's."""
-    if field in FILES and isinstance(value, os.PathLike):
+    if field in ("out", "record_llm", "prompts") and isinstance(value, os.PathLike):
         return os.fspath(cast("os.PathLike[str]", value))
     to_list = getattr(value, "tolist", None)
     return value if to_list is None else to_list()
@@ -179,7 +163,7 @@ def plain(field: str, value: Any) -> Any:
 
 __all__ = ["RECORD_NAME", "open_outputs", "run", "run_async"]
 
-CHECKS: dict[str, Callable[[Any], Any]] = {"consensus": consensus_rule, "assignment": assignment_rule}
+_CHECKS: dict[str, Callable[[Any], Any]] = {"consensus": consensus_rule, "assignment": assignment_rule}
 """Fields that take objects, also beside a whole configuration."""
 
 
@@ -213,7 +197,7 @@ def run(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResul
         ReplayDrift: a replayed conversation differs from the recorded one.
         KeyboardInterrupt: after the record was brought to a readable end.
     """
-    return wait_for(_fly(mission, **given))
+    return wait_for(run_async(mission, **given))
 
 
 async def run_async(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
@@ -222,28 +206,17 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
     Raises:
         asyncio.CancelledError: after the record was brought to a readable end.
     """
-    return await _fly(mission, **given)
-
-
-async def _fly(
-    mission: Mission | None,
-    *,
-    config: RunConfig | None = None,
-    on_round: Callable[[TrialProgress], None] | None = None,
-    progress: bool = True,
-    trace: bool = True,
-    sink: RecordSink | None = None,
-    lane: CallLane | None = None,
-    steer: Steer | None = None,
-    **fields: Any,
-) -> RunResult:
-    fields = {field: value for field, value in fields.items() if value is not None}
-    if config is not None and (mission is not None or fields.keys() - CHECKS.keys()):
+    fields: dict[str, Any] = {field: value for field, value in given.items() if value is not None}
+    config: RunConfig | None = fields.pop("config", None)
+    on_round: Callable[[TrialProgress], None] | None = fields.pop("on_round", None)
+    sink, lane, steer = (fields.pop(name, None) for name in ("sink", "lane", "steer"))
+    progress, trace = (fields.pop(name, True) for name in ("progress", "trace"))
+    if config is not None and (mission is not None or fields.keys() - _CHECKS.keys()):
         raise FieldError("config", says="give either config, or mission and options, not both")
     if config is not None and not isinstance(cast(object, config), RunConfig):
         raise InputError("config", config, "a RunConfig; load_config reads one from a file")
-    rules = {field: fields.pop(field) for field in CHECKS.keys() & fields.keys()}
-    objects = {field: CHECKS[field](rule) for field, rule in rules.items() if not isinstance(rule, str)}
+    rules = {field: fields.pop(field) for field in _CHECKS.keys() & fields.keys()}
+    objects = {field: _CHECKS[field](rule) for field, rule in rules.items() if not isinstance(rule, str)}
     choice: ModelChoice = fields.pop("model", "")
     own: Mapping[int, OwnModel] = {}
     if not isinstance(choice, str):
@@ -264,10 +237,10 @@ async def _fly(
 
     # Build every part, and so refuse whatever is wrong; only then open files, and fly.
     warn_of_mission(config.mission)
-    given = config.trial
-    rng = stream(given.seed, Stream.START)
-    start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
-    bodies = InstantBodies(Readings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE)))
+    asked = config.trial
+    rng = stream(asked.seed, Stream.START)
+    start = start_positions(config.mission, asked.start_positions, asked.start, rng, asked.start_area)
+    bodies = InstantBodies(Readings(config.mission, start, asked.noise, stream(asked.seed, Stream.NOISE)))
     planners = TeamPlanners(config, lane, own)
     code = own_rules((consensus, assignment))
     with ExitStack() as stack:
@@ -301,11 +274,7 @@ def open_outputs(
 ) -> Generator[tuple[Journal, str | None]]:
     """Open the files that a run writes: its journal, which keeps a trace or not, and the path of its record.
 
-    `unrepeatable` says what the configuration cannot repeat, besides the models. With `on_broken`, a record that cannot
-    be written any more is given up, and `on_broken` gets the error; without, whoever writes gets it.
-
-    Raises:
-        InputError: a file exists already, or cannot be made.
+    With `on_broken`, which gets the error, a record that cannot be written any more is given up.
     """
     with ExitStack() as stack:
         path, cassette = config.record, config.model.record_llm
@@ -313,39 +282,26 @@ def open_outputs(
             from llm_flock.llm._replay import CassetteWriter
 
             planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
-        try:
-            writer: RecordSink = NullWriter()
-            if path is not None:
-                from llm_flock.record._writer import RecordWriter
+        writer: RecordSink = NullWriter()
+        if path is not None:
+            from llm_flock.record._writer import GivenUp, RecordWriter
 
+            try:
                 writer = stack.enter_context(RecordWriter(path))
-        except InputError:
-            if cassette is not None:
-                Path(cassette).unlink()  # created just now, and still empty
-            raise
-        if on_broken is not None and path is not None:
-            from llm_flock.record._writer import GivenUp
-
-            writer = GivenUp(writer, on_broken)
+            except InputError:
+                if cassette is not None:
+                    Path(cassette).unlink()  # created just now, and still empty
+                raise
+            writer = writer if on_broken is None else GivenUp(writer, on_broken)
         taker = writer
         if sink is not None:
             from llm_flock.record._writer import Tee
 
             taker = Tee(writer, sink)
-        journal = Journal(
-            config.mission,
-            taker,
-            replans=config.protocol.gaps == "replan",
-            trace=trace,
-        )
+        journal = Journal(config.mission, taker, replans=config.protocol.gaps == "replan", trace=trace)
         journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
         planners.listen(journal.attempt)
         if path is not None:  # only a record needs it, and asking git takes longer than many rounds
-            about = run_info(
-                config,
-                simulated=planners.simulated,
-                weights=planners.weights,
-                unrepeatable=journal.unrepeatable,
-            )
-            writer.write(about)
+            simulated, unrepeatable = planners.simulated, journal.unrepeatable
+            writer.write(run_info(config, simulated=simulated, weights=planners.weights, unrepeatable=unrepeatable))
         yield journal, None if path is None else str(path)

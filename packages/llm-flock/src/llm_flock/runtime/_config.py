@@ -32,17 +32,11 @@ Count = Annotated[int, Field(ge=1, le=2**53)]
 PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
 """One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are accepted too."""
 
-MOST_COMM_ROUNDS = 1_000
-"""Most communication rounds within a motion round."""
-
 _NO_NAME = re.compile("[\0\ud800-\udfff]")
 """What neither the names of files nor the texts of a record can hold."""
 
 DEEPEST = 32
 """Deepest nesting of values in a configuration file; fields need a third of it."""
-
-LONGEST_SHOWN = 256
-"""Longest whole number that an error shows [bits]."""
 
 
 class ConfigSection(BaseModel):
@@ -83,7 +77,7 @@ class ProtocolConfig(ConfigSection):
         description="If answers stay unusable: breaker (the model is asked rarely; geometry flies, but makes no plan), "
         "geometry (computes plan and steps), or hold (no help, and no limit to asking) [preset's; hold without verify]",
     )
-    comm_rounds: Annotated[int, Field(ge=1, le=MOST_COMM_ROUNDS)] | None = Field(
+    comm_rounds: Annotated[int, Field(ge=1, le=1_000)] | None = Field(
         default=None, description="Communication rounds per motion round [preset's]"
     )
     gaps: Literal["report", "replan"] = Field(
@@ -168,11 +162,7 @@ class LimitConfig(ConfigSection):
 
 
 class RunConfig(ConfigSection):
-    """Everything that defines a run. Field names are unique over all sections, so a flag needs no section.
-
-    Raises:
-        InputError: the fields do not fit each other.
-    """
+    """Everything that defines a run. Field names are unique over all sections, so a flag needs no section."""
 
     mission: Mission = Field(default_factory=Mission)
     protocol: ProtocolConfig = Field(default_factory=ProtocolConfig)
@@ -187,8 +177,9 @@ class RunConfig(ConfigSection):
             self.mission.check_sensing()
             most = self.mission.safe_distance / 4
             if self.trial.noise > most:
-                allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
-                raise InputError("noise", self.trial.noise, allowed)
+                raise InputError(
+                    "noise", self.trial.noise, f"at most safe_distance / 4 = {most:g} while the shield is on"
+                )
         self.schedule()
         return self
 
@@ -212,20 +203,16 @@ class RunConfig(ConfigSection):
     @classmethod
     def section_of(cls, field: str) -> str:
         """The section that holds a field; `InputError` if none does."""
-        for name, info in cls.model_fields.items():
-            if field in fields_of(info.annotation):
-                return name
-        known = [name for info in cls.model_fields.values() for name in fields_of(info.annotation)]
-        raise FieldError(field, says=unknown(f"field {field!r}", field, known))
+        sections = {known: name for name, info in cls.model_fields.items() for known in fields_of(info.annotation)}
+        if field not in sections:
+            raise FieldError(field, says=unknown(f"field {field!r}", field, sections))
+        return sections[field]
 
     @classmethod
     def build(cls, base: Mapping[str, Any] | None = None, /, **overrides: Any) -> Self:
         """A configuration from nested sections, with overrides by field name (None means: not given).
 
         `shape = "points:FILE"` is resolved here: the file's points become the mission's.
-
-        Raises:
-            InputError: naming the first offending field, its value, and what is allowed.
         """
         data: dict[str, Any] = {}
         check_values("config", base or {})
@@ -244,8 +231,7 @@ class RunConfig(ConfigSection):
             points = mission["points"]
             mission.setdefault("n_robots", len(points))
             if points and "center" not in mission and len(points[0]) != 2:
-                allowed = f"a centre with {len(points[0])} coordinates, as the points have"
-                raise InputError("center", None, allowed)
+                raise InputError("center", None, f"a centre with {len(points[0])} coordinates, as the points have")
         try:
             return cls(**data)
         except ValidationError as error:
@@ -253,20 +239,12 @@ class RunConfig(ConfigSection):
 
     @classmethod
     def load(cls, path: Path | None, **overrides: Any) -> Self:
-        """A configuration from a TOML file (or none), with overrides by field name.
-
-        Raises:
-            InputError: the file cannot be read or is not TOML, or a value is not allowed.
-        """
+        """A configuration from a TOML file (or none), with overrides by field name."""
         return cls.build(None if path is None else read_toml("config", path), **overrides)
 
 
 def read_toml(field: str, path: Path) -> dict[str, Any]:
-    """The values of a TOML file.
-
-    Raises:
-        InputError: for `field`: the file cannot be read, or is not TOML; or for a value, see `check_values`.
-    """
+    """The values of a TOML file, checked as by `check_values`; `field` names the file in errors."""
     try:
         found = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -278,11 +256,7 @@ def read_toml(field: str, path: Path) -> dict[str, Any]:
 
 
 def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
-    """Check that values of any fields, as a file may nest them, can be shown, compared and handed to the system.
-
-    Raises:
-        InputError: for the field that holds it: a whole number of 2^63 or more, NUL in a text, or endless nesting.
-    """
+    """Check that values of any fields, as a file may nest them, can be shown, compared and handed to the system."""
     if isinstance(value, Mapping | list | tuple):
         if depth == 0:
             raise InputError(field, None, f"values in at most {DEEPEST} levels")
@@ -292,13 +266,9 @@ def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
             check_values(str(name), item, depth - 1)
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         allowed = f"less than {2**63}" if value > 0 else f"at least {-(2**63)}"
-        raise InputError(field, value if value.bit_length() <= LONGEST_SHOWN else None, allowed)
+        raise InputError(field, value if value.bit_length() <= 256 else None, allowed)
     elif isinstance(value, str) and _NO_NAME.search(value) is not None:
         raise InputError(field, value, "text without the character NUL, and without half characters")
-
-
-ROOM = 1.05
-"""Smallest spacing, in safe distances, at which robots have room to move (docs/explanation/safe-motion.md)."""
 
 
 @cache
@@ -312,7 +282,7 @@ def warn_of_mission(mission: Mission) -> None:
             mission.comm_range,
             mission.spacing,
         )
-    room = ROOM * mission.safe_distance
+    room = 1.05 * mission.safe_distance  # see docs/explanation/safe-motion.md
     if mission.n_places > 1 and mission.spacing < room and not math.isclose(mission.spacing, room):
         logger.warning(
             "spacing = %g leaves robots no room to move: they keep %g apart. The team may take long to form, or never "

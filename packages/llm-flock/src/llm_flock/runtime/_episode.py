@@ -16,10 +16,7 @@ from llm_flock.plan import Plan
 
 
 class Episode:
-    """One mission, from when the first robot received it, with true positions of shape (n, d) [units] then.
-
-    It is given at the start of the round after those `flown` before.
-    """
+    """One mission, from when the first robot received it: the rounds `flown`, and true positions [units] by then."""
 
     def __init__(self, mission: Mission, flown: int, positions: Points) -> None:
         self.mission = mission
@@ -48,14 +45,11 @@ class Episode:
         return None if self.formed_at is None else self.formed_at - self.flown
 
     def deadline(self, awake: Sequence[int], agents: Sequence[Agent], after: int) -> int:
-        """The round by which the team should have formed, if nothing happens to it after round `after`.
-
-        It follows from the lower bound for the plan that these robots follow. Before they agree on one, the bound is
-        that of the ideal shape, or for a shape in words, of a flight to the centre.
-        """
+        """The round by which the team should have formed, if nothing happens to it after round `after`."""
         plan = self.plan(agents)
         key = None if plan is None else plan.digest, len(awake), after
         if self._deadline[0] != key:
+            # Before they agree on a plan, it is the ideal shape, or for a shape in words, a flight to the centre.
             places = self.mission.ideal or (self.mission.center,) if plan is None else plan.points
             bound = self._bound(awake, np.array(places))
             since = max(self._disturbed, after)

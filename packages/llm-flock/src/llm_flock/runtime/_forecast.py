@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass
+from typing import Any
 
 from llm_flock.llm._models import cost_usd, parse_models, waits
 from llm_flock.llm._port import Usage
@@ -20,50 +21,31 @@ PROFILE = "distorted@0.3,overshoot@0.3"
 """Failures of the stand-in that rehearses for a real model."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Expected:
-    """Expected use of one run, or of several.
-
-    Attributes:
-        calls: model calls, retries of rejected answers included.
-        tokens_input: tokens in.
-        tokens_output: tokens out, reasoning included.
-        cost_usd: by list prices [US dollars]; None where the price of a model is not known.
-        at_most: calls if every robot asked for a plan and a step in every round, each as often as is allowed.
-    """
+    """Expected use of one run, or of several; retries of rejected answers and reasoning are included."""
 
     calls: float = 0.0
     tokens_input: float = 0.0
     tokens_output: float = 0.0
-    cost_usd: float | None = 0.0
-    at_most: int = 0
+    cost_usd: float | None = 0.0  # by list prices [US dollars]; None where the price of a model is not known
+    at_most: int = 0  # calls if every robot asked for a plan and a step in every round, each as often as is allowed
 
     def __add__(self, other: Expected) -> Expected:
-        return Expected(
-            calls=self.calls + other.calls,
-            tokens_input=self.tokens_input + other.tokens_input,
-            tokens_output=self.tokens_output + other.tokens_output,
-            cost_usd=None if self.cost_usd is None or other.cost_usd is None else self.cost_usd + other.cost_usd,
-            at_most=self.at_most + other.at_most,
-        )
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        values: list[Any] = [None if None in pair else sum(pair) for pair in pairs]
+        return Expected(*values)
 
     def times(self, count: float) -> Expected:
         """The expected use of `count` of these."""
-        return replace(
-            self,
-            calls=count * self.calls,
-            tokens_input=count * self.tokens_input,
-            tokens_output=count * self.tokens_output,
-            cost_usd=None if self.cost_usd is None else count * self.cost_usd,
-            at_most=round(count * self.at_most),
-        )
+        values: list[Any] = [None if value is None else count * value for value in astuple(self)]
+        return Expected(*values)
 
 
 def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
     """The configuration with a free model that answers at once, and without budget and files.
 
-    A simulated model that does not wait stands for itself. Any other one is replaced by a simulated model with the
-    failures of `profile`, which gets the same questions.
+    A simulated model that does not wait stands for itself, one with the failures of `profile` for any other.
     """
     model = config.model
     names = parse_models(model.model, config.mission.n_robots)
@@ -73,10 +55,9 @@ def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
         prompts = None if model.prompts == "brief" else model.prompts
         plain |= {"temperature": None, "model_seed": None, "prompts": prompts, "frame": None}
         model = model.model_copy(update=plain)
-    free = {"max_calls": None, "max_tokens": None, "max_cost": None}
     parts = {
         "model": model.model_copy(update={"record_llm": None}),
-        "limits": config.limits.model_copy(update=free),
+        "limits": config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None}),
         "trial": config.trial.model_copy(update={"out": None}),
     }
     return config.model_copy(update=parts)
@@ -93,33 +74,25 @@ def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKEN
     texts = parse_models(config.model.model, config.mission.n_robots)
     names = [parse_model(text) for text in texts]
     addresses = parse_base_urls(config.model.base_url, texts)
-    calls = found.calls / len(names)
-    tokens_input = found.tokens_input / max(1.0, found.calls)
+    calls, asked = found.calls / len(names), max(1.0, found.calls)
     total = Expected(at_most=most_calls(config))
     for name in names:
         if name.kind in ("geometry", "replay"):
             continue  # asks no model
-        real = name.kind in ("provider", "plugin", "own")
-        answer = output_tokens if real else found.tokens_output / max(1.0, found.calls)
-        cost: float | None = 0.0
-        if name.kind == "own":
-            cost = None  # its class may charge anything
-        elif name.kind == "provider":
+        tokens_input, answer = found.tokens_input / asked, found.tokens_output / asked
+        if name.kind in ("provider", "plugin", "own"):
+            answer = output_tokens
+        cost: float | None = None if name.kind == "own" else 0.0  # a class of one's own may charge anything
+        if name.kind == "provider":
             provider = name.provider if name.provider not in addresses else None
             cost = cost_usd(provider, name.model, Usage(input=round(tokens_input), output=round(answer)))
-        one = Expected(calls=1.0, tokens_input=tokens_input, tokens_output=answer, cost_usd=cost)
-        total += one.times(calls)
+        cost = None if cost is None else calls * cost
+        total += Expected(calls, calls * tokens_input, calls * answer, cost)
     return total
 
 
 def expect_run(config: RunConfig, on_round: Callable[[TrialProgress], None] | None = None) -> Expected:
-    """The expected use of one run; `on_round` is called after each round of its rehearsal.
-
-    No model is asked, and no file is written.
-
-    Raises:
-        InputError: a model cannot work, as far as that is known without a key.
-    """
+    """The expected use of one run, by a rehearsal that asks no model and writes no file."""
     check_planners(config, asks=False)
     return priced(config, rehearse(stand_in(config), on_round))
 

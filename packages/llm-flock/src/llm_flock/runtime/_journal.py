@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+import os
 import platform
+import subprocess
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, TypedDict, Unpack
+from importlib import metadata as installed
+from pathlib import Path
 
 from llm_flock import metrics
 from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.events import MoveTo, Note, Origin
 from llm_flock.links import Traffic
-from llm_flock.llm._port import Attempt, Usage
+from llm_flock.llm._port import Attempt, Reply, Usage
 from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
 from llm_flock.record._schema import (
@@ -37,53 +40,53 @@ from llm_flock.runtime._episode import Episode, blocked_places
 from llm_flock.runtime._roster import Roster
 from llm_flock.simulate import Bodies
 
+_PACKAGES = (
+    *("llm-flock", "numpy", "scipy", "pydantic", "pydantic-ai-slim", "openai", "anthropic", "jinja2", "mcap"),
+    "xllamacpp",
+)
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those that can change a result."""
+    found: dict[str, str] = {}
+    for name in _PACKAGES:
+        try:
+            found[name] = installed.version(name)
+        except installed.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def git_revision() -> str | None:
+    """Revision of the checkout that this package runs from, `+dirty` with local changes; None outside a checkout."""
+    describe = ("describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+dirty")
+    # Asked by many workers at once: none of them may lock the index, and on a full machine this takes seconds.
+    environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
+    command = ["git", "-C", str(Path(__file__).parent), *describe]
+    try:
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60.0, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
 
 def run_info(
-    config: RunConfig,
-    *,
-    simulated: bool,
-    weights: Mapping[str, str] | None = None,
-    unrepeatable: Sequence[str] = (),
+    config: RunConfig, *, simulated: bool, weights: Mapping[str, str] | None = None, unrepeatable: Sequence[str] = ()
 ) -> RunInfo:
     """The origin of a run: configuration, versions (also of weights on board), and machine without any name or path.
 
-    `unrepeatable` says what the configuration alone cannot repeat.
-
     Paths of the run's files are left out: the same run elsewhere leaves the same record.
     """
-    import llm_flock.runtime._versions as versions
-
     machine = {"python": platform.python_version(), "platform": platform.platform(), "machine": platform.machine()}
     return RunInfo(
-        format_version=1,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
-        versions={**versions.versions(), **(weights or {})},
-        git_revision=versions.git_revision(),
+        versions={**versions(), **(weights or {})},
+        git_revision=git_revision(),
         seed=config.trial.seed,
         simulated=simulated,
         unrepeatable=list(unrepeatable) or None,
         created_at=datetime.now(UTC).isoformat(timespec="seconds"),
         environment=machine,
-    )
-
-
-def state_entry(
-    round_number: int, positions: Points, team: Bodies, roster: Roster, flown: Mapping[int, MoveTo], idle: Origin
-) -> State:
-    """Where the robots are and what they follow; `idle` is the origin for robots without a command."""
-    robots = range(len(roster.agents))
-    agents = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
-    return State(
-        round=round_number,
-        positions=positions.tolist(),
-        goals=[None if a is None or (goal := a.goal) is None else list(goal) for a in agents],
-        slots=[None if a is None else a.claim.slot for a in agents],
-        plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in agents],
-        influence=[len(roster.hears(team, robot)) / len(agents) for robot in robots],
-        waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
-        origins=[(flown[robot].origin if robot in flown else idle).value for robot in robots],
-        open_breakers=[[] if a is None else list(a.open_breakers) for a in agents],
-        phases=[roster.phase(robot) for robot in robots],
     )
 
 
@@ -93,49 +96,6 @@ def mission_info(mission: Mission, version: int, first_round: int) -> MissionInf
     return MissionInfo(version=version, round=first_round, mission=mission.model_dump(mode="json"), ideal=ideal)
 
 
-class Totals(TypedDict):
-    """Counts from the start of a run, by their fields of `MetricsRow`."""
-
-    model_calls: int
-    tokens: int
-    cost_usd: float | None
-    messages_sent: int
-    bytes_sent: int
-    messages_rejected: dict[str, int]
-
-
-def metrics_row(
-    round_number: int,
-    *,
-    plan_ids: Sequence[str | None],
-    slots: Sequence[int | None],
-    at_goal: int,
-    error: tuple[float, float | None] | None,
-    separation: float,
-    on_segment: float | None,
-    connected: bool,
-    **totals: Unpack[Totals],
-) -> MetricsRow:
-    """The figures of one round, of robots with these plans and slots.
-
-    `error` is the mean distance to the ideal shape [units] and the mean squared one [units^2]. `separation` is the
-    smallest distance of two robots now, `on_segment` while they moved here [units].
-    """
-    mean, mean_squared = (None, None) if error is None else error
-    return MetricsRow(
-        round=round_number,
-        procrustes_mean=mean,
-        procrustes_mean_squared=mean_squared,
-        min_separation=finite(separation),
-        segment_separation=finite(on_segment),
-        plans_in_use=metrics.plans_in_use(plan_ids),
-        distinct_goals=metrics.distinct_goals(plan_ids, slots),
-        robots_at_goal=at_goal,
-        connected=connected,
-        **totals,
-    )
-
-
 def finite(value: float | None) -> float | None:
     """None for an infinite distance (of one robot alone), which JSON cannot represent."""
     return value if value is not None and value < math.inf else None
@@ -143,9 +103,8 @@ def finite(value: float | None) -> float | None:
 
 def llm_entry(attempt: Attempt) -> LlmEntry:
     """A model call as it is recorded."""
-    call, reply = attempt.call, attempt.reply
-    settings: dict[str, Any] = {} if reply is None else dict(reply.settings)
-    usage = Usage() if reply is None else reply.usage
+    call, reply = attempt.call, attempt.reply or Reply(text="", model="")
+    usage = reply.usage
     return LlmEntry(
         round=call.round,
         robot=call.robot,
@@ -154,35 +113,32 @@ def llm_entry(attempt: Attempt) -> LlmEntry:
         model=attempt.model,
         request_hash=call.request_hash,
         messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
-        text=None if reply is None else reply.text,
+        text=None if attempt.reply is None else reply.text,
         parsed=None if attempt.parsed is None else dict(attempt.parsed),
         rejected=attempt.rejected,
         clipped=attempt.clipped,
-        probe=True if call.probe else None,
+        probe=call.probe or None,
         error=None if attempt.error is None else ": ".join(attempt.error),
-        finish_reason=None if reply is None else reply.finish_reason,
-        thought=True if reply is not None and reply.thought else None,
-        settings=settings,
+        finish_reason=reply.finish_reason,
+        thought=reply.thought or None,
+        settings=dict(reply.settings),
         usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
-        cost_usd=None if reply is None else reply.cost_usd,
+        cost_usd=reply.cost_usd,
         latency_s=attempt.latency_s,
         faults=list(attempt.faults),
     )
 
 
 ERROR_EVERY_ROUND_UP_TO = 300
-"""Team size up to which the shape error is measured after every round. The search takes seconds for a thousand robots,
-so a larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
+"""Team size up to which the shape error is measured after every round: the search takes seconds for a thousand robots.
+A larger team is measured when all are at their goals, which `formed` needs anyway, and at the end."""
 
 
 class Journal:
-    """Counts and records one run.
+    """Counts and records one run; for a `NullWriter` no entries are built.
 
-    Model calls are held back until `flush_attempts`, and written in the order of the robots: the order in which models
-    answer must not show in the record, which is the same for the same seed.
-
-    Where the team `replans` when robots die, only such a plan counts as formed then. For a `NullWriter` no entries are
-    built. With `trace`, missions, plans, states and figures are also kept, for whoever draws the run.
+    Where the team `replans` when robots die, only such a plan counts as formed then. With `trace`, missions, plans,
+    states and figures are also kept, for whoever draws the run.
     """
 
     def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False, trace: bool = False) -> None:
@@ -253,7 +209,7 @@ class Journal:
             self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
 
     def flush_attempts(self) -> None:
-        """Write the model calls made since the last flush, by robot and attempt."""
+        """Write the model calls made since the last flush, by robot: the order of the answers must not show."""
         for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
             self.writer.write(llm_entry(attempt))
         self._attempts.clear()
@@ -263,11 +219,9 @@ class Journal:
         if note.kind == "breaker" and note.detail["state"] == "open":
             self.breakers_opened.add(robot)
         if self._recording:
-            self.writer.write(
-                ProtocolEvent(
-                    round=round_number, comm_round=comm_round, robot=robot, kind=note.kind, detail=dict(note.detail)
-                )
-            )
+            kind, detail = note.kind, dict(note.detail)
+            event = ProtocolEvent(round=round_number, comm_round=comm_round, robot=robot, kind=kind, detail=detail)
+            self.writer.write(event)
 
     def proposed(self, round_number: int, agent: Agent, by: str) -> None:
         """A robot follows a plan of its own, made by a model of this name or by geometry: record its points once."""
@@ -282,22 +236,33 @@ class Journal:
     def end_round(
         self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic
     ) -> None:
-        """Record where the robots are, what they follow, and what was measured; then the round is complete.
-
-        Call it after every round, and once as round 0, without moves, before the first.
-        """
+        """Record where the robots are, and what was measured, after every round; before the first one without moves."""
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
         # While a robot flies on along its path, the run goes on without answers.
         silent = bool(calls) and calls == failed and not any(agent.on_path for agent in roster.awake_agents())
         self.silent_rounds = self.silent_rounds + 1 if silent else 0
-        flown = dict[int, MoveTo]() if moves is None else moves
+        flown = moves or {}
         self.robot_rounds += len(flown)
         self.waypoints.update(move.origin.value for move in flown.values())
         positions = team.positions
         if self._recording or self.trace is not None:
             idle = Origin.START if moves is None else Origin.HOLD
-            self._put(state_entry(round_number, positions, team, roster, flown, idle))
+            agents = [agent if robot in roster.awake else None for robot, agent in enumerate(roster.agents)]
+            robots = range(len(agents))
+            state = State(
+                round=round_number,
+                positions=positions.tolist(),
+                goals=[None if a is None or (goal := a.goal) is None else list(goal) for a in agents],
+                slots=[None if a is None else a.claim.slot for a in agents],
+                plan_ids=[None if a is None or a.plan is None else a.plan.digest for a in agents],
+                influence=[len(roster.hears(team, robot)) / len(agents) for robot in robots],
+                waypoints=[list(flown[robot].waypoint) if robot in flown else None for robot in robots],
+                origins=[(flown[robot].origin if robot in flown else idle).value for robot in robots],
+                open_breakers=[[] if a is None else list(a.open_breakers) for a in agents],
+                phases=[roster.phase(robot) for robot in robots],
+            )
+            self._put(state)
         self._measure(round_number, positions, team, roster, traffic)
         self._put(RoundEnd(round=round_number))
 
@@ -308,17 +273,13 @@ class Journal:
             self.trace.append(entry)
 
     def measure_error(self, roster: Roster) -> None:
-        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet.
-
-        A shape can only be compared with as many robots as it has places: all that are awake, or, where some of them
-        are spare, those with a slot.
-        """
+        """Measure the shape error of the last round, if the ideal shape is known and it was not measured yet."""
         if self.errors[-1] is not None:
             return
         robots = roster.awake
         plan = self.episode.plan([roster.agents[robot] for robot in robots])
         places = self.episode.mission.n_places if plan is None else len(plan)
-        if len(robots) > places:
+        if len(robots) > places:  # a shape can only be compared with as many robots as it has places
             robots = [robot for robot in robots if roster.agents[robot].claim.slot is not None]
         if len(robots) == places:
             shape = self.episode.error(self.positions[-1][robots])
@@ -356,14 +317,15 @@ class Journal:
             residual=residual,
             usable=usable,
         )
-        self.row = metrics_row(
-            round_number,
-            plan_ids=plan_ids,
-            slots=slots,
-            at_goal=at_goal,
-            error=error,
-            separation=separation,
-            on_segment=on_segment,
+        self.row = MetricsRow(
+            round=round_number,
+            procrustes_mean=None if error is None else error[0],
+            procrustes_mean_squared=None if error is None else error[1],
+            min_separation=finite(separation),
+            segment_separation=finite(on_segment),
+            plans_in_use=metrics.plans_in_use(plan_ids),
+            distinct_goals=metrics.distinct_goals(plan_ids, slots),
+            robots_at_goal=at_goal,
             connected=team.readings.connected(roster.awake),
             model_calls=self.calls,
             tokens=self.usage.total,

@@ -18,26 +18,14 @@ Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=Fals
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MissionFrame:
-    """Position, orientation and scale of a mission in the world.
+    """Position, orientation and scale of a mission in the world; a mission in the plane is flown at one altitude."""
 
-    A mission in the plane is flown at one altitude. In space, z is scaled by `stretch` more than x and y, so that the
-    sphere of the safe distance becomes an ellipsoid that is higher by as much: downwash reaches far down.
-
-    Attributes:
-        anchor: point of the mission that lies at the origin, d coordinates [units].
-        scale_m: one unit in the plane [m].
-        stretch: one unit of height over one unit in the plane, in metres.
-        yaw: from the mission's x axis to the world's, counterclockwise [rad].
-        origin: of the plane [m; world frame].
-        altitude_m: z of the anchor, and of every point of a mission in the plane [m; world frame].
-    """
-
-    anchor: Point
-    scale_m: float
-    stretch: float
-    yaw: float
-    origin: tuple[float, float]
-    altitude_m: float
+    anchor: Point  # point of the mission that lies at the origin, d coordinates [units]
+    scale_m: float  # one unit in the plane [m]
+    stretch: float  # in space, z is scaled by so much more than x and y: downwash reaches far down
+    yaw: float  # from the mission's x axis to the world's, counterclockwise [rad]
+    origin: tuple[float, float]  # of the plane [m; world frame]
+    altitude_m: float  # z of the anchor, and of every point of a mission in the plane [m; world frame]
 
     def to_world(self, point: Point) -> Position:
         """A point of the mission in the world [m]."""

@@ -8,13 +8,10 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from html import escape
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from llm_flock.runtime._trial import TrialProgress
-
-OnRound: TypeAlias = "Callable[[TrialProgress], None]"
-"""Called after each round."""
 
 PATIENCE_S = 0.5
 """A run that is over sooner shows no progress [s]: a hundred quick runs would fill the notebook with lines."""
@@ -32,60 +29,43 @@ def in_notebook() -> bool:
 
 
 @contextmanager
-def notebook_progress(label: str, on_round: OnRound | None = None) -> Generator[OnRound | None]:
+def notebook_progress(
+    label: str, on_round: Callable[[TrialProgress], None] | None = None
+) -> Generator[Callable[[TrialProgress], None] | None]:
     """In a notebook, a function to call after each round, which also calls `on_round`; elsewhere `on_round` itself."""
     if not in_notebook():
         yield on_round
         return
-    line = _Line(label)
+    display: Any = import_module("IPython.display")
+    handle: Any = None
+    last: TrialProgress | None = None
+    due = time.monotonic() + PATIENCE_S
 
-    def both(now: TrialProgress) -> None:
-        line.show(now)
+    def draw(now: TrialProgress) -> None:
+        nonlocal handle
+        shown = display.HTML(progress_html(label, now))
+        if handle is None:
+            handle = display.display(shown, display_id=True)
+        else:
+            handle.update(shown)
+
+    def show(now: TrialProgress) -> None:
+        nonlocal last, due
+        last = now
+        if time.monotonic() >= due:
+            draw(now)
+            due = time.monotonic() + REDRAW_S
         if on_round is not None:
             on_round(now)
 
     try:
-        yield both
+        yield show
     finally:
-        line.end()
-
-
-class _Line:
-    """One line of output that is replaced by the next."""
-
-    def __init__(self, label: str) -> None:
-        self._label = label
-        self._handle: Any = None
-        self._last: TrialProgress | None = None
-        self._next_s = time.monotonic() + PATIENCE_S
-
-    def show(self, now: TrialProgress) -> None:
-        """Draw the line, unless it was drawn just now."""
-        self._last = now
-        if time.monotonic() >= self._next_s:
-            self._draw(now)
-            self._next_s = time.monotonic() + REDRAW_S
-
-    def end(self) -> None:
-        """Draw the last state of what has been shown."""
-        if self._handle is not None and self._last is not None:
-            self._draw(self._last)
-
-    def _draw(self, now: TrialProgress) -> None:
-        display: Any = import_module("IPython.display")
-        shown = display.HTML(progress_html(self._label, now))
-        if self._handle is None:
-            self._handle = display.display(shown, display_id=True)
-        else:
-            self._handle.update(shown)
+        if handle is not None and last is not None:
+            draw(last)
 
 
 def progress_html(label: str, now: TrialProgress) -> str:
     """A bar of the robots at their goals, and the figures of the round."""
-    error = "" if now.error is None else f" · error {now.error:.2f}"
-    cost = f" · {now.cost_usd:.4f} USD" if now.cost_usd else ""
-    text = (
-        f"{label} · round {now.round} · at goal {now.at_goal}/{now.n_robots} · plans {now.plans_in_use}{error} · "
-        f"calls {now.model_calls} · tokens {now.tokens:,}{cost}"
-    )
-    return f'<progress value="{now.at_goal}" max="{max(1, now.n_robots)}"></progress> <code>{escape(text)}</code>'
+    text = escape(f"{label} · {now.text}")
+    return f'<progress value="{now.at_goal}" max="{max(1, now.n_robots)}"></progress> <code>{text}</code>'

@@ -12,21 +12,13 @@ from llm_flock.runtime._trial import Trial
 
 
 def check_shape(shape: object) -> None:
-    """Refuse a shape that is read from a file: what comes from pages and other programs names none.
-
-    Raises:
-        InputError: it is one.
-    """
+    """Refuse a shape that is read from a file: what comes from pages and other programs names none."""
     if isinstance(shape, str) and shape.strip().startswith("points:"):
         raise InputError("shape", shape, "a shape with a name; only the command line reads files")
 
 
 class RunOrders:
-    """Takes orders from any thread, and carries them out between two rounds.
-
-    Attributes:
-        round: the round in flight.
-    """
+    """Takes orders from any thread, and carries them out between two rounds; `round` is the one in flight."""
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
@@ -41,20 +33,12 @@ class RunOrders:
         self.round = 0
 
     def kill(self, robot: int) -> None:
-        """Kill a robot.
-
-        Raises:
-            InputError: there is no such robot, it is dead, or it is the last one.
-        """
+        """Kill a robot that is alive, and not the last one."""
         with self._lock:
             self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
 
     def change(self, fields: dict[str, Any]) -> int:
-        """Change fields of the mission of one robot, and return that robot; the others hear of it from there.
-
-        Raises:
-            InputError: the mission cannot be changed like that.
-        """
+        """Change fields of the mission of one robot, and return that robot; the others hear of it from there."""
         check_shape(fields.get("shape"))
         with self._lock:
             when = self.round + 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,22 +14,18 @@ from numpy.typing import NDArray
 from llm_flock import metrics
 from llm_flock.errors import InputError
 from llm_flock.events import Origin
-from llm_flock.links import Traffic
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.record._schema import FORMAT_VERSION, Entry, RunInfo, SummaryMessage
+from llm_flock.record._schema import Entry, RunInfo, SummaryMessage
 from llm_flock.runtime._config import RunConfig
-from llm_flock.runtime._journal import Journal, finite
-from llm_flock.runtime._planners import TeamPlanners
-from llm_flock.runtime._roster import Roster
-from llm_flock.runtime._schedule import Schedule
+from llm_flock.runtime._journal import finite
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
     import polars
 
-    from llm_flock.record._reader import RunRecord
-    from llm_flock.record._tables import TableName
+    from llm_flock.record._reader import RunRecord, TableName
+    from llm_flock.runtime._trial import Trial
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -52,9 +49,7 @@ class FlightFigures:
     safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut
     air_s: float  # from the first take-off until the last drone was down
     min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
-    tracking_rms_m: (
-        float | None
-    )  # distance of drones from their set-points `lag_s` ago at most, root of the mean square
+    tracking_rms_m: float | None  # root mean square distance of drones from their set-points `lag_s` ago at most
     tracking_max_m: float | None  # the largest of these distances
     fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
     poses_refused: dict[str, int] | None = None  # poses from outside that were not sent, by drone and reason
@@ -277,10 +272,8 @@ def trace_record(
     from llm_flock.record._reader import gather_record
 
     about = RunInfo(
-        format_version=FORMAT_VERSION,
         config=config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}}),
         versions={},
-        git_revision=None,
         seed=config.trial.seed,
         simulated=summary is not None and summary.simulated,
         unrepeatable=list(unrepeatable) or None,
@@ -292,26 +285,10 @@ def trace_record(
     return gather_record(path, (about, *trace, *end))
 
 
-GEOMETRY = "geometry"
-"""Supplier of a plan that no model made."""
-
-
-def summarize(
-    config: RunConfig,
-    schedule: Schedule,
-    journal: Journal,
-    roster: Roster,
-    planners: TeamPlanners,
-    traffic: Traffic,
-    *,
-    rounds: int,
-    stopped: str,
-    reason: str | None,
-    wall_s: float,
-    record: str | None,
-    flight: FlightFigures | None,
-) -> Summary:
-    """The summary of a run that stopped for a reason: its duration [s], the path of its record, a flight's figures."""
+def summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -> Summary:
+    """The summary of a trial that stopped: with the path of its record, and a flight's figures."""
+    config, journal, roster = trial.config, trial.journal, trial.roster
+    planners, traffic = trial.planners, trial.transport.traffic
     agents, episode = roster.awake_agents(), journal.episode
     plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
     slots = [a.claim.slot for a in agents]
@@ -330,12 +307,12 @@ def summarize(
         shield=bool(config.protocol.shield),
         models=tuple(dict.fromkeys(planners.names)),
         simulated=planners.simulated,
-        stopped=stopped,
-        reason=reason,
-        rounds=rounds,
+        stopped=trial.stopped,
+        reason=trial.reason,
+        rounds=trial.round,
         formed=episode.formed_at is not None,
         formed_by_models=episode.formed_at is not None
-        and GEOMETRY not in (by, *planners.names)
+        and "geometry" not in (by, *planners.names)
         and not journal.breakers_opened
         and not journal.waypoints[Origin.GEOMETRY.value],
         rounds_to_formed=episode.rounds_to_formed,
@@ -368,10 +345,10 @@ def summarize(
         messages_sent=traffic.sent,
         bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
         messages_rejected=dict(sorted(journal.rejected(roster).items())),
-        wall_s=wall_s,
+        wall_s=time.perf_counter() - trial.began,
         record=record,
-        killed=_turns(schedule.kills, rounds),
-        joined=_turns(schedule.joins, rounds),
+        killed=_turns(trial.schedule.kills, trial.round),
+        joined=_turns(trial.schedule.joins, trial.round),
         missions=tuple(
             MissionOutcome(
                 round=part.flown + 1 if part.flown else 0,

@@ -14,8 +14,13 @@ from llm_flock.runtime._config import ConfigSection
 NAME = r"[A-Za-z_][A-Za-z0-9_]*"
 """A token of a ROS name."""
 
-PATH = "names with slashes between them, such as lab/flock: letters, digits and _, no digit first"
-"""What `NAME` and slashes allow, in words."""
+_PATH: Any = {
+    "pattern": rf"^{NAME}(/{NAME})*$",
+    "max_length": 128,
+    "json_schema_extra": {
+        "expected": "names with slashes between them, such as lab/flock: letters, digits and _, no digit first"
+    },
+}
 
 ROBOT = "{id}"
 """Stands for a robot's id in `ros_pose_topic`."""
@@ -41,19 +46,9 @@ class Ros2Config(ConfigSection):
     )
     ros_domain: int = Field(default=0, ge=0, le=232, description="ROS_DOMAIN_ID")
     ros_namespace: str | None = Field(
-        default=None,
-        pattern=rf"^{NAME}(/{NAME})*$",
-        max_length=128,
-        json_schema_extra={"expected": PATH},
-        description="Namespace of the team's nodes and topics; the swarm's name if unset",
+        default=None, description="Namespace of the team's nodes and topics; the swarm's name if unset", **_PATH
     )
-    ros_frame: str = Field(
-        default="world",
-        pattern=rf"^{NAME}(/{NAME})*$",
-        max_length=128,
-        json_schema_extra={"expected": PATH},
-        description="Frame of all positions",
-    )
+    ros_frame: str = Field(default="world", description="Frame of all positions", **_PATH)
     ros_rate_hz: float = Field(
         default=10.0, ge=0.1, le=100, allow_inf_nan=False, description="Poses of each robot per second"
     )
@@ -108,11 +103,7 @@ class Ros2Config(ConfigSection):
 
 
 def refuse_ros2(flags: Mapping[str, Any], says: str) -> None:
-    """Refuse flags of ROS 2. What a file says about ROS 2 may stay there.
-
-    Raises:
-        InputError: one was typed.
-    """
+    """Refuse typed flags of ROS 2. What a file says about ROS 2 may stay there."""
     for field in Ros2Config.model_fields:
         if flags.get(field) is not None:
             raise InputError(field, flags[field], says=says)

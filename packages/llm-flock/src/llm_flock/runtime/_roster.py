@@ -6,74 +6,41 @@ import importlib
 from collections.abc import Callable, Iterable
 
 from llm_flock.agent import Agent
-from llm_flock.bounds import TIME_OUT
-from llm_flock.mission import Mission
-from llm_flock.protocol._parts import Checker, Gaps, Membership, Parts, Safety
+from llm_flock.protocol._parts import Checker, Membership, Parts, Safety
 from llm_flock.record._schema import ASLEEP, DEAD
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._rules import Rules, are_the_papers
 from llm_flock.simulate import Bodies
 
-SOLVERS = ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial")
-"""What agents compute with. scipy imports each at its first use, which takes up to half a second."""
-
 
 def load_solvers() -> None:
-    """Import the solvers now: an agent that waits for one in flight would miss its deadlines."""
-    for name in SOLVERS:
+    """Import what agents compute with now: half a second of waiting in flight would make them miss deadlines."""
+    for name in ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial"):
         importlib.import_module(name)
 
 
-def make_parts(
-    robot: int,
-    mission: Mission,
-    rules: Rules,
-    *,
-    shield: bool,
-    verify: bool,
-    membership: bool = True,
-    noise_bound: float = 0.0,
-    time_out: int = TIME_OUT,
-    gaps: Gaps = "report",
-    apart: float | None = None,
-) -> Parts:
+def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
     """What one robot of a team without keys is made of; call once for each agent, as parts keep state.
 
-    Bodies pass each other if they are `apart` [units], the safe distance if not given. With `gaps` of "replan", plans
-    for fewer robots are accepted. Without `membership` a robot knows its neighbours only.
+    Bodies pass each other if they are `apart` [units], the safe distance if not given.
     """
-    team, safety, verifier = Membership(), Safety(), Checker(any_size=gaps == "replan")
-    if membership:
+    protocol, mission = config.protocol, config.mission
+    any_size = protocol.gaps == "replan"
+    team, safety, verifier = Membership(), Safety(), Checker(any_size=any_size)
+    if any_size or not are_the_papers(rules):  # the paper's rules know of no team
         from llm_flock.protocol._membership.team import TeamMembership
 
-        team = TeamMembership(robot, mission, time_out=time_out, gaps=gaps)
-    if shield:
+        team = TeamMembership(robot, mission, time_out=protocol.time_out, gaps=protocol.gaps)
+    if protocol.shield:
         from llm_flock.protocol._motion.safety import ShieldedSafety
 
-        safety = ShieldedSafety(robot, mission, noise_bound, apart)
-    if verify:
+        safety = ShieldedSafety(robot, mission, config.trial.noise, apart)
+    if protocol.verify:
         from llm_flock.protocol._verification.validator import Validator
 
-        verifier = Validator(shield_on=shield, any_size=gaps == "replan")
+        verifier = Validator(shield_on=bool(protocol.shield), any_size=any_size)
     consensus, assignment = rules
     return Parts(consensus=consensus, assignment=assignment, membership=team, safety=safety, verifier=verifier)
-
-
-def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
-    """The parts of a robot as configured. The paper's rules know of no team, so there they have no membership."""
-    protocol = config.protocol
-    return make_parts(
-        robot,
-        config.mission,
-        rules,
-        shield=bool(protocol.shield),
-        verify=bool(protocol.verify),
-        membership=protocol.gaps == "replan" or not are_the_papers(rules),
-        noise_bound=config.trial.noise,
-        time_out=protocol.time_out,
-        gaps=protocol.gaps,
-        apart=apart,
-    )
 
 
 def make_agent(config: RunConfig, robot: int, parts: Parts, *, own_clock: bool = False) -> Agent:

@@ -30,39 +30,18 @@ CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
     {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}
 )
 ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
-    {
-        "index": IndexAssignment,
-        "nearest": NearestAssignment,
-        "nearest-free": NearestFreeAssignment,
-        "auction": _auction,
-    }
+    {"index": IndexAssignment, "nearest": NearestAssignment, "nearest-free": NearestFreeAssignment, "auction": _auction}
 )
 
 
-def _rules_of(preset: str) -> dict[str, str | bool]:
-    return dict(zip(("consensus", "assignment", "shield"), PRESET_RULES[preset], strict=True))
-
+_CHECKED = {"verify": True, "comm_rounds": 5, "fallback": "breaker"}
+_BARE = {"verify": False, "comm_rounds": 1, "fallback": "hold"}
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        "flock": {
-            **_rules_of("flock"),
-            "verify": True,
-            "comm_rounds": 5,
-            "fallback": "breaker",
-        },
-        "paper": {
-            **_rules_of("paper"),
-            "verify": False,
-            "comm_rounds": 1,
-            "fallback": "hold",
-        },
-        "baseline": {
-            **_rules_of("baseline"),
-            "verify": False,
-            "comm_rounds": 1,
-            "fallback": "hold",
-        },
+        name: dict(zip(("consensus", "assignment", "shield"), rules, strict=True))
+        | (_CHECKED if name == "flock" else _BARE)
+        for name, rules in PRESET_RULES.items()
     }
 )
 
@@ -101,32 +80,28 @@ def _rule(
     known: Mapping[str, Callable[[], Any]],
     methods: tuple[str, ...],
 ) -> Any:
-    if not isinstance(name, str):
-        return _checked(field, name, methods)
-    if name in known:
-        return known[name]()
-    from llm_flock import plugins
+    rule = name
+    if isinstance(name, str):
+        if name in known:
+            return known[name]()
+        from llm_flock import plugins
 
-    installed = plugins.entries(field)
-    if name in installed:
-        return _checked(field, plugins.load(field, name)(), methods)
-    if ":" not in name:
-        raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
-    allowed = "package.module:Class that can be imported"
-    from llm_flock.own_code import load_own
+        installed = plugins.entries(field)
+        if name in installed:
+            rule = plugins.load(field, name)()
+        elif ":" not in name:
+            raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
+        else:
+            from llm_flock.own_code import load_own
 
-    found = load_own(field, name, allowed)
-    try:
-        rule = found()
-    except (AttributeError, TypeError, ValueError) as error:
-        raise InputError(field, name, f"{allowed} ({error})") from error
-    return _checked(field, rule, methods)
-
-
-def _checked(field: str, rule: Any, methods: tuple[str, ...]) -> Any:
+            allowed = "package.module:Class that can be imported"
+            found = load_own(field, name, allowed)
+            try:
+                rule = found()
+            except (AttributeError, TypeError, ValueError) as error:
+                raise InputError(field, name, f"{allowed} ({error})") from error
     complete = isinstance(getattr(rule, "name", None), str) and all(callable(getattr(rule, m, None)) for m in methods)
     if isinstance(rule, type) or not complete:
-        raise InputError(
-            field, rule, f"a name, or an object with a name and {' and '.join(methods)}; see llm_flock.testing"
-        )
+        allowed = f"a name, or an object with a name and {' and '.join(methods)}; see llm_flock.testing"
+        raise InputError(field, rule, allowed)
     return rule

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
@@ -111,10 +111,6 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
     """All events, checked as a whole.
 
     Robots that are named in no event die or join at random, each in a round from 1 to RANDOM_ROUNDS.
-
-    Raises:
-        InputError: no such robot, no such round, a robot dies twice or joins while it is awake, no robot is left awake,
-            or a mission cannot be changed like that.
     """
     rounds, kill_random = MOST_ROUNDS if trial.rounds is None else trial.rounds, trial.kill_random
     killed = _turns("kill", trial.kill, mission.n_robots, rounds)
@@ -132,9 +128,15 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
         whens = rng.integers(1, min(RANDOM_ROUNDS, max(1, rounds)) + 1, size=wanted).tolist()
         turns = list(zip(drawn, whens, strict=True))
         killed, joined = killed + turns[:kill_random], joined + turns[kill_random:]
-    asleep = _asleep(mission.n_robots, killed, joined)
-    schedule = Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions={})
-    return replace(schedule, missions=_missions(mission, trial.changes, schedule, rounds))
+    events = _events(mission.n_robots, killed, joined)
+    asleep = _asleep(events)
+
+    def awake(robot: int, when: int) -> bool:
+        past = [field for number, field in events.get(robot, ()) if number <= when]
+        return past[-1] == "join" if past else robot not in asleep
+
+    missions = _missions(mission, trial.changes, awake, rounds)
+    return Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions=missions)
 
 
 def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Turn]:
@@ -156,18 +158,21 @@ def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Tur
 
 
 def _by_round(turns: Sequence[Turn]) -> dict[int, tuple[int, ...]]:
-    found: defaultdict[int, list[int]] = defaultdict(list)
+    found: defaultdict[int, tuple[int, ...]] = defaultdict(tuple)
     for robot, when in sorted(turns):
-        found[when].append(robot)
-    return {when: tuple(robots) for when, robots in found.items()}
+        found[when] += (robot,)
+    return dict(found)
 
 
-def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> frozenset[int]:
-    """Robots whose first event is to join. Checks the order of each robot's events."""
-    events: defaultdict[int, list[tuple[int, str]]] = defaultdict(list)
-    for field, turns in (("kill", killed), ("join", joined)):
-        for robot, when in turns:
-            events[robot].append((when, field))
+def _events(
+    n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]
+) -> dict[int, list[tuple[int, Literal["kill", "join"]]]]:
+    """The rounds in which each robot dies and joins, in their order, which is checked."""
+    events: defaultdict[int, list[tuple[int, Literal["kill", "join"]]]] = defaultdict(list)
+    for robot, when in killed:
+        events[robot].append((when, "kill"))
+    for robot, when in joined:
+        events[robot].append((when, "join"))
     steps: defaultdict[int, int] = defaultdict(int)
     for robot, found in events.items():
         found.sort()
@@ -177,16 +182,20 @@ def _asleep(n_robots: int, killed: Sequence[Turn], joined: Sequence[Turn]) -> fr
                 raise InputError(other, f"{robot}@{later}", f"{said}, in a later round than round {when}")
         for when, field in found:
             steps[when] += 1 if field == "join" else -1
-    asleep = frozenset(robot for robot, found in events.items() if found[0][1] == "join")
-    awake = itertools.accumulate((steps[when] for when in sorted(steps)), initial=n_robots - len(asleep))
-    if min(awake) < 1:
-        field, value = ("join", sorted(joined)) if len(asleep) == n_robots else ("kill", sorted(killed))
+    first = n_robots - len(_asleep(events))
+    if min(itertools.accumulate((steps[when] for when in sorted(steps)), initial=first)) < 1:
+        field, value = ("kill", sorted(killed)) if first else ("join", sorted(joined))
         raise InputError(field, value, "at least one robot that is awake, at any time")
-    return asleep
+    return events
+
+
+def _asleep(events: Mapping[int, Sequence[tuple[int, str]]]) -> frozenset[int]:
+    """Robots whose first event is to join."""
+    return frozenset(robot for robot, found in events.items() if found[0][1] == "join")
 
 
 def _missions(
-    mission: Mission, changes: Sequence[Change], schedule: Schedule, rounds: int
+    mission: Mission, changes: Sequence[Change], awake: Callable[[int, int], bool], rounds: int
 ) -> dict[int, tuple[tuple[int, Mission], ...]]:
     """The mission of each change, made from the one before as it is in that round."""
     found: dict[int, tuple[tuple[int, Mission], ...]] = {}
@@ -197,13 +206,13 @@ def _missions(
             raise InputError("changes", value, f"a robot from 0 to {mission.n_robots - 1}")
         if when > rounds:
             raise InputError("changes", value, f"a round from 1 to {rounds}, the most that are flown")
-        if not _awake(schedule, robot, when):
+        if not awake(robot, when):
             raise InputError("changes", value, f"a robot that is awake in round {when}")
         fields = dict(change.set)
         try:
             if "since" in fields:
-                reason = "cannot be given: a changed mission counts from the round of the change"
-                raise InputError("since", fields["since"], says=reason)
+                says = "cannot be given: a changed mission counts from the round of the change"
+                raise InputError("since", fields["since"], says=says)
             load_points(fields)
             new = mission.at(when).change(**fields, since=when)
         except InputError as error:
@@ -217,11 +226,7 @@ def _missions(
 
 
 def points_file(shape: str) -> Path:
-    """The file of a shape `points:FILE`.
-
-    Raises:
-        InputError: it has no name.
-    """
+    """The file of a shape `points:FILE`."""
     name = shape.partition(":")[2].strip()
     if not name:
         raise InputError("shape", shape, "points:FILE, with the name of a file")
@@ -229,11 +234,7 @@ def points_file(shape: str) -> Path:
 
 
 def load_points(fields: dict[str, Any]) -> bool:
-    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one.
-
-    Raises:
-        InputError: the file cannot be read.
-    """
+    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one."""
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False
@@ -241,11 +242,3 @@ def load_points(fields: dict[str, Any]) -> bool:
 
     fields.update(shape="points", points=read_points(points_file(shape), "shape"))
     return True
-
-
-def _awake(schedule: Schedule, robot: int, when: int) -> bool:
-    kills = [number for number, robots in schedule.kills.items() if robot in robots and number <= when]
-    joins = [number for number, robots in schedule.joins.items() if robot in robots and number <= when]
-    if not kills and not joins:
-        return robot not in schedule.asleep
-    return max(joins, default=0) > max(kills, default=0)

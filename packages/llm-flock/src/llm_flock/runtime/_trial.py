@@ -17,6 +17,7 @@ from llm_flock import events
 from llm_flock.arrays import Points
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
+from llm_flock.message import order_time
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record._schema import MetricsRow, SummaryMessage
 from llm_flock.runtime._config import RunConfig
@@ -29,15 +30,6 @@ from llm_flock.runtime._schedule import Stream, stream
 from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
-
-ROUNDS_TO_LOOK = 10
-"""Rounds that a run continues after the time-out of the last robot that died."""
-
-SILENT_ROUNDS = 3
-"""Rounds in a row in which every model call fails, after which a run without circuit breakers ends."""
-
-UNUSABLE = frozenset({"answer", "unverified", "slow"})
-"""Causes of a failure in which the model did answer."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +46,16 @@ class TrialProgress:
     model_calls: int
     tokens: int
     cost_usd: float | None
+
+    @property
+    def text(self) -> str:
+        """The figures in a line."""
+        error = "" if self.error is None else f" · error {self.error:.2f}"
+        cost = "" if not self.cost_usd else f" · {self.cost_usd:.4f} USD"
+        return (
+            f"round {self.round} · at goal {self.at_goal}/{self.n_robots} · plans {self.plans_in_use} · "
+            f"goals {self.distinct_goals}{error} · calls {self.model_calls} · tokens {self.tokens:,}{cost}"
+        )
 
     @classmethod
     def of(cls, row: MetricsRow, *, rounds: int, n_robots: int) -> Self:
@@ -75,8 +77,7 @@ class TrialProgress:
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    After each round `on_round` is called, for a live display. Before each round `steer` is awaited: whoever steers may
-    change the schedule, the links and the planners by then.
+    `steer` is awaited before each round, and may change the schedule, the links and the planners.
     """
 
     def __init__(
@@ -107,7 +108,7 @@ class Trial:
         self._on_round = on_round
         self._steer = steer
         self._moves: dict[int, MoveTo] = {}
-        self._began = time.perf_counter()
+        self.began = time.perf_counter()
 
     @property
     def rounds(self) -> int:
@@ -118,11 +119,7 @@ class Trial:
         return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
 
     async def run(self) -> None:
-        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more.
-
-        Raises:
-            asyncio.CancelledError: after the record was brought to a readable end by `finish`.
-        """
+        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more."""
         self.begin()
         try:
             while self.round < self.rounds:
@@ -162,7 +159,7 @@ class Trial:
     def _find_hopeless(self) -> bool:
         """Whether the run cannot succeed any more, and why: nobody has a plan, and no model gives one."""
         if self.config.protocol.fallback == "hold":
-            silent = self.journal.silent_rounds >= SILENT_ROUNDS
+            silent = self.journal.silent_rounds >= 3  # every call failed
             if silent:
                 self.stopped, self.reason = "no_answers", self.journal.last_failure
             return silent
@@ -170,7 +167,8 @@ class Trial:
         found = [failure for failure in failures if failure is not None]
         if self.schedule.last > self.round or len(found) < len(failures) or not found:
             return False
-        self.stopped = "no_plan" if any(failure.cause in UNUSABLE for failure in found) else "no_answers"
+        answered = any(failure.cause in ("answer", "unverified", "slow") for failure in found)
+        self.stopped = "no_plan" if answered else "no_answers"
         count, reason = commonest([failure.reason for failure in found])
         self.reason = f"{count} of {len(found)} robots: {reason}"
         return True
@@ -184,7 +182,8 @@ class Trial:
         from llm_flock.protocol._membership.liveness import patience
 
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        return max(kills) + time_out + ROUNDS_TO_LOOK
+        rounds_to_look = 10
+        return max(kills) + time_out + rounds_to_look
 
     @property
     def _done(self) -> bool:
@@ -206,12 +205,7 @@ class Trial:
             journal.note(number, None, robot, Note("joined", {}))
         if killed or joined:
             journal.episode.disturb(number - 1)
-        given = schedule.missions.get(number, ())
-        if not given:
-            return
-        from llm_flock.message import order_time
-
-        for count, (robot, mission) in enumerate(given):
+        for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
             journal.mission_given(mission, number - 1, self.bodies.positions)
             self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
@@ -328,20 +322,7 @@ class Trial:
         self.journal.flush_attempts()
         if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
             self.journal.measure_error(self.roster)
-        summary = summarize(
-            self.config,
-            self.schedule,
-            self.journal,
-            self.roster,
-            self.planners,
-            self.transport.traffic,
-            rounds=self.round,
-            stopped=self.stopped,
-            reason=self.reason,
-            wall_s=time.perf_counter() - self._began,
-            record=record,
-            flight=flight,
-        )
+        summary = summarize(self, record, flight)
         self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
         return RunResult(
             mission=self.config.mission,

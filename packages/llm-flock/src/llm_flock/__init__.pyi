@@ -1,0 +1,17 @@
+from .agent import Agent as Agent
+from .errors import FlockError as FlockError
+from .errors import InputError as InputError
+from .llm._port import LanguageModel as LanguageModel
+from .mission import Mission as Mission
+from .mission import build_mission as build_mission
+from .plan import Plan as Plan
+from .protocol._agreement.assignment import AssignmentRule as AssignmentRule
+from .protocol._agreement.consensus import ConsensusRule as ConsensusRule
+from .protocol._parts import Parts as Parts
+from .protocol._planning import Planner as Planner
+from .record._reader import read_record as read_record
+from .robots._base import Robot as Robot
+from .runtime._api import run as run
+from .runtime._api import run_async as run_async
+from .runtime._result import RunResult as RunResult
+from .runtime._result import Summary as Summary
