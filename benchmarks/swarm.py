@@ -15,6 +15,7 @@ import asyncio
 import math
 import multiprocessing
 import os
+import os
 import signal
 import statistics
 import tempfile
@@ -185,20 +186,20 @@ def thirty() -> None:
 
 async def _kill(swarm: Swarm) -> None:
     await asyncio.sleep(3.0)
-    swarm.signal("robot-2", signal.SIGKILL)
+    os.kill(swarm.pids["robot-2"], signal.SIGKILL)
     await asyncio.sleep(0.5)
 
 
 async def _kill_recorder(swarm: Swarm) -> None:
     await asyncio.sleep(3.0)
-    swarm.signal("recorder", signal.SIGKILL)
+    os.kill(swarm.pids["recorder"], signal.SIGKILL)
 
 
 async def _stop(swarm: Swarm) -> None:
     await asyncio.sleep(3.0)
-    swarm.signal("robot-2", signal.SIGSTOP)
+    os.kill(swarm.pids["robot-2"], signal.SIGSTOP)
     await asyncio.sleep(3.0)
-    swarm.signal("robot-2", signal.SIGCONT)
+    os.kill(swarm.pids["robot-2"], signal.SIGCONT)
     await asyncio.sleep(2.5)
 
 
