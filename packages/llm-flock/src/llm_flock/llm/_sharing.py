@@ -1,4 +1,4 @@
-"""A budget, the rates of providers, and models that the runs of a sweep share."""
+"""A budget and the rates of providers that the runs of a sweep share."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
-from llm_flock.llm._limits import Budget, CallGate, Spent
-from llm_flock.llm._models import ModelPool, cost_usd
+from llm_flock.llm._limits import Budget, BudgetMeter, Spent
+from llm_flock.llm._models import cost_usd
 from llm_flock.llm._port import Usage
 from llm_flock.llm._sources import source_of
 
@@ -78,37 +78,26 @@ class _Traffic:
             self._recent.append(call)
 
 
-class SharedGate:
+class SharedGate(BudgetMeter):
     """A `CallGate` within one process and event loop.
 
     Calls count when they begin. Tokens and money are known with the answer; until then a call reserves its expected
     use, so that near the end of a budget calls wait for those under way, and it is overrun by about one call.
 
-    Args:
-        budget: of all runs together.
-        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to as
-            many questions at once as they answer.
-        window_s: length of a minute, for tests [s].
+    `rates` are of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to
+    as many questions at once as they answer. `window_s` is the length of a minute, for tests [s].
     """
 
+    owner = " of the sweep"
+
     def __init__(
-        self,
-        budget: Budget | None = None,
-        rates: Mapping[str, Rate] | None = None,
-        *,
-        window_s: float = WINDOW_S,
+        self, budget: Budget | None = None, rates: Mapping[str, Rate] | None = None, *, window_s: float = WINDOW_S
     ) -> None:
+        super().__init__(budget)
         given = rates or {}
-        self.budget = budget or Budget()
-        self.spent = Spent()
-        self.elsewhere = Spent()
-        """Spent by other processes, of the same budget; whoever learns of it sets it."""
-        self.reason: str | None = None
         self._traffic: defaultdict[str, _Traffic] = defaultdict(lambda: _Traffic(Rate(), window_s))
         for provider in {*plugins.entries("models"), *given}:
-            rate = given.get(provider)
-            if rate is None:
-                rate = Rate(max_concurrent=source_of(provider).at_once)
+            rate = given.get(provider) or Rate(max_concurrent=source_of(provider).at_once)
             self._traffic[provider] = _Traffic(rate, window_s)
         self._changed = asyncio.Event()
         self._tickets = itertools.count()
@@ -121,7 +110,7 @@ class SharedGate:
         tokens, cost = self._expected(model, chars)
         async with traffic.queue:
             while True:
-                self._check(new_call=not again)
+                self.check(new_call=not again)
                 wait = max(self._wait_for_budget(tokens, cost), traffic.wait_s(tokens, time.monotonic()))
                 if wait <= 0:
                     break
@@ -151,15 +140,8 @@ class SharedGate:
     def exhausted(self) -> bool:
         """Whether a new call would be turned away."""
         with suppress(BudgetExceeded):
-            self._check(new_call=True)
+            self.check(new_call=True)
         return self.reason is not None
-
-    def _check(self, *, new_call: bool) -> None:
-        reason = self.budget.exhausted(self.spent + self.elsewhere, new_call=new_call, owner=" of the sweep")
-        if reason is not None:
-            self.reason = reason
-            self._changed.set()
-            raise BudgetExceeded(reason)
 
     def _wait_for_budget(self, tokens: int, cost: float) -> float:
         """Infinite while calls under way may use up the rest of the budget, else 0 [s]."""
@@ -181,31 +163,3 @@ class SharedGate:
             return usage.total, 0.0
         listed = cost_usd(provider, name, usage)
         return usage.total, listed if listed is not None else paid / max(1, calls)
-
-
-class CallLane:
-    """One run's access to the shared gate and models.
-
-    Without gate, all calls are admitted; without pool, the run makes its own. `cut` tells whether the shared budget
-    turned away a call of this run.
-    """
-
-    def __init__(self, gate: CallGate | None = None, pool: ModelPool | None = None) -> None:
-        self.pool = pool
-        self.cut = False
-        self._gate = gate
-
-    async def enter(self, model: str, chars: int, *, again: bool) -> int:
-        """See `CallGate`."""
-        if self._gate is None:
-            return -1
-        try:
-            return await self._gate.enter(model, chars, again=again)
-        except BudgetExceeded:
-            self.cut = True
-            raise
-
-    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
-        """See `CallGate`."""
-        if self._gate is not None:
-            self._gate.leave(ticket, usage, cost_usd)
