@@ -1,4 +1,4 @@
-"""Make, write and read examples: questions with the answers of our own planner, for a small model, or of recorded runs.
+"""Make, write and read examples: questions with the answers of our own planner, for a small model.
 
 Missions, positions and goals are random, the question goes through the frame and the prompts of a run, and the answer
 is the straight step of `GeometryPlanner`. Answers that our own checks would reject are not taught.
@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
-from pydantic import ValidationError
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
-from llm_flock.llm import HEADER, VERSION, CassetteLine, FramedQuestion, PromptSet, frame_plan, frame_step, place_text
+from llm_flock.llm import FramedQuestion, PromptSet, frame_plan, frame_step, place_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import (
@@ -58,9 +57,6 @@ TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
 
 HELD_OUT_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (("star", (10,)), ("wedge", (3, 5, 7, 8)))
 """Held-out teams, whose motion is never taught; held-out centres and spacings differ too."""
-
-RECORDED = "recorded"
-"""The team of a recorded example: shape and size stand only in its prompt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -203,11 +199,7 @@ def plan_examples(seed: int, split: Split) -> Iterator[Example]:
 
 
 def write_examples(path: Path, examples: Iterable[Example]) -> int:
-    """Write examples as JSON lines and return their number.
-
-    Raises:
-        InputError: the file cannot be written; a broken recording among the examples leaves none behind.
-    """
+    """Write examples as JSON lines and return their number; InputError if the file cannot be written."""
     lines = [json.dumps(asdict(example)) + "\n" for example in examples]
     try:
         path.write_text("".join(lines), encoding="utf-8")
@@ -217,11 +209,7 @@ def write_examples(path: Path, examples: Iterable[Example]) -> int:
 
 
 def read_examples(path: Path) -> list[Example]:
-    """Read what `write_examples` wrote.
-
-    Raises:
-        InputError: for field `data`: the file cannot be read, or a line is not an example.
-    """
+    """Read what `write_examples` wrote; InputError for field `data` if a line is not an example."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -236,41 +224,6 @@ def read_examples(path: Path) -> list[Example]:
     if not examples:
         raise InputError("data", str(path), "a file with at least one example")
     return examples
-
-
-def recorded_examples(path: Path) -> Iterator[Example]:
-    """Questions of a run with their accepted answers, as they were asked.
-
-    Questions that were asked again or follow earlier exchanges are left out: an example is one question and one answer.
-    So are answers that were clipped before they were flown, and a last line that was cut off when its run was killed.
-
-    Raises:
-        InputError: for field `cassette`: it cannot be read, or a line is not of a cassette.
-    """
-    try:
-        first, *lines = path.read_text(encoding="ascii").split("\n")[:-1]
-        if json.loads(first)[HEADER] != VERSION:
-            raise ValueError(f"not of version {VERSION}")
-    except (LookupError, TypeError, RecursionError):
-        raise InputError("cassette", str(path), f"a recording of --record-llm, with {HEADER!r} in line 1") from None
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError("cassette", str(path), f"a recording of --record-llm ({why})") from None
-    for number, text in enumerate(lines, start=2):
-        try:
-            line = CassetteLine.model_validate_json(text)
-        except ValidationError:
-            raise InputError("cassette", f"{path}, line {number}", "a line of a recording of --record-llm") from None
-        if (
-            line.parsed is None
-            or line.text is None
-            or line.clipped
-            or [m.role for m in line.messages] != ["system", "user"]
-        ):
-            continue
-        system, user = (message.text for message in line.messages)
-        kind = "plan" if line.kind == "plan" else "path" if "path" in line.parsed else "step"
-        yield Example(kind=kind, system=system, user=user, answer=line.text.strip(), team=RECORDED)
 
 
 def _away(point: Point, distance: float, angle_rad: float) -> Point:

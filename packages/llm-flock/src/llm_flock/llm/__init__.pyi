@@ -45,9 +45,6 @@ from ._prompting import PromptSet as PromptSet
 from ._providers import PROVIDERS as PROVIDERS
 from ._providers import parse_base_urls as parse_base_urls
 from ._providers import parse_model as parse_model
-from ._replay import HEADER as HEADER
-from ._replay import VERSION as VERSION
-from ._replay import CassetteLine as CassetteLine
 from ._replay import ReplayModel as ReplayModel
 from ._sharing import Rate as Rate
 from ._sharing import SharedGate as SharedGate

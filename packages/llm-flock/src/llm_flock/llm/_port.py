@@ -6,7 +6,9 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, Protocol, TypeAlias
+from typing import Annotated, Any, Literal, Protocol, TypeAlias
+
+from pydantic import ConfigDict, Field
 
 Role: TypeAlias = Literal["system", "user", "assistant"]
 Kind: TypeAlias = Literal["plan", "step"]
@@ -47,14 +49,21 @@ class CallSettings:
 MOST_TOKENS = 10**9
 """Most tokens that are believed of one call, in each direction: sums of calls have room in a record."""
 
+Count: TypeAlias = Annotated[int, Field(ge=0, le=MOST_TOKENS)]
+Amount: TypeAlias = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+CHECKED = ConfigDict(strict=True, revalidate_instances="always")
+"""How pydantic checks what code or files of others hold, where it is asked to."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
     """Tokens of one or many calls; `cached` is the part of `input` that the provider had in its cache."""
 
-    input: int = 0
-    output: int = 0
-    cached: int = 0
+    __pydantic_config__ = CHECKED
+
+    input: Count = 0
+    output: Count = 0
+    cached: Count = 0
 
     @classmethod
     def reported(cls, tokens_in: int, tokens_out: int, cached: int = 0) -> Usage:
@@ -139,12 +148,14 @@ class Reply:
         thought: whether it thought before it answered: thoughts are not part of the text, but may be all there is.
     """
 
+    __pydantic_config__ = CHECKED
+
     text: str
     model: str
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     usage: Usage = Usage()
-    cost_usd: float | None = None
-    latency_s: float = 0.0
+    cost_usd: Amount | None = None
+    latency_s: Amount = 0.0
     faults: tuple[str, ...] = ()
     finish_reason: str | None = None
     thought: bool = False
@@ -159,12 +170,7 @@ class LanguageModel(Protocol):
         ...
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call.
-
-        Raises:
-            ModelError: there is no answer.
-            ReplayDrift: a replayed conversation differs.
-        """
+        """Answer one call; ModelError if there is no answer, ReplayDrift if a replayed conversation differs."""
         ...
 
 

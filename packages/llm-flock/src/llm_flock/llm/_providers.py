@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 from urllib.parse import urlsplit
 
+from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
+from llm_flock.extras import EXTRAS, ExtraMissing
 from llm_flock.printable import hidden
 
 LONGEST_URL = 2_000
@@ -21,10 +23,7 @@ ModelKind: TypeAlias = Literal["provider", "plugin", "simulated", "replay", "geo
 class ProviderInfo:
     """One line of the table of providers.
 
-    Attributes:
-        base_url: default address; None where the operator must give one.
-        example: a model string that works.
-        key_required: whether the provider's own address refuses calls without a key.
+    `base_url` is None where the operator must give one. `key_required`: its own address refuses calls without a key.
     """
 
     name: str
@@ -34,16 +33,11 @@ class ProviderInfo:
     key_required: bool = False
 
 
+_OPENAI_URL = "https://api.openai.com/v1"
 _QWEN_URL = "https://dashscope-intl.aliyuncs.com/compatible-mode/v1"
 _TABLE = (
-    ProviderInfo("openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True),
-    ProviderInfo(
-        "openai-responses",
-        "OPENAI_API_KEY",
-        "https://api.openai.com/v1",
-        "openai-responses:gpt-5-mini",
-        key_required=True,
-    ),
+    ProviderInfo("openai", "OPENAI_API_KEY", _OPENAI_URL, "openai:o3-mini", key_required=True),
+    ProviderInfo("openai-responses", "OPENAI_API_KEY", _OPENAI_URL, "openai-responses:gpt-5-mini", key_required=True),
     ProviderInfo(
         "anthropic", "ANTHROPIC_API_KEY", "https://api.anthropic.com", "anthropic:claude-sonnet-4-6", key_required=True
     ),
@@ -63,8 +57,6 @@ PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 
 def model_forms() -> str:
     """What a model string may be, as a phrase."""
-    from llm_flock import plugins
-
     installed = "".join(f"{prefix}:MODEL, " for prefix in plugins.entries("models"))
     return (
         f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or {installed}simulated:PROFILE, replay:FILE, "
@@ -95,12 +87,9 @@ def needs_responses(provider: str, model: str, base_url: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelName:
-    """A parsed model string.
+    """A parsed model string: `provider` is in the table, or the prefix of a plug-in, else the kind.
 
-    Attributes:
-        text: as written.
-        provider: name in the table of providers, or prefix of a plug-in; the kind for everything else.
-        model: the part after the first colon: model name, profile of a simulated model, path of a cassette, or a class.
+    `model` is the part after the first colon: model name, profile of a simulated model, path of a cassette, or a class.
     """
 
     text: str
@@ -127,9 +116,6 @@ def parse_model(text: str) -> ModelName:
     provider, colon, model = text.partition(":")
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
-    from llm_flock import plugins
-    from llm_flock.extras import EXTRAS, ExtraMissing
-
     others: dict[str, ModelKind] = {**dict.fromkeys(plugins.entries("models"), "plugin"), **_ALWAYS}
     known = (*PROVIDERS, *others)
     if colon and provider in EXTRAS and provider not in known:
@@ -175,12 +161,7 @@ def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
 
 
 def check_url(url: str) -> str:
-    """The address without a trailing slash.
-
-    Raises:
-        InputError: it is not http(s)://host..., or has a user name, password or query: keys in them would end up in
-            records.
-    """
+    """The address without a trailing slash. A user name, password or query is refused: it would end up in records."""
     try:
         parts = urlsplit(url)
         host, secret, port = parts.hostname, parts.username or parts.password, parts.port
