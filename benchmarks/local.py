@@ -30,11 +30,11 @@ import numpy as np
 
 from llm_flock.llm._answer_forms import answer_grammar
 from llm_flock.llm._letter_planner import LetterPlanner
+from llm_flock.llm._limits import CallLane
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import AnswerForm, Attempt
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._sharing import CallLane
 from llm_flock.runtime._api import run_async
 from llm_flock.runtime._result import Summary
 from llm_flock_onboard._distill.choices import draw_choices
@@ -192,7 +192,7 @@ async def _letters(taught: str, turns: int) -> None:
     print("| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time [s] |")
     print("|---|---|---|---|---|---|---|---|")
     for name, (text, *_) in forms.items():
-        usages = [attempt.reply.usage for attempt in attempts[name] if attempt.reply is not None]
+        usages = [attempt.reply.usage for attempt in attempts[name] if attempt.error is None]
         parsed = sum(attempt.parsed is not None for attempt in attempts[name]) / len(attempts[name])
         written = [usage.output for usage in usages]
         read = sum(usage.input for usage in usages) / len(usages)

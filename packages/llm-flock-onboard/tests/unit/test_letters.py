@@ -116,7 +116,7 @@ def test_the_letter_that_is_chosen_is_flown_and_held_to_a_grammar_of_the_open_wa
     assert [message.text for message in call.messages][1] == "Wish: Keep left.\nL wide, R tight, H tight"
     assert call.form is not None and answer_grammar("step", call.form) == 'root ::= "L" | "R" | "H"\n'
     assert longest_answer("step", call.form) == LETTER_TOKENS <= 12
-    assert attempts[0].parsed == {"waypoint": list(answer.waypoint)} and attempts[0].reply is not None
+    assert attempts[0].parsed == {"waypoint": list(answer.waypoint)} and attempts[0].error is None
 
 
 def test_a_closed_way_is_refused_with_the_reason() -> None:

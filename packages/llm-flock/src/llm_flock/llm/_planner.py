@@ -153,28 +153,40 @@ class LanguagePlanner:
         letters: str = "",
     ) -> A | NoAnswer:
         """Ask one question up to `1 + max_retries` times; a probe once."""
-        mission, round_ = asked.question.mission, asked.question.round
+        mission, round_, probe = asked.question.mission, asked.question.round, asked.question.probe
+        json, reasons = self._prompts.json, self._prompts.reasons
         form = AnswerForm(
-            n=mission.n_places,
-            dim=mission.dim,
-            horizon=horizon,
-            json=self._prompts.json,
-            reasons=self._prompts.reasons,
-            letters=letters,
+            n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons, letters=letters
         )
-        self._forget_other_missions(mission)
-        system = ChatMessage("system", self._prompts.system(asked.framed.mission))
+        if self._about is None or not _same_task(self._about, mission):
+            self._history = []
+        self._about = mission
+        if round_ != self._round:  # attempts are numbered within a round, over both kinds of questions
+            self._round, self._attempt = round_, 0
         question = ChatMessage("user", text)
-        messages = (system, *self._history, question)
+        messages = (ChatMessage("system", self._prompts.system(asked.framed.mission)), *self._history, question)
+        schema = answer_schema(kind, form) if json else None
         reason, unfit = "", None
-        tries = 1 if asked.question.probe else 1 + self._max_retries
+        tries = 1 if probe else 1 + self._max_retries
         for _ in range(tries):
-            call = self._call(kind, round_, messages, form, probe=asked.question.probe)
+            call = Call(
+                robot=self._robot,
+                round=round_,
+                kind=kind,
+                attempt=self._attempt,
+                messages=messages,
+                schema=schema,
+                form=form,
+                probe=probe,
+            )
+            self._attempt += 1
             began = time.perf_counter()
             try:
                 reply = await self._model.ask(call)
-            except ModelError as error:
-                return self._give_up(call, error, time.perf_counter() - began)
+            except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
+                self._report(Attempt.failed(call, error, self._model.name, time.perf_counter() - began))
+                logger.info("robot %d, round %d, %s: no answer: %s", self._robot, round_, kind, error)
+                return NoAnswer(cause=error.kind, reason=str(error))
             try:
                 framed = read(whole_answer(reply), form)
                 answer = asked.to_world(framed)
@@ -184,18 +196,8 @@ class LanguagePlanner:
             clipped = None
             if rejected is not None and self._will_be_clipped(asked.question, answer):
                 clipped, rejected = rejected, None
-            self._report(
-                Attempt(
-                    call=call,
-                    model=reply.model,
-                    reply=reply,
-                    parsed=_plain(asked.question, answer) if answer is not None and rejected is None else None,
-                    rejected=rejected,
-                    clipped=clipped,
-                    faults=reply.faults,
-                    latency_s=reply.latency_s,
-                )
-            )
+            parsed = _plain(asked.question, answer) if answer is not None and rejected is None else None
+            self._report(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
             said = ChatMessage("assistant", quoted(reply))
             if answer is not None and rejected is None:
                 self._keep(question, said)
@@ -212,49 +214,8 @@ class LanguagePlanner:
             return False
         return self._clips and self._judge(question, answer).fit is not None
 
-    def _forget_other_missions(self, mission: Mission) -> None:
-        """Forget exchanges about another mission; one whose centre has moved is still the same."""
-        if self._about is None or not _same_task(self._about, mission):
-            self._history = []
-        self._about = mission
-
-    def _call(
-        self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm, *, probe: bool
-    ) -> Call:
-        """The next call; attempts are numbered within a round, over both kinds of questions."""
-        if round_ != self._round:
-            self._round, self._attempt = round_, 0
-        call = Call(
-            robot=self._robot,
-            round=round_,
-            kind=kind,
-            attempt=self._attempt,
-            messages=messages,
-            schema=answer_schema(kind, form) if form.json else None,
-            form=form,
-            probe=probe,
-        )
-        self._attempt += 1
-        return call
-
-    def _give_up(self, call: Call, error: ModelError, latency_s: float) -> NoAnswer:
-        """Report a failed call. It is not repeated here: `limits` has retried transport faults already."""
-        self._report(
-            Attempt(
-                call=call,
-                model=error.model or self._model.name,
-                error=(error.kind, error.detail),
-                faults=error.faults,
-                latency_s=latency_s,
-            )
-        )
-        logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
-        return NoAnswer(cause=error.kind, reason=str(error))
-
     def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
         """Add an accepted exchange to the history, and drop the oldest ones."""
-        if self._kept == 0:
-            return
         self._history += [question, answer]
         if self._kept is not None:
-            del self._history[: -2 * self._kept]
+            del self._history[: max(0, len(self._history) - 2 * self._kept)]

@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal, Protocol, TypeAlias
 
 from pydantic import ConfigDict, Field
 
+from llm_flock.errors import ModelError
+
 Role: TypeAlias = Literal["system", "user", "assistant"]
 Kind: TypeAlias = Literal["plan", "step"]
 Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
@@ -187,26 +189,26 @@ class Attempt:
     """One call and its outcome: a line of a cassette and of a record's `/llm` channel.
 
     Attributes:
-        model: `provider:model` that was asked, or answered.
-        reply: None without an answer.
+        reply: without text if there was no answer; then it tells who was asked, the faults and the duration.
         parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
             `"path"`), None when rejected.
         rejected: why the answer was rejected, in the words that went back to the model.
         clipped: why the answer, a step, is only flown clipped; None otherwise.
-        error: kind and detail of the ModelError, None when there was a reply.
-        faults: transport faults that were retried.
-        latency_s: duration of the whole attempt [s].
+        error: kind and detail of the ModelError, None when there was an answer.
     """
 
     call: Call
-    model: str
-    reply: Reply | None = None
+    reply: Reply
     parsed: Mapping[str, Any] | None = None
     rejected: str | None = None
     clipped: str | None = None
     error: tuple[str, str] | None = None
-    faults: tuple[str, ...] = ()
-    latency_s: float = 0.0
+
+    @classmethod
+    def failed(cls, call: Call, error: ModelError, name: str, latency_s: float = 0.0) -> Attempt:
+        """A call to the model of this name that got no answer."""
+        reply = Reply(text="", model=error.model or name, faults=error.faults, latency_s=latency_s)
+        return cls(call=call, reply=reply, error=(error.kind, error.detail))
 
 
 AttemptSink: TypeAlias = Callable[[Attempt], None]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import json
 import logging
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -83,9 +84,6 @@ class CassetteWriter(_Cassette):
 
     A run that is killed loses at most the line that was being written. An existing file is never touched. `simulated`
     tells whether a stand-in may answer: the names of models need not say so.
-
-    Raises:
-        InputError: for field `record_llm`: the file exists or cannot be created.
     """
 
     def __init__(self, path: Path, *, simulated: bool = False) -> None:
@@ -100,11 +98,9 @@ class CassetteWriter(_Cassette):
     def __call__(self, attempt: Attempt) -> None:
         """Write one line, the fields of a `CassetteLine`."""
         call, reply = attempt.call, attempt.reply
-        # Without an answer, the attempt itself tells the model, the faults and the duration.
-        answer = reply or Reply(text="", model=attempt.model, faults=attempt.faults, latency_s=attempt.latency_s)
-        told = _fields(attempt) | _fields(call) | _fields(answer)
+        told = _fields(attempt) | _fields(call) | _fields(reply)
         told |= {"request_hash": call.request_hash, "answer_schema": call.schema}
-        told |= {"settings": dict(answer.settings), "text": reply.text if reply else None}
+        told |= {"settings": dict(reply.settings), "text": reply.text if attempt.error is None else None}
         self._write({name: told[name] for name in CassetteLine.model_fields})
 
     def _write(self, line: dict[str, Any]) -> None:
@@ -152,12 +148,7 @@ class ReplayModel(_Cassette):
         return (question.robot, question.round) in self._plans
 
     async def ask(self, call: Call) -> Reply:
-        """The recorded answer to this call.
-
-        Raises:
-            ReplayDrift: the cassette has no such attempt, or another question there.
-            ModelError: the recorded error.
-        """
+        """The recorded answer or error; ReplayDrift if there is no such attempt, or another question."""
         line = self._read(call)
         if line.error is not None:
             kind, detail = line.error
@@ -233,7 +224,7 @@ def _fields(value: Attempt | Call | Reply) -> dict[str, Any]:
 def _difference(line: CassetteLine, call: Call) -> str:
     """A unified diff of limited length between the recorded question and this one."""
     recorded = _readable(line.kind, line.messages, line.answer_schema)
-    asked = _readable(call.kind, call.messages, dict(call.schema) if call.schema is not None else None)
+    asked = _readable(call.kind, call.messages, call.schema)
     diff = list(difflib.unified_diff(recorded, asked, "recorded", "asked now", n=1, lineterm=""))
     if not diff:
         return "the texts are equal: the recorded hash does not fit its own line"
@@ -242,11 +233,7 @@ def _difference(line: CassetteLine, call: Call) -> str:
     return "\n".join(text if len(text) <= 300 else text[:297] + "..." for text in diff)
 
 
-def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> list[str]:
-    lines = [f"kind: {kind}"]
-    for message in messages:
-        lines.append(f"[{message.role}]")
-        lines.extend(message.text.splitlines())
-    if schema is not None:
-        lines.append(f"[schema] {json.dumps(schema, sort_keys=True)}")
-    return lines
+def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: Mapping[str, Any] | None) -> list[str]:
+    said = [line for message in messages for line in (f"[{message.role}]", *message.text.splitlines())]
+    form = [] if schema is None else [f"[schema] {json.dumps(schema, sort_keys=True)}"]
+    return [f"kind: {kind}", *said, *form]

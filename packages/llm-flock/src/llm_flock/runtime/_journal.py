@@ -7,7 +7,7 @@ import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from typing import Any, TypedDict, Unpack
+from typing import TypedDict, Unpack
 
 from llm_flock import metrics
 from llm_flock.agent import Agent
@@ -144,29 +144,28 @@ def finite(value: float | None) -> float | None:
 def llm_entry(attempt: Attempt) -> LlmEntry:
     """A model call as it is recorded."""
     call, reply = attempt.call, attempt.reply
-    settings: dict[str, Any] = {} if reply is None else dict(reply.settings)
-    usage = Usage() if reply is None else reply.usage
+    usage = reply.usage
     return LlmEntry(
         round=call.round,
         robot=call.robot,
         kind=call.kind,
         attempt=call.attempt,
-        model=attempt.model,
+        model=reply.model,
         request_hash=call.request_hash,
         messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
-        text=None if reply is None else reply.text,
+        text=reply.text if attempt.error is None else None,
         parsed=None if attempt.parsed is None else dict(attempt.parsed),
         rejected=attempt.rejected,
         clipped=attempt.clipped,
         probe=True if call.probe else None,
         error=None if attempt.error is None else ": ".join(attempt.error),
-        finish_reason=None if reply is None else reply.finish_reason,
-        thought=True if reply is not None and reply.thought else None,
-        settings=settings,
+        finish_reason=reply.finish_reason,
+        thought=True if reply.thought else None,
+        settings=dict(reply.settings),
         usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
-        cost_usd=None if reply is None else reply.cost_usd,
-        latency_s=attempt.latency_s,
-        faults=list(attempt.faults),
+        cost_usd=reply.cost_usd,
+        latency_s=reply.latency_s,
+        faults=list(reply.faults),
     )
 
 
@@ -242,9 +241,9 @@ class Journal:
             if attempt.error[0] == "budget":
                 return
         self.calls += 1
-        self.latency_s += attempt.latency_s
-        self.faults.update(attempt.faults)
-        if attempt.reply is None:
+        self.latency_s += attempt.reply.latency_s
+        self.faults.update(attempt.reply.faults)
+        if attempt.error is not None:
             self.calls_failed += 1
         else:
             self.calls_rejected += attempt.rejected is not None
