@@ -34,6 +34,4 @@ class LetterPlanner(LanguagePlanner):
             return StepAnswer(waypoint=read_way(text, ways).waypoint)
 
         asked, letters = frame_step(question, "world"), "".join(way.letter for way in ways)
-        return await self._converse(
-            "step", asked, self._prompts.step(question, ways), 1, read, self._check_step, letters
-        )
+        return await self._converse("step", asked, self._prompts.step(question), 1, read, self._check_step, letters)
