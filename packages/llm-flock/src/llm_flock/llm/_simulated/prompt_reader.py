@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -60,15 +61,9 @@ class Task:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepPrompt:
-    """The content of the position update.
+    """The content of the position update; `horizon` is 1 where it asks for a single position."""
 
-    Attributes:
-        goal_text: the goal as it was written.
-        neighbors: positions of the other robots, as text.
-        horizon: longest path; 1 asks for a single position.
-        json: whether the answer is to be JSON.
-    """
-
+    task: Task
     position: Point
     goal: Point
     goal_text: str
@@ -79,6 +74,35 @@ class StepPrompt:
     def seen(self) -> list[Point]:
         """Read the positions of the other robots."""
         return _points(self.neighbors, len(self.position))
+
+    @property
+    def decimals(self) -> int:
+        """Of stated positions."""
+        return sensible_decimals(self.task.max_step)
+
+    @property
+    def reach(self) -> float:
+        """Longest stated step: the step limit less what rounding of the printed position may add."""
+        return self.task.max_step - max(1e-6, 10.0 ** -(self.decimals + 1))
+
+    def towards(self, target: Point) -> Point:
+        """A full step towards a target, each coordinate rounded back towards the own position."""
+        share, scale = self.reach / math.dist(self.position, target), 10**self.decimals
+        return tuple(
+            (math.floor if t > x else math.ceil)((x + share * (t - x)) * scale) / scale
+            for x, t in zip(self.position, target, strict=True)
+        )
+
+    def rounded(self, point: Sequence[float]) -> str:
+        """A position as it is stated."""
+        return repr([round(x, self.decimals) for x in point])
+
+    def stated(self, path: Sequence[str]) -> str:
+        """Waypoints in the form that the prompt asks for."""
+        if self.horizon == 1:
+            return f'{{"position": {path[0]}}}' if self.json else f"Position: {path[0]}"
+        rows = ", ".join(path)
+        return f'{{"path": [{rows}]}}' if self.json else f"Path: [{rows}]"
 
 
 def _points(text: str, dim: int) -> list[Point]:
@@ -140,7 +164,7 @@ def read_still(text: str, dim: int) -> list[Point]:
     return [] if found is None else _points(found[1], dim)
 
 
-def read_step(text: str) -> StepPrompt:
+def read_step(text: str, task: Task) -> StepPrompt:
     """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
     position = numbers(_line_after(text, STEP_MARK))
     goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
@@ -149,6 +173,7 @@ def read_step(text: str) -> StepPrompt:
         raise _other_words("step.j2", text)
     horizon = _HORIZON.search(text)
     return StepPrompt(
+        task=task,
         position=position,
         goal=goal,
         goal_text=goal_text,
@@ -164,14 +189,14 @@ def read_ways(text: str) -> list[str]:
 
 
 def check_prompts(prompts: PromptSet, mission: Mission) -> None:
-    """Read the prompts of sample questions. Call before a run with simulated models; InputError as in `read_task`."""
+    """Read the prompts of sample questions, before a run with simulated models; InputError as in `read_task`."""
     if prompts.letters:
         return
-    read_task(prompts.system(mission))
+    task = read_task(prompts.system(mission))
     here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
     read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))
     step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0)
-    read_step(prompts.step(step))
+    read_step(prompts.step(step), task)
 
 
 def _line_after(text: str, mark: str) -> str:
@@ -209,9 +234,13 @@ def formation(task: Task) -> Points:
     return points
 
 
-def clear_of_obstacles(points: Points, task: Task) -> bool:
-    """Whether all places, shape (n, d) [units], are far enough from the task's obstacles."""
-    return all(clearance(tuple(row), task.obstacles) >= task.clearance for row in points.tolist())
+def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:
+    """Whether all places, shape (n, d) [units], are far enough from obstacles, and from robots that stand still."""
+    return all(
+        clearance(tuple(row), task.obstacles) >= task.clearance
+        and all(math.dist(row, body) >= task.safe_distance for body in still)
+        for row in points.tolist()
+    )
 
 
 def _spec(words: str) -> str:
