@@ -17,7 +17,7 @@ from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import Attempt, Call, Reply, Usage
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._replay import CassetteWriter, ReplayModel
-from llm_flock.llm._whole_answer import MAX_QUOTED, NO_TEXT
+from llm_flock.llm._thoughts import MAX_QUOTED, NO_TEXT
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion

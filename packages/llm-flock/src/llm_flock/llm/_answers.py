@@ -97,11 +97,7 @@ _EACH_NUMBER = re.compile(_NUMBER, re.IGNORECASE)
 
 
 def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
-    """The plan and the index of the model's own place in it.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
-    """
+    """The plan and the index of the model's own place in it; AnswerError with a reason for the model."""
     n, dim = form.n, form.dim
     text = _said(text)
     answer = _json_object(text, "plan") if form.json else None
@@ -130,12 +126,9 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
 
 
 def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
-    """The next position and those that follow it, 1 to `form.horizon` of them [units].
+    """The next position and those that follow it, 1 to `form.horizon` of them [units]; AnswerError as above.
 
     Where a path is asked for, a single position is a path of one.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
     """
     dim, horizon = form.dim, form.horizon
     text = _said(text)
@@ -221,8 +214,7 @@ def _stands_alone(text: str, match: re.Match[str]) -> bool:
 def _json_object(text: str, *fields: str) -> Mapping[str, Any] | None:
     """The last JSON object with one of these fields, or else the last one; None where there is none.
 
-    Raises:
-        AnswerError: an object is cut off, or holds a reasoning and is no JSON: its draft must not be read as words.
+    AnswerError if one is cut off, or holds a reasoning and is no JSON: its draft must not be read as words.
     """
     found, wanted, end, broken = None, None, 0, False
     while (begin := text.find("{", end)) >= 0:

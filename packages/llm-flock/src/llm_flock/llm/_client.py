@@ -65,12 +65,7 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
 class PydanticModel:
     """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
 
-    Args:
-        model: the pydantic-ai model.
-        name: `provider:model` as configured.
-        settings: how to sample.
-        secrets: keys to remove from every text that leaves this object.
-        priced: whether the provider's price list applies.
+    `secrets` are removed from every text that leaves this object. `priced` tells whether the provider's prices apply.
     """
 
     def __init__(

@@ -25,13 +25,7 @@ A = TypeVar("A", PlanAnswer, StepAnswer)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFrame:
-    """Moved and scaled coordinates: `(point - origin) / unit`.
-
-    Attributes:
-        origin: the point that becomes zero [units; world frame].
-        unit: the length that becomes one [units].
-        decimals: decimals of observed and planned points in this frame.
-    """
+    """Moved and scaled coordinates: `(point - origin) / unit`; observed and planned points have some `decimals`."""
 
     origin: Point
     unit: float

@@ -63,11 +63,8 @@ def ways_of(question: StepQuestion, *, wait: bool | None = None) -> tuple[Letter
     """The open ways, farthest first: those that the checks of a step accept, and that keep clear all the way.
 
     Standing still is open only while a robot blocks the straight way, and then in every other round, so that no two
-    robots wait for each other for ever. In space, ways round turn about the vertical.
-
-    Args:
-        question: in the world, where the checks are made.
-        wait: whether this is a round in which standing still may be open; None if the numbers of robot and round say.
+    robots wait for each other for ever; `wait` says whether this is such a round, None if robot and round tell. In
+    space, ways round turn about the vertical. The question is in the world, where the checks are made.
     """
     mission, here, goal = question.mission, question.position, question.goal
     distance = math.dist(here, goal)

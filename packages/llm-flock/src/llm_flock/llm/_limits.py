@@ -120,10 +120,7 @@ class CallGate(Protocol):
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
         """Wait for a turn to ask `provider:model` a question of `chars` characters; returns a ticket for `leave`.
 
-        A call that failed before (`again`) is no new one for the budget.
-
-        Raises:
-            BudgetExceeded: nothing is left for it.
+        A call that failed before (`again`) is no new one for the budget. BudgetExceeded if nothing is left for it.
         """
         ...
 
@@ -180,14 +177,10 @@ class Limited:
         self._limits = limits
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, retrying faults.
+        """Answer one call, retrying faults; BudgetExceeded or the last ModelError, with all faults, without an answer.
 
-        The reply's latency runs from the first try to the answer, with the waits between tries but without the queue
-        before the first one; its faults are those that were retried.
-
-        Raises:
-            BudgetExceeded: the budget is used up; nothing more was sent.
-            ModelError: the last fault, with all of them in `faults`.
+        The latency runs from the first try to the answer, without the queue before it; faults are those that were
+        retried.
         """
         limits, lane = self._limits, self._limits.lane
         limits.meter.check(new_call=True)

@@ -49,10 +49,7 @@ _NEXT_RANGE = re.compile(rf",(?={_RANGE})")
 def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
     """Assign values to robots: `A` for all, `0-4=A,5-9=B` or `3=A,0-2=B` by ranges.
 
-    Values may contain commas: only a comma before another range separates.
-
-    Raises:
-        InputError: for `field`: an empty or reversed range, or a robot outside 0..n-1, named twice, or missing.
+    Values may contain commas: only a comma before another range separates. InputError unless each robot has one value.
     """
     if not _STARTS_WITH_RANGE.match(text):
         return (text.strip(),) * n

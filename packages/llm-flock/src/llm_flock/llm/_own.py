@@ -32,15 +32,13 @@ class OwnModel:
     """A `LanguageModel` around an object of the user's own: whatever it raises or returns, the run goes on.
 
     What it raises counts as a failed call: `TimeoutError` and other `OSError`s are tried again, everything else is a
-    fault of the code, is logged once with its traceback, and is not.
+    fault of the code, is logged once with its traceback, and is not. InputError if it has no `async def ask(self,
+    call)`.
 
     Attributes:
         name: `package.module:Class`, as in records.
-        simulated: whether the object says of itself that it is a stand-in (an attribute `simulated` that is true).
+        simulated: whether the object says of itself that it is a stand-in.
         made: whether it was made by its name, and not handed over as an object.
-
-    Raises:
-        InputError: for field `model`: the object has no `async def ask(self, call)`.
     """
 
     def __init__(self, model: object, *, name: str | None = None) -> None:

@@ -88,13 +88,7 @@ class Usage:
 class AnswerForm:
     """The form of an answer, to read it, and to hold a model to it while it writes.
 
-    Attributes:
-        n: number of places of a plan.
-        dim: number of coordinates of a point.
-        horizon: longest path; 1 asks for a single position.
-        json: a JSON object instead of the paper's lines.
-        reasons: the prompts ask for a reason before the answer.
-        letters: the letters of which the answer is one; empty where positions are asked for.
+    A `horizon` of 1 asks for a single position, `letters` for one of them. `reasons`: the prompts ask for one before.
     """
 
     n: int

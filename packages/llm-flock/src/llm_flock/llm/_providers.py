@@ -106,11 +106,7 @@ class ModelName:
 def parse_model(text: str) -> ModelName:
     """Read `provider:model`, `simulated:PROFILE`, `replay:FILE`, `geometry`, `package.module:Class`, or a plug-in's.
 
-    Nothing that the name chooses is imported: it may come from a record.
-
-    Raises:
-        InputError: for field `model`, with a list of the possibilities.
-        ExtraMissing: the prefix belongs to an extra that is not installed.
+    Nothing that the name chooses is imported: it may come from a record. ExtraMissing if an extra has to be installed.
     """
     text = text.strip()
     provider, colon, model = text.partition(":")

@@ -114,11 +114,7 @@ class ReplayModel(_Cassette):
     """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
 
     Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
-    failures are repeated. Ask it directly: `limits.Limited` would retry a second time.
-
-    Raises:
-        InputError: for field `model`: there is no such file.
-        RecordError: not a cassette, another version, or damaged (with the line's number).
+    failures are repeated. Ask it directly: `limits.Limited` would retry a second time. RecordError if it is damaged.
     """
 
     def __init__(self, path: Path) -> None:

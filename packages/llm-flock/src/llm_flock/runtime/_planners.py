@@ -135,14 +135,13 @@ class TeamPlanners:
 
         if name.kind == "geometry":
             return GeometryPlanner(stream(self._config.trial.seed, Stream.MODEL, robot))
-        from llm_flock.llm._letter_planner import LetterPlanner
         from llm_flock.llm._planner import LanguagePlanner
 
         config, habits, prompts = self._config, habits_of(name.text), self._prompts_of(name.text)
         model, knows, verify = self._model_of(robot, name), habits.plans, bool(config.protocol.verify)
         if name.kind == "replay" and any(habits_of(asked).plans for asked in self._replays[name.text].models):
             knows = self._replays[name.text].was_asked
-        planner = (LetterPlanner if prompts.letters else LanguagePlanner)(
+        planner = LanguagePlanner(
             robot,
             model,
             prompts,
