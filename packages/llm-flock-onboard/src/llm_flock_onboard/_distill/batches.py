@@ -27,12 +27,9 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Lessons with a common prefix, which is computed once.
+    """Lessons with a common prefix, which is computed once; the other tokens are padded with zeros.
 
-    Attributes:
-        prefix: the first tokens of all prompts.
-        tokens: the other tokens of each lesson, padded with zeros, shape (lessons, length).
-        labels: the token to follow each token, -1 where nothing is learnt, shape (lessons, length).
+    `labels` are the token to follow each one, -1 where nothing is learnt. Both have the shape (lessons, length).
     """
 
     prefix: tuple[int, ...]

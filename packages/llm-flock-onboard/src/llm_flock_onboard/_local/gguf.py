@@ -48,13 +48,10 @@ _CACHE_BYTES = 2
 
 @dataclass(frozen=True, slots=True)
 class Tensor:
-    """One entry of the list of tensors.
+    """One entry of the list of tensors: the `shape` begins with the fastest axis, `format` is llama.cpp's number.
 
-    Attributes:
-        shape: size of each axis, fastest first.
-        format: llama.cpp's number of the format in which the numbers are written.
-        offset: first byte of the numbers, counted from the beginning of all tensor data.
-        entry: byte of the file at which `format` (4 bytes) and `offset` (8 bytes) stand.
+    `offset` counts from the beginning of all tensor data. Byte `entry` of the file is where both stand, in 4 and 8
+    bytes.
     """
 
     shape: tuple[int, ...]
@@ -65,13 +62,9 @@ class Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Header:
-    """The header of a GGUF file.
+    """The header of a GGUF file: metadata without lists, and tensors in the order of the file.
 
-    Attributes:
-        metadata: values by name, lists left out.
-        tensors: tensors by name, in the order of the file.
-        data_begin: first byte of the tensor data.
-        alignment: tensors begin at multiples of this many bytes.
+    The tensor data begins at byte `data_begin`, each tensor at a multiple of `alignment` from there.
     """
 
     metadata: Mapping[str, Any]
@@ -105,11 +98,7 @@ class Header:
 
 
 def read_header(path: Path) -> Header:
-    """Read the header of a GGUF file, again only after the file has changed.
-
-    Raises:
-        InputError: for field `model`: there is no such file, or it is no GGUF file.
-    """
+    """Read the header of a GGUF file, again only after the file has changed; InputError if it is none."""
     try:
         found = path.stat()
     except OSError as error:

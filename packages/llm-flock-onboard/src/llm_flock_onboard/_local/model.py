@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from llm_flock.errors import InputError
@@ -79,12 +80,7 @@ class LocalModel:
         self._settings: dict[str, Any] = {"temperature": TEMPERATURE, **settings.plain()}
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, in the form that it asks for.
-
-        Raises:
-            InputError: the engine cannot be loaded.
-            ModelError: the engine refuses the question, or was stopped.
-        """
+        """Answer one call, in the form that it asks for; InputError if the engine cannot be loaded, else ModelError."""
         engine = await self._leases.engine(self.weights, call)
         started = time.perf_counter()
         stop = threading.Event()
@@ -92,16 +88,8 @@ class LocalModel:
             answer = await asyncio.wrap_future(engine.submit(self._body(call), stop))
         finally:
             stop.set()  # a caller that gives up frees the slot
-        return Reply(
-            text=answer.text,
-            model=self.name,
-            settings=self._settings,
-            usage=answer.usage,
-            cost_usd=0.0,
-            latency_s=time.perf_counter() - started,
-            finish_reason=answer.finish_reason,
-            thought=answer.thought,
-        )
+        latency_s = time.perf_counter() - started
+        return replace(answer, model=self.name, settings=self._settings, cost_usd=0.0, latency_s=latency_s)
 
     def _body(self, call: Call) -> dict[str, Any]:
         longest = _longest(call)
