@@ -158,7 +158,7 @@ class ReplayModel(_Cassette):
         return Reply(**told)
 
     def _read(self, call: Call) -> CassetteLine:
-        where = f"robot {call.robot}, round {call.round}, attempt {call.attempt}"
+        where = _place(call.robot, call.round, call.attempt)
         offset = self._offsets.get((call.robot, call.round, call.attempt))
         if offset is None:
             rounds = [r for robot, r, _ in self._offsets if robot == call.robot]
@@ -174,13 +174,7 @@ class ReplayModel(_Cassette):
         """Byte offset of every attempt; checks the whole file, line by line."""
         offsets: dict[tuple[int, int, int], int] = {}
         self._check_header(self._file.readline(LONGEST_LINE))
-        number = 1
-        while True:
-            offset = self._file.tell()
-            raw = self._file.readline(LONGEST_LINE)
-            if not raw:
-                return offsets
-            number += 1
+        for number, raw in enumerate(iter(lambda: self._file.readline(LONGEST_LINE), b""), start=2):
             if len(raw) == LONGEST_LINE:
                 raise RecordError(f"{self._path}, line {number}: damaged: a line of {LONGEST_LINE} bytes or more")
             try:
@@ -188,19 +182,18 @@ class ReplayModel(_Cassette):
             except ValidationError as error:
                 if not raw.endswith(b"\n"):
                     logger.warning("%s: line %d was cut off in writing and is left out", self._path, number)
-                    return offsets
+                    break
                 first = error.errors()[0]
-                at = ".".join(str(part) for part in first["loc"])
-                raise RecordError(f"{self._path}, line {number}: damaged: {at or 'line'}: {first['msg']}") from None
+                at = ".".join(map(str, first["loc"])) or "line"
+                raise RecordError(f"{self._path}, line {number}: damaged: {at}: {first['msg']}") from None
             key = (line.robot, line.round, line.attempt)
             if key in offsets:
-                raise RecordError(
-                    f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
-                )
-            offsets[key] = offset
+                raise RecordError(f"{self._path}, line {number}: {_place(*key)} is there twice")
+            offsets[key] = self._file.tell() - len(raw)
             self.models.add(line.model)
             if line.kind == "plan":
                 self._plans.add((line.robot, line.round))
+        return offsets
 
     def _check_header(self, raw: bytes) -> None:
         try:
@@ -211,6 +204,10 @@ class ReplayModel(_Cassette):
             raise RecordError(f"{self._path}: not a cassette: its first line must hold {HEADER!r}") from None
         if version != VERSION:
             raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")
+
+
+def _place(robot: int, round_: int, attempt: int) -> str:
+    return f"robot {robot}, round {round_}, attempt {attempt}"
 
 
 def _fields(value: Attempt | Call | Reply) -> dict[str, Any]:

@@ -36,9 +36,10 @@ _WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
 WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
-_NEIGHBORS_MARK = "\nRobots near you, moving as well: "
-_GOAL_MARK = "\nYour goal, "
 _JSON_MARK = "JSON object"
+_POSITION = re.compile(rf"{STEP_MARK}(.*)")
+_NEIGHBORS = re.compile(r"^Robots near you, moving as well: (.*)", re.MULTILINE)
+_GOAL = re.compile(r"^Your goal, .*?: (.*)", re.MULTILINE)
 _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 
@@ -152,33 +153,30 @@ def _obstacles(text: str) -> tuple[Obstacle, ...]:
 
 def read_plan(text: str) -> tuple[int, bool]:
     """Read the robot's id in the plan message, and whether the answer is to be JSON; InputError as in `read_task`."""
-    robot = _ROBOT.search(text)
-    if robot is None:
+    robot = _found(_ROBOT, text)
+    if not robot:
         raise _other_words("plan.j2", text)
-    return int(robot[1]), _JSON_MARK in text
+    return int(robot), _JSON_MARK in text
 
 
 def read_still(text: str, dim: int) -> list[Point]:
     """Read where the plan message says that robots stand still; empty if it names none."""
-    found = _STILL.search(text)
-    return [] if found is None else _points(found[1], dim)
+    return _points(_found(_STILL, text), dim)
 
 
 def read_step(text: str, task: Task) -> StepPrompt:
     """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
-    position = numbers(_line_after(text, STEP_MARK))
-    goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
-    goal = numbers(goal_text)
+    goal_text = _found(_GOAL, text)
+    position, goal = numbers(_found(_POSITION, text)), numbers(goal_text)
     if not position or len(goal) != len(position):
         raise _other_words("step.j2", text)
-    horizon = _HORIZON.search(text)
     return StepPrompt(
         task=task,
         position=position,
         goal=goal,
         goal_text=goal_text,
-        neighbors=_line_after(text, _NEIGHBORS_MARK),
-        horizon=1 if horizon is None else int(horizon[1]),
+        neighbors=_found(_NEIGHBORS, text),
+        horizon=int(_found(_HORIZON, text) or 1),
         json=_JSON_MARK in text,
     )
 
@@ -199,14 +197,10 @@ def check_prompts(prompts: PromptSet, mission: Mission) -> None:
     read_step(prompts.step(step), task)
 
 
-def _line_after(text: str, mark: str) -> str:
-    """The rest of the line after a mark, empty without the mark."""
-    begin = text.find(mark)
-    if begin < 0:
-        return ""
-    begin += len(mark)
-    end = text.find("\n", begin)
-    return text[begin:] if end < 0 else text[begin:end]
+def _found(pattern: re.Pattern[str], text: str) -> str:
+    """What the group of a pattern matches, empty without a match."""
+    found = pattern.search(text)
+    return "" if found is None else found[1]
 
 
 def _other_words(template: str, text: str) -> InputError:
