@@ -72,13 +72,9 @@ _BEFORE_POSITION = re.compile(
 )
 """Allowed before a bare `Position:`; "Your position:" and "Goal position:" only repeat the question."""
 
-_PLAN = re.compile(
-    rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
-    re.IGNORECASE,
-)
+_PLAN = re.compile(rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})", re.IGNORECASE)
 _PATH = re.compile(
-    rf"(?:(?<![A-Za-z])path(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
-    re.IGNORECASE,
+    rf"(?:(?<![A-Za-z])path(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})", re.IGNORECASE
 )
 _BARE_PLAN = re.compile(rf"(?P<list>{_LISTS})", re.IGNORECASE)
 _BARE_POSITION = re.compile(rf"[{_MARKUP}]*+{_LANGUAGE}(?P<list>{_LIST})[{_MARKUP}.]*+", re.IGNORECASE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Annotated, Any, Literal, Protocol, TypeAlias
 
 from pydantic import ConfigDict, Field
@@ -203,6 +203,13 @@ class Attempt:
         """A call to the model of this name that got no answer."""
         reply = Reply(text="", model=error.model or name, faults=error.faults, latency_s=latency_s)
         return cls(call=call, reply=reply, error=(error.kind, error.detail))
+
+    def told(self) -> dict[str, Any]:
+        """Its fields, and those of the call and the reply, by name: what cassettes and records hold."""
+        values = (self, self.call, self.reply)
+        told = {field.name: getattr(value, field.name) for value in values for field in fields(value)}
+        told |= {"request_hash": self.call.request_hash, "settings": dict(self.reply.settings)}
+        return told | {"text": self.reply.text if self.error is None else None}
 
 
 AttemptSink: TypeAlias = Callable[[Attempt], None]

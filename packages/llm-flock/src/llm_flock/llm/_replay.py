@@ -97,10 +97,7 @@ class CassetteWriter(_Cassette):
 
     def __call__(self, attempt: Attempt) -> None:
         """Write one line, the fields of a `CassetteLine`."""
-        call, reply = attempt.call, attempt.reply
-        told = _fields(attempt) | _fields(call) | _fields(reply)
-        told |= {"request_hash": call.request_hash, "answer_schema": call.schema}
-        told |= {"settings": dict(reply.settings), "text": reply.text if attempt.error is None else None}
+        told = attempt.told() | {"answer_schema": attempt.call.schema}
         self._write({name: told[name] for name in CassetteLine.model_fields})
 
     def _write(self, line: dict[str, Any]) -> None:
@@ -208,10 +205,6 @@ class ReplayModel(_Cassette):
 
 def _place(robot: int, round_: int, attempt: int) -> str:
     return f"robot {robot}, round {round_}, attempt {attempt}"
-
-
-def _fields(value: Attempt | Call | Reply) -> dict[str, Any]:
-    return {field.name: getattr(value, field.name) for field in fields(value)}
 
 
 def _difference(line: CassetteLine, call: Call) -> str:

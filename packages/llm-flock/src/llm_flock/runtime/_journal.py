@@ -6,6 +6,7 @@ import math
 import platform
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from typing import TypedDict, Unpack
 
@@ -143,30 +144,17 @@ def finite(value: float | None) -> float | None:
 
 def llm_entry(attempt: Attempt) -> LlmEntry:
     """A model call as it is recorded."""
-    call, reply = attempt.call, attempt.reply
-    usage = reply.usage
-    return LlmEntry(
-        round=call.round,
-        robot=call.robot,
-        kind=call.kind,
-        attempt=call.attempt,
-        model=reply.model,
-        request_hash=call.request_hash,
-        messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
-        text=reply.text if attempt.error is None else None,
-        parsed=None if attempt.parsed is None else dict(attempt.parsed),
-        rejected=attempt.rejected,
-        clipped=attempt.clipped,
-        probe=True if call.probe else None,
-        error=None if attempt.error is None else ": ".join(attempt.error),
-        finish_reason=reply.finish_reason,
-        thought=True if reply.thought else None,
-        settings=dict(reply.settings),
-        usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
-        cost_usd=reply.cost_usd,
-        latency_s=reply.latency_s,
-        faults=list(reply.faults),
-    )
+    told = attempt.told()
+    told |= {
+        "messages": [ChatLine(role=m.role, text=m.text) for m in attempt.call.messages],
+        "parsed": None if attempt.parsed is None else dict(attempt.parsed),
+        "probe": attempt.call.probe or None,
+        "error": None if attempt.error is None else ": ".join(attempt.error),
+        "thought": attempt.reply.thought or None,
+        "usage": CallUsage(**asdict(attempt.reply.usage)),
+        "faults": list(attempt.reply.faults),
+    }
+    return LlmEntry(**{name: told[name] for name in LlmEntry.model_fields})
 
 
 ERROR_EVERY_ROUND_UP_TO = 300
