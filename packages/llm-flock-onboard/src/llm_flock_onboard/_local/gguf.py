@@ -6,6 +6,7 @@ Format: GGUF version 2 and 3 as llama.cpp writes them, little-endian.
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -122,11 +123,10 @@ class _Reader:
 
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
-        self._at = 0
         self._strings = self._text_bytes = self._listed = self._vocabulary = 0
 
     def header(self) -> Header:
-        if self._take(4) != b"GGUF" or self._scalar("I") not in (2, 3):
+        if self._data.read(4) != b"GGUF" or self._scalar("I") not in (2, 3):
             raise ValueError
         n_tensors, n_values = self._scalar("Q"), self._scalar("Q")
         if max(n_tensors, n_values) > _MOST_VALUES:
@@ -145,7 +145,7 @@ class _Reader:
             if dims > _MAX_DIMS:
                 raise ValueError
             shape = tuple(self._scalar("Q") for _ in range(dims))
-            tensors[name] = Tensor(shape, entry=self._at, format=self._scalar("I"), offset=self._scalar("Q"))
+            tensors[name] = Tensor(shape, entry=self._data.tell(), format=self._scalar("I"), offset=self._scalar("Q"))
         for name in ("bos", "eos"):
             token = metadata.get(f"tokenizer.ggml.{name}_token_id")
             added = metadata.get(f"tokenizer.ggml.add_{name}_token") is True and token is not None
@@ -158,8 +158,8 @@ class _Reader:
         for size in (metadata.get(f"{architecture}.{name}", 1) for name in _SIZES):
             if type(size) is not int or not 0 < size < 2**31:
                 raise ValueError
-        begin = self._at + -self._at % alignment
-        return Header(metadata=metadata, tensors=tensors, data_begin=begin, alignment=alignment)
+        end = self._data.tell()
+        return Header(metadata=metadata, tensors=tensors, data_begin=end + -end % alignment, alignment=alignment)
 
     def _value(self, kind: int) -> Any:
         """One value; a list is skipped and gives None."""
@@ -172,21 +172,20 @@ class _Reader:
         if inner == _STRING:
             self._skip_strings(count)
         else:
-            self._pass(count * struct.calcsize(_SCALARS[inner]))
+            self._data.seek(count * struct.calcsize(_SCALARS[inner]), os.SEEK_CUR)
         return None
 
     def _skip_strings(self, count: int) -> None:
         self._strings += count
         if self._strings > _MOST_STRINGS:
             raise ValueError
-        at, length = self._at, struct.Struct("<Q")
+        at, length = self._data.tell(), struct.Struct("<Q")
         for _ in range(count):
             at += length.size + length.unpack_from(self._data, at)[0]
-        self._at = at
-        self._pass(0)
+        self._data.seek(at)
 
     def _scalar(self, form: str) -> Any:
-        (value,) = struct.unpack("<" + form, self._take(struct.calcsize("<" + form)))
+        (value,) = struct.unpack("<" + form, self._data.read(struct.calcsize("<" + form)))
         return value
 
     def _text(self) -> str:
@@ -194,13 +193,7 @@ class _Reader:
         self._text_bytes += length
         if self._text_bytes > _MOST_TEXT:
             raise ValueError
-        return self._take(length).decode("utf-8", "replace")
-
-    def _take(self, count: int) -> bytes:
-        self._pass(count)
-        return self._data[self._at - count : self._at]
-
-    def _pass(self, count: int) -> None:
-        if count > len(self._data) - self._at:  # also after `_skip_strings` went beyond the end
+        text = self._data.read(length)
+        if len(text) < length:
             raise ValueError
-        self._at += count
+        return text.decode("utf-8", "replace")
