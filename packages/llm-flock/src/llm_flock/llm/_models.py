@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, get_args
 
@@ -89,39 +89,30 @@ def parse_settings(
     max_tokens: int | None = None,
 ) -> tuple[CallSettings, ...]:
     """Sampling settings of each of n robots, written as in `per_robot`; one cap on the tokens of an answer for all."""
-
-    def spread(field: str, text: str | None, read: Callable[[str, str], Any]) -> Iterable[Any]:
-        return [None] * n if text is None else [read(field, value) for value in per_robot(field, text, n)]
-
-    columns = (
-        spread("temperature", temperature, _read_temperature),
-        spread("model_seed", seed, _read_seed),
-        spread("reasoning_effort", reasoning, _read_effort),
+    efforts = list[Any]((None,) * n if reasoning is None else per_robot("reasoning_effort", reasoning, n))
+    for effort in efforts:
+        if effort is not None and effort not in get_args(Effort):
+            raise InputError("reasoning_effort", effort, says=unknown("effort", effort, get_args(Effort)))
+    columns = zip(
+        _numbers("temperature", temperature, n, float, 2, "a number from 0 to 2"),
+        _numbers("model_seed", seed, n, int, 2**63 - 1, "a whole number of at least 0"),
+        efforts,
+        strict=True,
     )
-    return tuple(
-        CallSettings(temperature=warm, seed=chance, reasoning=effort, max_tokens=max_tokens)
-        for warm, chance, effort in zip(*columns, strict=True)
-    )
+    return tuple(CallSettings(temperature=t, seed=s, reasoning=r, max_tokens=max_tokens) for t, s, r in columns)
 
 
-def _read_temperature(field: str, text: str) -> float:
-    with suppress(ValueError):
-        if 0 <= (value := float(text)) <= 2:
-            return value
-    raise InputError(field, text, "a number from 0 to 2")
-
-
-def _read_seed(field: str, text: str) -> int:
-    with suppress(ValueError):
-        if 0 <= (value := int(text)) < 2**63:
-            return value
-    raise InputError(field, text, "a whole number of at least 0")
-
-
-def _read_effort(field: str, text: str) -> str:
-    if text not in get_args(Effort):
-        raise InputError(field, text, says=unknown("effort", text, get_args(Effort)))
-    return text
+def _numbers(
+    field: str, text: str | None, n: int, read: Callable[[str], float], most: int, allowed: str
+) -> Iterable[Any]:
+    for value in (None,) * n if text is None else per_robot(field, text, n):
+        try:
+            number = None if value is None else read(value)
+        except ValueError:
+            number = math.nan
+        if number is not None and not 0 <= number <= most:
+            raise InputError(field, value, allowed)
+        yield number
 
 
 def waits(model: str) -> bool:
