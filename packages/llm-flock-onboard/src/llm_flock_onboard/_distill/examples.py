@@ -1,12 +1,11 @@
 """Make, write and read examples: questions with the answers of our own planner, for a small model.
 
 Missions, positions and goals are random, the question goes through the frame and the prompts of a run, and the answer
-is the straight step of `GeometryPlanner`. Answers that our own checks would reject are not taught.
+is the straight step. Answers that our own checks would reject are not taught.
 """
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import json
 import math
@@ -19,18 +18,19 @@ import numpy as np
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
-from llm_flock.llm import FramedQuestion, PromptSet, frame_plan, frame_step, place_text
+from llm_flock.llm import PromptSet, frame_plan, frame_step, place_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import (
     HORIZON,
-    GeometryPlanner,
     PlanAnswer,
     PlanQuestion,
     StepAnswer,
     StepQuestion,
     check_plan,
+    geometric_plan,
     judge,
+    straight_path,
 )
 
 Split: TypeAlias = Literal["train", "held-out"]
@@ -40,9 +40,6 @@ DECIMALS = 2
 
 REACH = 0.92
 """Length of a full step in step limits: an error of one or two in the last digit stays within the limit."""
-
-LONGEST_PATH = 1
-"""Waypoints of a taught path: each takes as long to generate as the first, and needs addition."""
 
 PATHS = 0.15
 """Share of motion questions that ask for a path."""
@@ -116,64 +113,44 @@ def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
     )
 
 
-def best_step(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
-    """The straight step to the goal in the frame of the prompt, rounded as in an answer."""
-    framed = asked.framed
-    mission = framed.mission.model_copy(update={"max_step": REACH * framed.mission.max_step})
-    question = replace(framed, mission=mission, horizon=min(framed.horizon, LONGEST_PATH))
-    answer = asyncio.run(GeometryPlanner().step(question))
-    assert isinstance(answer, StepAnswer), "there is always a straight step"
-    return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
-
-
-def best_plan(asked: FramedQuestion[PlanQuestion]) -> PlanAnswer:
-    """The shape in its reference orientation in the frame of the prompt, rounded as in an answer."""
-    answer = asyncio.run(GeometryPlanner().plan(asked.framed))
-    assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
-    return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
-
-
-def step_answer_text(answer: StepAnswer, horizon: int) -> str:
-    """A waypoint or a path in the form that the prompt asks for."""
-    if horizon == 1:
-        return f"Position: {place_text(answer.waypoint)}"
-    return "Path: [" + ", ".join(map(place_text, (answer.waypoint, *answer.path))) + "]"
-
-
-def plan_answer_text(answer: PlanAnswer) -> str:
-    """A plan in the form that the prompt asks for."""
-    return "Plan: [" + ", ".join(map(place_text, answer.plan.points)) + f"]\nmy plan: {answer.slot}"
-
-
 def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
-    """A question with the best answer; None where our own checks would reject it."""
+    """A question with the straight step, rounded as in an answer; None where our own checks would reject it.
+
+    Where a path is asked for, it has one position: each takes as long to generate as the first, and needs addition.
+    """
     asked = frame_step(question, "own")
-    answer = best_step(asked)
+    mission = asked.framed.mission
+    shorter = mission.model_copy(update={"max_step": REACH * mission.max_step})
+    waypoint = _rounded(straight_path(replace(asked.framed, mission=shorter)).waypoint)
     # The shield takes care of the others, better than a small model would.
     alone = replace(question, neighbors=())
-    if judge(alone, asked.to_world(answer), shield_on=True).reason is not None:
+    if judge(alone, asked.to_world(StepAnswer(waypoint=waypoint)), shield_on=True).reason is not None:
         return None
+    said, one = place_text(waypoint), question.horizon == 1
     return Example(
-        kind="step" if question.horizon == 1 else "path",
-        system=prompts.system(asked.framed.mission),
+        kind="step" if one else "path",
+        system=prompts.system(mission),
         user=prompts.step(asked.framed),
-        answer=step_answer_text(answer, question.horizon),
+        answer=f"Position: {said}" if one else f"Path: [{said}]",
         team=f"{question.mission.shape} {question.mission.n_places}",
     )
 
 
 def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | None:
-    """As `step_example`, for a plan."""
+    """As `step_example`, with the shape in its reference orientation."""
     question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
     asked = frame_plan(question, "own")
-    answer = best_plan(asked)
+    answer = geometric_plan(asked.framed)
+    assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
+    answer = replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
     if check_plan(mission, asked.to_world(answer).plan) is not None:
         return None
+    places = ", ".join(map(place_text, answer.plan.points))
     return Example(
         kind="plan",
         system=prompts.system(asked.framed.mission),
         user=prompts.plan(asked.framed),
-        answer=plan_answer_text(answer),
+        answer=f"Plan: [{places}]\nmy plan: {answer.slot}",
         team=f"{mission.shape} {mission.n_places}",
     )
 
