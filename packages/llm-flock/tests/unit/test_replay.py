@@ -138,8 +138,7 @@ def test_a_long_difference_is_cut(tmp_path: Path) -> None:
     path = record(tmp_path / "a.jsonl", answered(call()))
     with pytest.raises(ReplayDrift) as caught:
         ask(path, call(text="\n".join("x" * 10_000 for _ in range(1000))))
-    assert len(str(caught.value)) < 20_000
-    assert "more lines" in str(caught.value)
+    assert len(str(caught.value)) < 2_000
 
 
 def test_a_question_that_was_never_asked_is_drift(tmp_path: Path) -> None:

@@ -6,12 +6,12 @@ have answered; each further line is a `CassetteLine`.
 
 from __future__ import annotations
 
-import difflib
 import json
 import logging
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, fields
+from itertools import zip_longest
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -27,9 +27,6 @@ VERSION = 1
 HEADER = "llm_flock_cassette"
 LONGEST_LINE = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
-
-DIFF_LINES = 40
-"""Longest difference that an error shows [lines]."""
 
 
 class CassetteLine(BaseModel):
@@ -208,15 +205,13 @@ def _place(robot: int, round_: int, attempt: int) -> str:
 
 
 def _difference(line: CassetteLine, call: Call) -> str:
-    """A unified diff of limited length between the recorded question and this one."""
+    """The first line in which this question differs from the recorded one, of limited length."""
     recorded = _readable(line.kind, line.messages, line.answer_schema)
     asked = _readable(call.kind, call.messages, call.schema)
-    diff = list(difflib.unified_diff(recorded, asked, "recorded", "asked now", n=1, lineterm=""))
-    if not diff:
-        return "the texts are equal: the recorded hash does not fit its own line"
-    if len(diff) > DIFF_LINES:
-        diff = [*diff[:DIFF_LINES], f"... and {len(diff) - DIFF_LINES} more lines"]
-    return "\n".join(text if len(text) <= 300 else text[:297] + "..." for text in diff)
+    for was, is_now in zip_longest(recorded, asked, fillvalue=""):
+        if was != is_now:
+            return f"-{was[:300]}\n+{is_now[:300]}"
+    return "the texts are equal: the recorded hash does not fit its own line"
 
 
 def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: Mapping[str, Any] | None) -> list[str]:
