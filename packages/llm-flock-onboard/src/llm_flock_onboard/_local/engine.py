@@ -24,22 +24,10 @@ from llm_flock.llm import Reply, Usage
 from llm_flock_onboard._local.gguf import read_header
 from llm_flock_onboard._local.weights import Weights
 
-MIN_SLOTS = 4
-MAX_SLOTS = 16
-
-BATCH = 512
-"""Tokens of questions processed at once; memory for intermediate results grows with it."""
-
-WORK_BYTES = 256 * 2**20
-"""Upper estimate of the engine's memory beside weights and cache [bytes]."""
-
 STOPPED = "the engine was stopped"
 
 CLOSE_S = 10.0
 """Longest wait for answers that are cut short [s]; an engine that hangs must not keep the process alive."""
-
-QUIET = -1
-"""The engine logs nothing."""
 
 
 def cores() -> int:
@@ -54,7 +42,7 @@ def thread_count() -> int:
 
 def slot_count() -> int:
     """Questions answered at once: few, because they share cores and memory."""
-    return min(MAX_SLOTS, max(MIN_SLOTS, 2 * thread_count()))
+    return min(16, max(4, 2 * thread_count()))
 
 
 class Engine:
@@ -90,13 +78,13 @@ class Engine:
         params.n_ctx = tokens
         # A context for each question: in a shared one, a question that is too long ends all the others.
         params.kv_unified = False
-        params.n_batch = params.n_ubatch = BATCH
+        params.n_batch = params.n_ubatch = 512  # memory for intermediate results grows with it
         params.cpuparams.n_threads = params.cpuparams_batch.n_threads = thread_count()
         params.cache_ram_mib = params.n_ctx_checkpoints = 0
         params.enable_reasoning = 0
         params.fit_params = params.warmup = params.ui = params.endpoint_slots = False
         params.endpoint_metrics = True
-        params.verbosity = QUIET
+        params.verbosity = -1  # it logs nothing
         params.api_keys = [secrets.token_hex(16)]
         params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
         try:
@@ -181,7 +169,8 @@ def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None
     """
     free = _free_bytes() if free is None else free
     needed = sum(file.stat().st_size for file in weights.loaded())
-    needed += tokens * read_header(weights.model).cache_bytes + WORK_BYTES
+    # 256 MiB are an upper estimate of the engine's memory beside weights and cache.
+    needed += tokens * read_header(weights.model).cache_bytes + 256 * 2**20
     if free is not None and needed > free:
         allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
         raise InputError("model", str(weights.model), allowed)

@@ -29,7 +29,6 @@ _MOST_TEXT = 1 << 24
 """Names and texts together [bytes]; chat templates have some ten thousand, and names some fifty each."""
 
 _TOKENS = "tokenizer.ggml.tokens"
-_MOST_ALIGNMENT = 1 << 16
 _SIZES = (
     "block_count",
     "context_length",
@@ -40,11 +39,6 @@ _SIZES = (
     "attention.value_length",
 )
 """Values that are numbers of things where they are given as one number; larger than 2^31 are none."""
-_ALIGNMENT = 32
-"""Unless the file says otherwise."""
-
-_CACHE_BYTES = 2
-"""Bytes of a number in the cache of keys and values (half precision)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +85,7 @@ class Header:
             return 0
         key = self._number("attention.key_length") or width // heads
         value = self._number("attention.value_length") or width // heads
-        return layers * (self._number("attention.head_count_kv") or heads) * (key + value) * _CACHE_BYTES
+        return layers * (self._number("attention.head_count_kv") or heads) * (key + value) * 2  # in half precision
 
     def _number(self, name: str) -> int | None:
         value = self.metadata.get(f"{self.metadata.get('general.architecture')}.{name}")
@@ -151,8 +145,8 @@ class _Reader:
             added = metadata.get(f"tokenizer.ggml.add_{name}_token") is True and token is not None
             if added and (type(token) is not int or not 0 <= token < self._vocabulary):  # the engine would abort
                 raise ValueError
-        alignment = metadata.get("general.alignment", _ALIGNMENT)
-        if not isinstance(alignment, int) or not 0 < alignment <= _MOST_ALIGNMENT:
+        alignment = metadata.get("general.alignment", 32)
+        if not isinstance(alignment, int) or not 0 < alignment <= 1 << 16:
             raise ValueError
         architecture = metadata.get("general.architecture")
         for size in (metadata.get(f"{architecture}.{name}", 1) for name in _SIZES):

@@ -15,12 +15,6 @@ from llm_flock_onboard._local.engine import ENGINES, Engine, Engines
 from llm_flock_onboard._local.gguf import read_header
 from llm_flock_onboard._local.weights import Weights, find_weights
 
-TEMPERATURE = 0.0
-"""Unless the operator asks for another: the task needs the likeliest numbers, not variety."""
-
-LONGEST = 512
-"""Longest answer where no form is given [tokens]."""
-
 LEAST_CONTEXT = 1024
 
 
@@ -31,7 +25,7 @@ def context_for(call: Call) -> int:
 
 
 def _longest(call: Call) -> int:
-    return LONGEST if call.form is None else longest_answer(call.kind, call.form)
+    return 512 if call.form is None else longest_answer(call.kind, call.form)
 
 
 class EngineLeases:
@@ -77,7 +71,8 @@ class LocalModel:
         self.weights = find_weights(name.partition(":")[2])
         self.name = name
         self._leases = leases
-        self._settings: dict[str, Any] = {"temperature": TEMPERATURE, **settings.plain()}
+        # The task needs the likeliest numbers, not variety.
+        self._settings: dict[str, Any] = {"temperature": 0.0, **settings.plain()}
 
     async def ask(self, call: Call) -> Reply:
         """Answer one call, in the form that it asks for; InputError if the engine cannot be loaded, else ModelError."""

@@ -11,13 +11,9 @@ from typing import Any
 import httpx2
 from pydantic_ai.models import Model
 
-CONNECT_TIMEOUT_S = 10.0
 MOST_ANSWER_BYTES = 2 << 20
 """Largest body of a response that is read [bytes]: more than twice the longest answers of today's models. Read as JSON,
 it can take sixty times as much memory."""
-
-NO_KEY = "no-key"
-"""The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
 
 
 class _Bounded(httpx2.AsyncByteStream):
@@ -69,11 +65,11 @@ def build_model(
     The SDKs' own retries are switched off: they would hide faults from the record, and give up earlier than `limits`.
     """
     options: dict[str, Any] = {
-        "api_key": key or NO_KEY,
+        "api_key": key or "no-key",  # OpenAI's SDK refuses an empty one; servers that need none ignore it
         "base_url": base_url,
         "http_client": http,
         "max_retries": 0,
-        "timeout": httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
+        "timeout": httpx2.Timeout(timeout_s, connect=min(10.0, timeout_s), pool=None),
     }
     if provider == "anthropic":
         # Its SDK takes longer to import than all the others together.

@@ -16,9 +16,6 @@ from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 if TYPE_CHECKING:
     from llm_flock.llm._models import ModelPool
 
-FINAL = frozenset({"refused", "budget"})
-"""Kinds of ModelError that are not retried."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
@@ -222,7 +219,7 @@ class Limited:
                     return outcome  # a single try, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            if outcome.kind in FINAL or limits.retry.gives_up(faults):
+            if outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))

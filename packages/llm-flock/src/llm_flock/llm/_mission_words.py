@@ -22,8 +22,6 @@ from llm_flock.validation import input_error
 LONGEST = 2000
 """Most letters of a mission in plain words."""
 
-TIMEOUT_S = 60.0
-
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -57,7 +55,7 @@ class MissionReader:
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(
-            max_concurrent=1, timeout_s=TIMEOUT_S, retry=RetryPolicy(max_tries=3), rng=np.random.default_rng(0)
+            max_concurrent=1, timeout_s=60.0, retry=RetryPolicy(max_tries=3), rng=np.random.default_rng(0)
         )
 
     async def read(self, text: str) -> MissionDraft:

@@ -20,14 +20,11 @@ if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
 
-LISTED = frozenset({"openai", "anthropic", "deepseek"})
-"""Providers with a price list, which holds at their own addresses."""
-
 
 def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
     """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
     provider = "openai" if provider == "openai-responses" else provider
-    if provider not in LISTED:
+    if provider not in ("openai", "anthropic", "deepseek"):
         return None
     from genai_prices import calc_price
     from genai_prices.types import Usage as PricedUsage

@@ -18,10 +18,6 @@ from llm_flock.llm._port import Usage
 from llm_flock.llm._sources import source_of
 
 CHARS_PER_TOKEN = 4
-FIRST_GUESS = 500
-"""Expected length of an answer before a model's first one [tokens]."""
-
-WINDOW_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +87,7 @@ class SharedGate(BudgetMeter):
     owner = " of the sweep"
 
     def __init__(
-        self, budget: Budget | None = None, rates: Mapping[str, Rate] | None = None, *, window_s: float = WINDOW_S
+        self, budget: Budget | None = None, rates: Mapping[str, Rate] | None = None, *, window_s: float = 60.0
     ) -> None:
         super().__init__(budget)
         given = rates or {}
@@ -157,7 +153,8 @@ class SharedGate(BudgetMeter):
     def _expected(self, model: str, chars: int) -> tuple[int, float]:
         """Expected tokens and money of a call: by list price, or the mean of earlier calls."""
         calls, output, paid = self._answers[model]
-        usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else FIRST_GUESS)
+        # An answer is expected to be as long as the mean of earlier ones; the first one, 500 tokens.
+        usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else 500)
         provider, _, name = model.partition(":")
         if self.budget.max_cost_usd is None:
             return usage.total, 0.0
