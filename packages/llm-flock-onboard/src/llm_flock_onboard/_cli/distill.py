@@ -39,7 +39,8 @@ def data(
 ) -> None:
     """Write examples from our own planner over random missions."""
     from llm_flock_onboard._distill.choices import choice_examples
-    from llm_flock_onboard._distill.examples import Split, motion_examples, plan_examples, write_examples
+    from llm_flock_onboard._distill.examples import motion_examples, plan_examples, write_examples
+    from llm_flock_onboard._distill.wishes import Split
 
     _check_new(out)
     split: Split = "held-out" if held_out else "train"

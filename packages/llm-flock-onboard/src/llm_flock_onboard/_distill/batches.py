@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -39,12 +40,9 @@ class Batch:
 
 def shared_prefix(lessons: Sequence[Lesson]) -> int:
     """Length of the common prefix of all prompts [tokens]; the last token of a prompt never belongs to it."""
-    first, last = min(lesson.prompt for lesson in lessons), max(lesson.prompt for lesson in lessons)
-    most = min(len(lesson.prompt) for lesson in lessons) - 1
-    count = 0
-    while count < most and first[count] == last[count]:
-        count += 1
-    return count
+    prompts = [lesson.prompt for lesson in lessons]
+    same = takewhile(lambda pair: pair[0] == pair[1], zip(min(prompts), max(prompts), strict=False))
+    return min(len(list(same)), min(map(len, prompts)) - 1)
 
 
 def make_batch(lessons: Sequence[Lesson]) -> Batch:

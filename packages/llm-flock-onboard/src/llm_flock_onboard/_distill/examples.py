@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
 
@@ -32,8 +32,7 @@ from llm_flock.protocol import (
     judge,
     straight_path,
 )
-
-Split: TypeAlias = Literal["train", "held-out"]
+from llm_flock_onboard._distill.wishes import Split
 
 DECIMALS = 2
 """Decimals in an answer: few tokens to learn and to generate, and still exact plans."""

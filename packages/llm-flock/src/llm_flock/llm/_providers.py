@@ -68,9 +68,6 @@ _OWN = re.compile(r"(?:[^\W\d]\w*\.)+[^\W\d]\w*:[^\W\d][\w.<>]*|[^\W\d]\w*:(?:[\
 """A class of the user's own. Where the module has no dot, the class begins with a capital letter, so that a misspelt
 provider is no class."""
 
-_ALWAYS: Mapping[str, ModelKind] = {"simulated": "simulated", "replay": "replay"}
-"""Kinds by prefix, beside providers and plug-ins."""
-
 _RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
 
 
@@ -112,23 +109,24 @@ def parse_model(text: str) -> ModelName:
     provider, colon, model = text.partition(":")
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
-    others: dict[str, ModelKind] = {**dict.fromkeys(plugins.entries("models"), "plugin"), **_ALWAYS}
-    known = (*PROVIDERS, *others)
-    if colon and provider in EXTRAS and provider not in known:
+    kinds: dict[str, ModelKind] = {**dict.fromkeys(PROVIDERS, "provider"), "simulated": "simulated", "replay": "replay"}
+    kinds |= dict.fromkeys(plugins.entries("models"), "plugin")
+    kind = kinds.get(provider)
+    if kind is None and colon and provider in EXTRAS:
         raise ExtraMissing(f"--model {text}", provider)
-    if provider not in known and _OWN.fullmatch(text):
+    if kind is None and _OWN.fullmatch(text):
         return ModelName(text=text, kind="own", provider="own", model=model)
-    if not colon or provider not in known:
-        says = unknown(f"provider {provider!r}", provider, (*known, "package.module:Class")) if colon else ""
+    if kind is None or not colon:
+        says = unknown(f"provider {provider!r}", provider, (*kinds, "package.module:Class")) if colon else ""
         raise InputError("model", text, model_forms(), says=says)
     if not model:
         expected = {"simulated": "a profile", "replay": "a file"}.get(provider, "a model name")
-        if others.get(provider) == "plugin":
+        if kind == "plugin":
             expected = plugins.load("models", provider).expects
         raise InputError("model", text, f"{expected} after '{provider}:'")
-    if provider in PROVIDERS and re.search(r"[\s,=]", model):
+    if kind == "provider" and re.search(r"[\s,=]", model):
         raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
-    return ModelName(text=text, kind=others.get(provider, "provider"), provider=provider, model=model)
+    return ModelName(text=text, kind=kind, provider=provider, model=model)
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
