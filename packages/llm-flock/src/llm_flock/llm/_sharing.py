@@ -8,7 +8,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
@@ -44,34 +44,34 @@ class _SentCall:
     at_s: float
 
 
+@dataclass(slots=True)
 class _Traffic:
     """One provider's calls: those under way and those of the last minute."""
 
-    def __init__(self, rate: Rate, window_s: float) -> None:
-        self.rate = rate
-        self.queue = asyncio.Lock()
-        self.under_way = 0
-        self._window_s = window_s
-        self._recent: deque[_SentCall] = deque()
+    rate: Rate
+    window_s: float
+    queue: asyncio.Lock = field(default_factory=asyncio.Lock)
+    under_way: int = 0
+    recent: deque[_SentCall] = field(default_factory=deque[_SentCall])
 
     def wait_s(self, tokens: int, now: float) -> float:
         """Wait before a call of this size may be sent [s]; infinite until another call ends."""
-        rate, recent = self.rate, self._recent
+        rate, recent = self.rate, self.recent
         if rate.max_concurrent is not None and self.under_way >= rate.max_concurrent:
             return float("inf")
-        while recent and recent[0].at_s <= now - self._window_s:
+        while recent and recent[0].at_s <= now - self.window_s:
             recent.popleft()
         full = rate.calls_per_minute is not None and len(recent) >= rate.calls_per_minute
         if not full and rate.tokens_per_minute is not None:
             full = sum(call.tokens for call in recent) + tokens > rate.tokens_per_minute
         # A call larger than the whole limit may go when no other one counts.
-        return recent[0].at_s + self._window_s - now if recent and full else 0.0
+        return recent[0].at_s + self.window_s - now if recent and full else 0.0
 
     def sent(self, call: _SentCall) -> None:
         """Count a call."""
         self.under_way += 1
         if self.rate.calls_per_minute is not None or self.rate.tokens_per_minute is not None:
-            self._recent.append(call)
+            self.recent.append(call)
 
 
 class SharedGate(BudgetMeter):
