@@ -29,12 +29,11 @@ from typing import Any
 import numpy as np
 
 from llm_flock.llm._answer_forms import answer_grammar
-from llm_flock.llm._letter_planner import LetterPlanner
+from llm_flock.llm._limits import CallLane
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import AnswerForm, Attempt
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._sharing import CallLane
 from llm_flock.runtime._api import run_async
 from llm_flock.runtime._result import Summary
 from llm_flock_onboard._distill.choices import draw_choices
@@ -169,8 +168,8 @@ def letters(arguments: Sequence[str]) -> None:
 
 async def _letters(taught: str, turns: int) -> None:
     forms = {
-        "a waypoint": (TRAINED, LanguagePlanner, PromptSet.load("brief"), "own"),
-        "a letter": (taught, LetterPlanner, PromptSet.load("letters", wish="Keep left."), "world"),
+        "a waypoint": (TRAINED, PromptSet.load("brief"), "own"),
+        "a letter": (taught, PromptSet.load("letters", wish="Keep left."), "world"),
     }
     questions = [choice.question for choice in itertools.islice(draw_choices(0, "held-out"), TEN * turns)]
     spent: dict[str, list[float]] = {name: [] for name in forms}
@@ -178,12 +177,11 @@ async def _letters(taught: str, turns: int) -> None:
     async with ModelPool() as pool:
         for turn in range(-1, turns):  # the first turn loads both engines, and does not count
             asked = questions[TEN * max(0, turn) :][:TEN]
-            for name, (text, kind, prompts, frame) in forms.items():
+            for name, (text, prompts, frame) in forms.items():
                 model = pool.model(text, rng=np.random.default_rng(0))
                 seen: list[Attempt] = []
-                planners = [
-                    kind(k, model, prompts, max_retries=0, frame=frame, on_attempt=seen.append) for k in range(TEN)
-                ]
+                options: Any = {"max_retries": 0, "frame": frame, "on_attempt": seen.append}
+                planners = [LanguagePlanner(k, model, prompts, **options) for k in range(TEN)]
                 began = time.process_time()
                 await asyncio.gather(*(p.step(q) for p, q in zip(planners, asked, strict=True)))
                 if turn >= 0:
@@ -192,7 +190,7 @@ async def _letters(taught: str, turns: int) -> None:
     print("| Asked for | Model | Answers | Parsed [%] | Tokens in | Out, mean | Out, most | Processor time [s] |")
     print("|---|---|---|---|---|---|---|---|")
     for name, (text, *_) in forms.items():
-        usages = [attempt.reply.usage for attempt in attempts[name] if attempt.reply is not None]
+        usages = [attempt.reply.usage for attempt in attempts[name] if attempt.error is None]
         parsed = sum(attempt.parsed is not None for attempt in attempts[name]) / len(attempts[name])
         written = [usage.output for usage in usages]
         read = sum(usage.input for usage in usages) / len(usages)

@@ -15,7 +15,6 @@ import asyncio
 import math
 import multiprocessing
 import os
-import os
 import signal
 import statistics
 import tempfile

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from llm_flock.llm._port import Call
-from llm_flock.llm._simulated.model import Responder
+from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.protocol._geometry import GeometryPlanner
 from llm_flock.protocol._planning import PlanAnswer, StepAnswer
@@ -77,4 +77,4 @@ def hashed(conversation: Sequence[tuple[str, str]]) -> str:
     rng = np.random.default_rng(int.from_bytes(seed))
     if conversation[0][1].startswith("You turn a request"):
         return json.dumps({"shape": "circle", "n_robots": int(rng.integers(3, 13))})
-    return Responder(parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3"), rng).answer(conversation)
+    return SimulatedModel(parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3"), rng).answer(conversation)

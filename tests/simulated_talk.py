@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._simulated.model import Responder
+from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
@@ -45,5 +45,5 @@ def step_talk(
     return [("system", prompts.system(mission)), ("user", prompts.step(question))]
 
 
-def responder(profile: str = "ideal", seed: int = 0) -> Responder:
-    return Responder(parse_profile(profile), np.random.default_rng(seed))
+def responder(profile: str = "ideal", seed: int = 0) -> SimulatedModel:
+    return SimulatedModel(parse_profile(profile), np.random.default_rng(seed))

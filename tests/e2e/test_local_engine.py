@@ -15,7 +15,7 @@ from gguf_files import write_model
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm._client import CallSettings
 from llm_flock.llm._port import AnswerForm, Call, ChatMessage
-from llm_flock.llm._whole_answer import whole_answer
+from llm_flock.llm._thoughts import whole_answer
 from llm_flock_onboard._local.engine import ENGINES, Engine, slot_count
 from llm_flock_onboard._local.model import EngineLeases, LocalModel
 from llm_flock_onboard._local.weights import Weights, find_weights

@@ -206,14 +206,14 @@ def stand_in(options: Options) -> Answer:
     """Who answers: a fixed text, or a simulated model that reads the prompt; the same prompt has the same answer."""
     if options.fixed_answer:
         return lambda model, messages: options.fixed_answer
-    from llm_flock.llm._simulated.model import Responder
+    from llm_flock.llm._simulated.model import SimulatedModel
     from llm_flock.llm._simulated.profiles import parse_profile
 
     good, bad = parse_profile(options.profile), parse_profile(options.bad_profile)
 
     def answer(model: str, messages: list[tuple[str, str]]) -> str:
         chance = np.random.default_rng([options.seed, zlib.crc32(repr(messages).encode())])
-        return Responder(bad if model.startswith("bad") else good, chance).answer(messages)
+        return SimulatedModel(bad if model.startswith("bad") else good, chance).answer(messages)
 
     return answer
 

@@ -11,8 +11,8 @@ import pytest
 from llm_flock import run
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm._answer_forms import LETTER_TOKENS, answer_grammar, longest_answer
-from llm_flock.llm._letter_planner import LetterPlanner
 from llm_flock.llm._letters import check_wish, read_letter, read_way, ways_of, ways_text
+from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import Attempt, Call, Reply
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import build_mission
@@ -54,7 +54,7 @@ class Saying:
 
 def asked(model: Saying, about: StepQuestion, wish: str = "Keep left.") -> tuple[StepAnswer | NoAnswer, list[Attempt]]:
     attempts: list[Attempt] = []
-    planner = LetterPlanner(0, model, PromptSet.load("letters", wish=wish), on_attempt=attempts.append)
+    planner = LanguagePlanner(0, model, PromptSet.load("letters", wish=wish), on_attempt=attempts.append)
     return asyncio.run(planner.step(about)), attempts
 
 
@@ -116,7 +116,7 @@ def test_the_letter_that_is_chosen_is_flown_and_held_to_a_grammar_of_the_open_wa
     assert [message.text for message in call.messages][1] == "Wish: Keep left.\nL wide, R tight, H tight"
     assert call.form is not None and answer_grammar("step", call.form) == 'root ::= "L" | "R" | "H"\n'
     assert longest_answer("step", call.form) == LETTER_TOKENS <= 12
-    assert attempts[0].parsed == {"waypoint": list(answer.waypoint)} and attempts[0].reply is not None
+    assert attempts[0].parsed == {"waypoint": list(answer.waypoint)} and attempts[0].error is None
 
 
 def test_a_closed_way_is_refused_with_the_reason() -> None:
@@ -139,7 +139,7 @@ def test_nobody_is_asked_where_there_is_nothing_to_choose() -> None:
 
 
 def test_plans_come_by_geometry_and_say_so() -> None:
-    planner = LetterPlanner(1, Saying(), PromptSet.load("letters"))
+    planner = LanguagePlanner(1, Saying(), PromptSet.load("letters"))
     answer = asyncio.run(
         planner.plan(PlanQuestion(mission=MISSION, robot=1, round=1, position=(0.0, 0.0), neighbors=()))
     )

@@ -14,10 +14,10 @@ from gguf_files import write_model
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._client import CallSettings
 from llm_flock.llm._models import ModelPool
-from llm_flock.llm._port import AnswerForm, Call, ChatMessage, Usage
+from llm_flock.llm._port import AnswerForm, Call, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import parse_model
 from llm_flock_onboard._local import engine, weights
-from llm_flock_onboard._local.engine import Completion, Engines, check_memory, slot_count, thread_count
+from llm_flock_onboard._local.engine import Engines, check_memory, slot_count, thread_count
 from llm_flock_onboard._local.model import LEAST_CONTEXT, EngineLeases, LocalModel, context_for
 from llm_flock_onboard._local.weights import Weights
 
@@ -29,10 +29,16 @@ class StandIn:
         self.weights, self.context = files, context
         self.bodies: list[dict] = []
         self.stops: list[threading.Event] = []
-        self.answer: Future[Completion] = Future()
+        self.answer: Future[Reply] = Future()
         self.closed = 0
         self.answer.set_result(
-            Completion("Position: [1, 2]", Usage(input=9, output=5, cached=4), "length", thought=True)
+            Reply(
+                text="Position: [1, 2]",
+                model="",
+                usage=Usage(input=9, output=5, cached=4),
+                finish_reason="length",
+                thought=True,
+            )
         )
 
     def submit(self, body, stop):

@@ -81,7 +81,7 @@ def test_a_replay_asks_for_the_plans_that_were_asked_for(tmp_path: Path, model: 
     messages = (ChatMessage("system", "Be brief."), ChatMessage("user", "A plan, please."))
     call = Call(robot=0, round=1, kind="plan", attempt=0, messages=messages, schema=None)
     with CassetteWriter(tmp_path / "run.jsonl") as writer:
-        writer(Attempt(call=call, model=model, reply=Reply(text="none", model=model)))
+        writer(Attempt(call=call, reply=Reply(text="none", model=model)))
     planners = TeamPlanners(build_config(model=f"replay:{tmp_path / 'run.jsonl'}", shape="star", n_robots=10))
 
     async def replay() -> list[PlanAnswer | NoAnswer | Exception]:

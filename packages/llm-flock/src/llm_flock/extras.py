@@ -12,14 +12,7 @@ from llm_flock.errors import FieldError
 
 @dataclass(frozen=True, slots=True)
 class Extra:
-    """Libraries that one activity needs.
-
-    Attributes:
-        name: of the extra, as pip takes it.
-        purpose: what it is for, in a few words.
-        modules: what it has to make importable.
-        commands: those that come with it.
-    """
+    """Libraries that one activity needs: `modules` have to be importable, `commands` come with it."""
 
     name: str
     purpose: str
@@ -57,12 +50,7 @@ _TABLE = (
         ("swarm", "robot", "world", "watch", "mission", "keys"),
     ),
     Extra(
-        "foxglove",
-        "--foxglove of run, swarm, watch, fly and view; export --foxglove",
-        (
-            "llm_flock_view",
-            "foxglove",
-        ),
+        "foxglove", "--foxglove of run, swarm, watch, fly and view; export --foxglove", ("llm_flock_view", "foxglove")
     ),
     Extra(
         "ros2",
@@ -70,58 +58,15 @@ _TABLE = (
         ("llm_flock_swarm", "zenoh", "rosbags"),
         ("ros2",),
     ),
-    Extra(
-        "rerun",
-        "export --rerun",
-        (
-            "llm_flock_view",
-            "rerun",
-        ),
-    ),
+    Extra("rerun", "export --rerun", ("llm_flock_view", "rerun")),
     Extra("flight", "fly simulated drones, and the base of real ones", ("llm_flock_flight",), ("fly", "stand-ins")),
     Extra("crazyflie", "fly", ("llm_flock_flight", "cflib", "yaml")),
-    Extra(
-        "mocap",
-        "positions by a motion capture (pose_source = 'mocap')",
-        (
-            "llm_flock_flight",
-            "motioncapture",
-        ),
-    ),
+    Extra("mocap", "positions by a motion capture (pose_source = 'mocap')", ("llm_flock_flight", "motioncapture")),
     Extra("mavlink", "fly copters with PX4 or ArduPilot", ("llm_flock_flight", "pymavlink", "serial")),
-    Extra(
-        "local",
-        "models on board (--model local:smollm2)",
-        (
-            "llm_flock_onboard",
-            "xllamacpp",
-        ),
-    ),
-    Extra(
-        "cluster",
-        "sweep --cluster",
-        (
-            "llm_flock_lab",
-            "ray",
-        ),
-    ),
-    Extra(
-        "physics",
-        "rehearse flights in simulated physics",
-        (
-            "llm_flock_flight",
-            "crazyflow",
-        ),
-    ),
-    Extra(
-        "exam",
-        "exam",
-        (
-            "llm_flock_lab",
-            "inspect_ai",
-        ),
-        ("exam",),
-    ),
+    Extra("local", "models on board (--model local:smollm2)", ("llm_flock_onboard", "xllamacpp")),
+    Extra("cluster", "sweep --cluster", ("llm_flock_lab", "ray")),
+    Extra("physics", "rehearse flights in simulated physics", ("llm_flock_flight", "crazyflow")),
+    Extra("exam", "exam", ("llm_flock_lab", "inspect_ai"), ("exam",)),
     Extra("distill", "distill", ("llm_flock_onboard", "torch", "transformers", "gguf"), ("distill",)),
 )
 EXTRAS: Mapping[str, Extra] = {extra.name: extra for extra in _TABLE}
@@ -146,15 +91,7 @@ class ExtraMissing(FieldError):
 
 
 def require(extra: str, what: str) -> None:
-    """Check that an extra is installed, before the first use of its libraries.
-
-    Args:
-        extra: its name.
-        what: what needs it, as the operator asked for it.
-
-    Raises:
-        ExtraMissing: it is not.
-    """
+    """ExtraMissing if an extra is not installed, which `what` the operator asked for needs."""
     if EXTRAS[extra].missing:
         raise ExtraMissing(what, extra)
 

@@ -213,7 +213,7 @@ def test_the_stand_in_plans_and_steps_over_http() -> None:
         assert isinstance(plan, PlanAnswer) and plan.slot == robot
         assert isinstance(step, StepAnswer)
         assert math.dist(step.waypoint, (10.0 * robot, 20.0)) <= mission.max_step + 1e-9
-    met = Counter(fault for attempt in attempts for fault in attempt.faults)
+    met = Counter(fault for attempt in attempts for fault in attempt.reply.faults)
     for kind, sent in (("rate_limit", "rate_limit"), ("server", "server_error"), ("timeout", "late")):
         assert met[kind] == stats[sent] > 0
     assert met["garbage"] == stats["garbage"] - stats["unusable"]

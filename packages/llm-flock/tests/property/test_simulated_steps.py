@@ -10,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._simulated.model import Responder
+from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
@@ -38,7 +38,7 @@ def test_no_step_exceeds_the_limit_and_a_goal_in_reach_is_met_exactly(
     )
     plan = Plan.of([target])
     question = StepQuestion(mission=mission, robot=0, round=1, position=position, neighbors=(), plan=plan, slot=0)
-    model = Responder(parse_profile(profile), np.random.default_rng(0))
+    model = SimulatedModel(parse_profile(profile), np.random.default_rng(0))
     text = model.answer([("system", PROMPTS.system(mission)), ("user", PROMPTS.step(question))])
     waypoint = parse_step(text, dim)
     step, distance = math.dist(position, waypoint), math.dist(position, plan.points[0])

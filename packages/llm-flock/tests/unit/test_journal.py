@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from llm_flock.events import Note
-from llm_flock.llm._port import Attempt, Call
+from llm_flock.llm._port import Attempt, Call, Reply
 from llm_flock.mission import Mission
 from llm_flock.record._schema import Entry, LlmEntry, NullWriter, ProtocolEvent, RecordSink
 from llm_flock.runtime import _journal as journals
@@ -27,7 +27,7 @@ class Entries:
 def kept(sink: RecordSink) -> Journal:
     journal = Journal(Mission(shape="line", n_robots=3), sink)
     journal.note(1, None, 0, Note("proposed", {"plan": "a", "slot": 1, "by": "model"}))
-    journal.attempt(Attempt(call=CALL, model="x", faults=("timeout",)))
+    journal.attempt(Attempt(call=CALL, reply=Reply(text="", model="x", faults=("timeout",)), error=("timeout", "x")))
     journal.flush_attempts()
     return journal
 

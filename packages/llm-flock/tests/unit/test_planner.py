@@ -17,7 +17,7 @@ from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import Attempt, Call, Reply, Usage
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._replay import CassetteWriter, ReplayModel
-from llm_flock.llm._whole_answer import MAX_QUOTED, NO_TEXT
+from llm_flock.llm._thoughts import MAX_QUOTED, NO_TEXT
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -75,7 +75,7 @@ def test_one_good_answer_is_one_call() -> None:
     assert answer == PlanAnswer(plan=Plan.of(POINTS), slot=2)
     (attempt,) = heard
     assert attempt.parsed == {"plan": POINTS, "slot": 2} and attempt.rejected is None and attempt.error is None
-    assert (attempt.call.attempt, attempt.latency_s, attempt.faults) == (0, 0.25, ("timeout",))
+    assert (attempt.call.attempt, attempt.reply.latency_s, attempt.reply.faults) == (0, 0.25, ("timeout",))
     assert attempt.call.schema is None and roles(attempt.call) == "su"
     assert attempt.call.messages[0].text == PROMPTS.system(MISSION)
 
@@ -159,8 +159,8 @@ def test_a_failing_provider_is_no_answer_and_is_told(error: ModelError, cause: s
     thinker, heard = planner(Scripted("nothing", error))
     answer = asyncio.run(thinker.step(step_question()))
     assert isinstance(answer, NoAnswer) and answer.cause == cause and error.detail in answer.reason
-    assert heard[1].error == (cause, error.detail) and heard[1].faults == error.faults
-    assert heard[1].reply is None and heard[1].model == "scripted:one"
+    assert heard[1].error == (cause, error.detail) and heard[1].reply.faults == error.faults
+    assert heard[1].reply.text == "" and heard[1].reply.model == "scripted:one"
 
 
 def test_a_drifting_replay_is_not_swallowed() -> None:
@@ -299,8 +299,8 @@ def test_a_recorded_conversation_replays_call_for_call(tmp_path: Path) -> None:
     with ReplayModel(tmp_path / "c.jsonl") as replay:
         again, heard = planner(replay)
         assert asyncio.run(talk(again)) == told
-    assert [(a.call, a.parsed, a.rejected, a.error, a.faults) for a in heard] == [
-        (a.call, a.parsed, a.rejected, a.error, a.faults) for a in first
+    assert [(a.call, a.parsed, a.rejected, a.error, a.reply.faults) for a in heard] == [
+        (a.call, a.parsed, a.rejected, a.error, a.reply.faults) for a in first
     ]
 
 

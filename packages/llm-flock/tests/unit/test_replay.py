@@ -32,11 +32,12 @@ def answered(question: Call, text: str = "Position: [1, 2]") -> Attempt:
         latency_s=1 / 3,
         faults=("rate_limit", "server"),
     )
-    return Attempt(call=question, model="openai:o3-mini", reply=reply, parsed={"waypoint": [1.0, 2.0]})
+    return Attempt(call=question, reply=reply, parsed={"waypoint": [1.0, 2.0]})
 
 
 def failed(question: Call, kind: str, faults: tuple[str, ...] = ()) -> Attempt:
-    return Attempt(call=question, model="openai:o3-mini", error=(kind, "so it was"), faults=faults, latency_s=2.0)
+    reply = Reply(text="", model="openai:o3-mini", faults=faults, latency_s=2.0)
+    return Attempt(call=question, reply=reply, error=(kind, "so it was"))
 
 
 def record(path: Path, *attempts: Attempt) -> Path:
@@ -65,7 +66,6 @@ def test_answers_come_back_exactly_in_any_order(tmp_path: Path) -> None:
 
 def test_why_an_answer_ended_is_kept_and_older_cassettes_do_not_say(tmp_path: Path) -> None:
     attempt = answered(call())
-    assert attempt.reply is not None
     cut = replace(attempt, reply=replace(attempt.reply, finish_reason="length", thought=True))
     path = record(tmp_path / "a.jsonl", cut)
     reply = ask(path, call())
@@ -138,8 +138,7 @@ def test_a_long_difference_is_cut(tmp_path: Path) -> None:
     path = record(tmp_path / "a.jsonl", answered(call()))
     with pytest.raises(ReplayDrift) as caught:
         ask(path, call(text="\n".join("x" * 10_000 for _ in range(1000))))
-    assert len(str(caught.value)) < 20_000
-    assert "more lines" in str(caught.value)
+    assert len(str(caught.value)) < 2_000
 
 
 def test_a_question_that_was_never_asked_is_drift(tmp_path: Path) -> None:

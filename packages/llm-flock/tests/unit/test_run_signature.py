@@ -13,8 +13,8 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError
+from llm_flock.llm._limits import CallLane
 from llm_flock.llm._own import ModelChoice
-from llm_flock.llm._sharing import CallLane
 from llm_flock.runtime._api import Parameters, wait_for
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._result import RunResult

@@ -6,9 +6,9 @@ import time
 import pytest
 
 from llm_flock.errors import BudgetExceeded
-from llm_flock.llm._limits import Budget, CallLimits, Limited, Spent
+from llm_flock.llm._limits import Budget, BudgetMeter, CallLane, CallLimits, Limited, Spent
 from llm_flock.llm._port import Call, ChatMessage, Reply, Usage
-from llm_flock.llm._sharing import CallLane, Rate, SharedGate
+from llm_flock.llm._sharing import Rate, SharedGate
 from llm_flock.runtime._schedule import Stream, stream
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=(ChatMessage("user", "x" * 400),))
@@ -114,16 +114,17 @@ def test_a_call_that_is_made_again_is_no_new_one_for_the_budget() -> None:
     assert asyncio.run(go()) == Spent(calls=1, tokens=100, cost_usd=1.0)
 
 
+class Quick:
+    name = "simulated:ideal"
+
+    async def ask(self, call: Call) -> Reply:
+        return REPLY
+
+
 def test_the_wait_for_a_turn_is_no_time_out_and_no_latency() -> None:
-    class Quick:
-        name = "simulated:ideal"
-
-        async def ask(self, call: Call) -> Reply:
-            return REPLY
-
     async def go() -> list[Reply]:
         gate = SharedGate(rates={"simulated": Rate(calls_per_minute=1)}, window_s=0.2)
-        limits = CallLimits(timeout_s=0.1, gate=CallLane(gate), rng=stream(0, Stream.BACKOFF))
+        limits = CallLimits(timeout_s=0.1, lane=CallLane(gate), rng=stream(0, Stream.BACKOFF))
         model = Limited(Quick(), limits)
         return list(await asyncio.gather(*(model.ask(CALL) for _ in range(3))))
 
@@ -132,13 +133,13 @@ def test_the_wait_for_a_turn_is_no_time_out_and_no_latency() -> None:
 
 
 def test_a_lane_knows_that_it_was_cut() -> None:
-    async def go() -> CallLane:
-        gate = SharedGate(Budget(max_calls=1))
-        await once(gate)
-        lane = CallLane(gate)
-        with pytest.raises(BudgetExceeded, match="of the sweep"):
-            await lane.enter("simulated:ideal", CHARS, again=False)
+    async def go(shared: Budget, own: Budget) -> CallLane:
+        lane = CallLane(SharedGate(shared))
+        model = Limited(Quick(), CallLimits(lane=lane, meter=BudgetMeter(own), rng=stream(0, Stream.BACKOFF)))
+        await model.ask(CALL)
+        with pytest.raises(BudgetExceeded, match="is used up"):
+            await model.ask(CALL)
         return lane
 
-    assert asyncio.run(go()).cut
-    assert not CallLane().cut
+    assert asyncio.run(go(Budget(max_calls=1), Budget())).cut
+    assert not asyncio.run(go(Budget(), Budget(max_calls=1))).cut

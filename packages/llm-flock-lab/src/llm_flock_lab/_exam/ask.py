@@ -211,7 +211,7 @@ class Examiner:
 
         def note(attempt: Attempt) -> None:
             nonlocal first
-            if attempt.model == SCRIPT:
+            if attempt.reply.model == SCRIPT:
                 seen.clear()
                 return
             attempts.append(attempt)
@@ -273,10 +273,10 @@ class Examiner:
         try:
             reply = await model.ask(call)
         except ModelError as error:
-            attempt = Attempt(call=call, model=error.model or model.name, error=(error.kind, error.detail))
+            attempt = Attempt.failed(call, error, model.name)
             return _scored(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
         marks = word_marks(question, reply.text)
-        attempt = Attempt(call=call, model=reply.model, reply=reply, rejected=marks.reason, latency_s=reply.latency_s)
+        attempt = Attempt(call=call, reply=reply, rejected=marks.reason)
         tries = 0 if marks.reason is None else None
         scored = _scored(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
         return replace(scored, readable=marks.read, flyable=marks.safe)
@@ -332,7 +332,7 @@ def _scored(
     cause: str | None,
     reason: str | None,
 ) -> Outcome:
-    replies = [attempt.reply for attempt in attempts if attempt.reply is not None]
+    replies = [attempt.reply for attempt in attempts if attempt.error is None]
     costs = [reply.cost_usd for reply in replies]
     return Outcome(
         question=question.id,
@@ -350,7 +350,7 @@ def _scored(
         calls=len(attempts),
         tokens_input=sum(reply.usage.input for reply in replies),
         tokens_output=sum(reply.usage.output for reply in replies),
-        seconds=round(sum(attempt.latency_s for attempt in attempts), 4),
+        seconds=round(sum(attempt.reply.latency_s for attempt in attempts), 4),
         cost_usd=None if None in costs else sum(cost for cost in costs if cost is not None),
         answered_by=replies[0].model if replies else None,
         cause=cause,

@@ -99,6 +99,8 @@ def _examiner(prompts: str, frame: str, answers: str, max_retries: int) -> Exami
         raise InputError("frame", frame, "world or own")
     if max_retries < 0:
         raise InputError("max_retries", max_retries, "at least 0")
+    if prompts == "letters":
+        raise InputError("prompts", prompts, "full, brief or a folder: nothing else than a run asks for a letter")
     templates = PromptSet.load(prompts, json=answers == "json")
     return Examiner(templates, cast(FrameName, frame), max_retries=max_retries)
 

@@ -34,27 +34,17 @@ def data(
     count: Annotated[int, typer.Option(min=1, max=MOST, help="Examples of steps and paths")] = 12_000,
     plans: Annotated[int, typer.Option(min=0, max=MOST, help="Sets of examples of plans, each at other centres")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
-    cassette: Annotated[
-        list[Path] | None,
-        typer.Option(help="Add the accepted answers of a recording of --record-llm; may be repeated"),
-    ] = None,
     choices: Annotated[int, typer.Option(min=0, max=MOST, help="Examples of questions for one letter")] = 0,
     held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, centres and spacings")] = False,
 ) -> None:
-    """Write examples from our own planner over random missions, and from recorded runs."""
+    """Write examples from our own planner over random missions."""
     from llm_flock_onboard._distill.choices import choice_examples
-    from llm_flock_onboard._distill.examples import (
-        Split,
-        motion_examples,
-        plan_examples,
-        recorded_examples,
-        write_examples,
-    )
+    from llm_flock_onboard._distill.examples import motion_examples, plan_examples, write_examples
+    from llm_flock_onboard._distill.wishes import Split
 
     _check_new(out)
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
-    parts += [recorded_examples(file) for file in cassette or []]
     parts.append(choice_examples(seed, choices, split))
     examples = list(chain(*parts))
     said = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
@@ -77,7 +67,6 @@ def train(
     tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
     blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
     half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
-    threads: Annotated[int | None, typer.Option(min=1, help="Processor threads [torch's default]")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
     resume: Annotated[bool, typer.Option("--resume", help="Resume from the checkpoint in the folder")] = False,
 ) -> None:
@@ -89,9 +78,7 @@ def train(
     from llm_flock_onboard._distill.training import train as teach
 
     found = read_examples(examples)
-    torch = need("torch")
-    if threads is not None:
-        torch.set_num_threads(threads)
+    need("torch")
     student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed, blocks=blocks, half=half)
     lessons = [student.lesson(example) for example in found]
     console = Screen(stderr=True)

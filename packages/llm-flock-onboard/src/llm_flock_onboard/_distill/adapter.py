@@ -20,12 +20,10 @@ MAX_BYTES = 20_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Adapter:
-    """Low-rank factors of a llama-like model.
+    """Low-rank factors of a llama-like model: A (rank, inputs) and B (outputs, rank) by layer, `blk.0.attn_q`.
 
-    Attributes:
-        alpha: the product of the factors is scaled by `alpha / rank`.
-        heads: attention heads of the base; `kv_heads` are those of its keys and values.
-        factors: A (rank, inputs) and B (outputs, rank) by layer, `blk.0.attn_q`.
+    Their product is scaled by `alpha / rank`. `heads` are the attention heads of the base, `kv_heads` those of its keys
+    and values.
     """
 
     rank: int

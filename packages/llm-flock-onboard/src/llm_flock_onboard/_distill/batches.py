@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -27,12 +28,9 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Lessons with a common prefix, which is computed once.
+    """Lessons with a common prefix, which is computed once; the other tokens are padded with zeros.
 
-    Attributes:
-        prefix: the first tokens of all prompts.
-        tokens: the other tokens of each lesson, padded with zeros, shape (lessons, length).
-        labels: the token to follow each token, -1 where nothing is learnt, shape (lessons, length).
+    `labels` are the token to follow each one, -1 where nothing is learnt. Both have the shape (lessons, length).
     """
 
     prefix: tuple[int, ...]
@@ -42,12 +40,9 @@ class Batch:
 
 def shared_prefix(lessons: Sequence[Lesson]) -> int:
     """Length of the common prefix of all prompts [tokens]; the last token of a prompt never belongs to it."""
-    first, last = min(lesson.prompt for lesson in lessons), max(lesson.prompt for lesson in lessons)
-    most = min(len(lesson.prompt) for lesson in lessons) - 1
-    count = 0
-    while count < most and first[count] == last[count]:
-        count += 1
-    return count
+    prompts = [lesson.prompt for lesson in lessons]
+    same = takewhile(lambda pair: pair[0] == pair[1], zip(min(prompts), max(prompts), strict=False))
+    return min(len(list(same)), min(map(len, prompts)) - 1)
 
 
 def make_batch(lessons: Sequence[Lesson]) -> Batch:

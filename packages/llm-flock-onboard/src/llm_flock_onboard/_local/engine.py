@@ -15,32 +15,19 @@ import threading
 import time
 from collections.abc import Mapping
 from concurrent.futures import Future
-from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm import Usage
+from llm_flock.llm import Reply, Usage
 from llm_flock_onboard._local.gguf import read_header
 from llm_flock_onboard._local.weights import Weights
-
-MIN_SLOTS = 4
-MAX_SLOTS = 16
-
-BATCH = 512
-"""Tokens of questions processed at once; memory for intermediate results grows with it."""
-
-WORK_BYTES = 256 * 2**20
-"""Upper estimate of the engine's memory beside weights and cache [bytes]."""
 
 STOPPED = "the engine was stopped"
 
 CLOSE_S = 10.0
 """Longest wait for answers that are cut short [s]; an engine that hangs must not keep the process alive."""
-
-QUIET = -1
-"""The engine logs nothing."""
 
 
 def cores() -> int:
@@ -55,26 +42,13 @@ def thread_count() -> int:
 
 def slot_count() -> int:
     """Questions answered at once: few, because they share cores and memory."""
-    return min(MAX_SLOTS, max(MIN_SLOTS, 2 * thread_count()))
-
-
-@dataclass(frozen=True, slots=True)
-class Completion:
-    """An answer of the engine, its tokens, why it ended, and whether thoughts came apart from it."""
-
-    text: str
-    usage: Usage
-    finish_reason: str | None = None
-    thought: bool = False
+    return min(16, max(4, 2 * thread_count()))
 
 
 class Engine:
-    """One loaded model; `ask` may be called from many threads at once.
+    """One loaded model, for many threads at once; InputError if it cannot load the files.
 
     Each question answered at once has a context of its own, the longest question with its answer [tokens].
-
-    Raises:
-        InputError: for field `model`: the engine cannot load the files.
     """
 
     def __init__(self, weights: Weights, context: int) -> None:
@@ -104,13 +78,13 @@ class Engine:
         params.n_ctx = tokens
         # A context for each question: in a shared one, a question that is too long ends all the others.
         params.kv_unified = False
-        params.n_batch = params.n_ubatch = BATCH
+        params.n_batch = params.n_ubatch = 512  # memory for intermediate results grows with it
         params.cpuparams.n_threads = params.cpuparams_batch.n_threads = thread_count()
         params.cache_ram_mib = params.n_ctx_checkpoints = 0
         params.enable_reasoning = 0
         params.fit_params = params.warmup = params.ui = params.endpoint_slots = False
         params.endpoint_metrics = True
-        params.verbosity = QUIET
+        params.verbosity = -1  # it logs nothing
         params.api_keys = [secrets.token_hex(16)]
         params.hostnames = [str(self._folder / "engine.sock") if hasattr(socket, "AF_UNIX") else "127.0.0.1"]
         try:
@@ -123,19 +97,16 @@ class Engine:
             raise InputError("model", str(files[0]), allowed) from None
         return server
 
-    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Completion]:
-        """Answer a request for a chat completion, as llama.cpp's server takes it; set `stop` to cut the answer short.
-
-        The future fails with ModelError where there is no answer.
-        """
-        answer: Future[Completion] = Future()
+    def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Reply]:
+        """Answer a request as llama.cpp's server takes it, or fail with ModelError; set `stop` to cut it short."""
+        answer: Future[Reply] = Future()
         # A daemon: whatever the engine does, the process can end.
         thread = threading.Thread(target=self._work, args=(answer, dict(body), stop), name="engine", daemon=True)
         self._threads.add(thread)
         thread.start()
         return answer
 
-    def _work(self, answer: Future[Completion], body: dict[str, Any], stop: threading.Event) -> None:
+    def _work(self, answer: Future[Reply], body: dict[str, Any], stop: threading.Event) -> None:
         with self._free_slots:
             if answer.set_running_or_notify_cancel():
                 try:
@@ -144,12 +115,10 @@ class Engine:
                     answer.set_exception(error)
         self._threads.discard(threading.current_thread())
 
-    def _ask(self, body: dict[str, Any], stop: threading.Event) -> Completion:
-        text: list[str] = []
+    def _ask(self, body: dict[str, Any], stop: threading.Event) -> Reply:
+        text, reasons, thoughts = list[str](), list[str](), list[str]()
         used: dict[str, Any] = {}
         errors: list[dict[str, Any]] = []
-        reasons: list[str] = []
-        thoughts: list[str] = []
 
         def take(chunk: dict[str, Any]) -> bool:
             if "error" in chunk:
@@ -181,7 +150,7 @@ class Engine:
             cached=details.get("cached_tokens", 0),
         )
         reason = next(filter(None, reversed(reasons)), None)
-        return Completion("".join(text), usage, reason, any(thoughts))
+        return Reply(text="".join(text), model="", usage=usage, finish_reason=reason, thought=any(thoughts))
 
     def close(self) -> None:
         """Stop at once and cut answers short; may be called again."""
@@ -197,13 +166,11 @@ def check_memory(weights: Weights, tokens: int, free: int | None = None) -> None
     """Refuse weights that do not fit into memory: the system would kill this process without a message.
 
     `tokens` is the total context of all questions answered at once; `free` memory is asked of the system [bytes].
-
-    Raises:
-        InputError: for field `model`.
     """
     free = _free_bytes() if free is None else free
     needed = sum(file.stat().st_size for file in weights.loaded())
-    needed += tokens * read_header(weights.model).cache_bytes + WORK_BYTES
+    # 256 MiB are an upper estimate of the engine's memory beside weights and cache.
+    needed += tokens * read_header(weights.model).cache_bytes + 256 * 2**20
     if free is not None and needed > free:
         allowed = f"a model that fits: this one takes about {needed / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free"
         raise InputError("model", str(weights.model), allowed)

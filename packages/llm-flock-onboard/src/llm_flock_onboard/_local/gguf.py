@@ -6,6 +6,7 @@ Format: GGUF version 2 and 3 as llama.cpp writes them, little-endian.
 from __future__ import annotations
 
 import mmap
+import os
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -28,7 +29,6 @@ _MOST_TEXT = 1 << 24
 """Names and texts together [bytes]; chat templates have some ten thousand, and names some fifty each."""
 
 _TOKENS = "tokenizer.ggml.tokens"
-_MOST_ALIGNMENT = 1 << 16
 _SIZES = (
     "block_count",
     "context_length",
@@ -39,22 +39,14 @@ _SIZES = (
     "attention.value_length",
 )
 """Values that are numbers of things where they are given as one number; larger than 2^31 are none."""
-_ALIGNMENT = 32
-"""Unless the file says otherwise."""
-
-_CACHE_BYTES = 2
-"""Bytes of a number in the cache of keys and values (half precision)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tensor:
-    """One entry of the list of tensors.
+    """One entry of the list of tensors: the `shape` begins with the fastest axis, `format` is llama.cpp's number.
 
-    Attributes:
-        shape: size of each axis, fastest first.
-        format: llama.cpp's number of the format in which the numbers are written.
-        offset: first byte of the numbers, counted from the beginning of all tensor data.
-        entry: byte of the file at which `format` (4 bytes) and `offset` (8 bytes) stand.
+    `offset` counts from the beginning of all tensor data. Byte `entry` of the file is where both stand, in 4 and 8
+    bytes.
     """
 
     shape: tuple[int, ...]
@@ -65,13 +57,9 @@ class Tensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Header:
-    """The header of a GGUF file.
+    """The header of a GGUF file: metadata without lists, and tensors in the order of the file.
 
-    Attributes:
-        metadata: values by name, lists left out.
-        tensors: tensors by name, in the order of the file.
-        data_begin: first byte of the tensor data.
-        alignment: tensors begin at multiples of this many bytes.
+    The tensor data begins at byte `data_begin`, each tensor at a multiple of `alignment` from there.
     """
 
     metadata: Mapping[str, Any]
@@ -97,7 +85,7 @@ class Header:
             return 0
         key = self._number("attention.key_length") or width // heads
         value = self._number("attention.value_length") or width // heads
-        return layers * (self._number("attention.head_count_kv") or heads) * (key + value) * _CACHE_BYTES
+        return layers * (self._number("attention.head_count_kv") or heads) * (key + value) * 2  # in half precision
 
     def _number(self, name: str) -> int | None:
         value = self.metadata.get(f"{self.metadata.get('general.architecture')}.{name}")
@@ -105,11 +93,7 @@ class Header:
 
 
 def read_header(path: Path) -> Header:
-    """Read the header of a GGUF file, again only after the file has changed.
-
-    Raises:
-        InputError: for field `model`: there is no such file, or it is no GGUF file.
-    """
+    """Read the header of a GGUF file, again only after the file has changed; InputError if it is none."""
     try:
         found = path.stat()
     except OSError as error:
@@ -133,11 +117,10 @@ class _Reader:
 
     def __init__(self, data: mmap.mmap) -> None:
         self._data = data
-        self._at = 0
         self._strings = self._text_bytes = self._listed = self._vocabulary = 0
 
     def header(self) -> Header:
-        if self._take(4) != b"GGUF" or self._scalar("I") not in (2, 3):
+        if self._data.read(4) != b"GGUF" or self._scalar("I") not in (2, 3):
             raise ValueError
         n_tensors, n_values = self._scalar("Q"), self._scalar("Q")
         if max(n_tensors, n_values) > _MOST_VALUES:
@@ -156,21 +139,21 @@ class _Reader:
             if dims > _MAX_DIMS:
                 raise ValueError
             shape = tuple(self._scalar("Q") for _ in range(dims))
-            tensors[name] = Tensor(shape, entry=self._at, format=self._scalar("I"), offset=self._scalar("Q"))
+            tensors[name] = Tensor(shape, entry=self._data.tell(), format=self._scalar("I"), offset=self._scalar("Q"))
         for name in ("bos", "eos"):
             token = metadata.get(f"tokenizer.ggml.{name}_token_id")
             added = metadata.get(f"tokenizer.ggml.add_{name}_token") is True and token is not None
             if added and (type(token) is not int or not 0 <= token < self._vocabulary):  # the engine would abort
                 raise ValueError
-        alignment = metadata.get("general.alignment", _ALIGNMENT)
-        if not isinstance(alignment, int) or not 0 < alignment <= _MOST_ALIGNMENT:
+        alignment = metadata.get("general.alignment", 32)
+        if not isinstance(alignment, int) or not 0 < alignment <= 1 << 16:
             raise ValueError
         architecture = metadata.get("general.architecture")
         for size in (metadata.get(f"{architecture}.{name}", 1) for name in _SIZES):
             if type(size) is not int or not 0 < size < 2**31:
                 raise ValueError
-        begin = self._at + -self._at % alignment
-        return Header(metadata=metadata, tensors=tensors, data_begin=begin, alignment=alignment)
+        end = self._data.tell()
+        return Header(metadata=metadata, tensors=tensors, data_begin=end + -end % alignment, alignment=alignment)
 
     def _value(self, kind: int) -> Any:
         """One value; a list is skipped and gives None."""
@@ -183,21 +166,20 @@ class _Reader:
         if inner == _STRING:
             self._skip_strings(count)
         else:
-            self._pass(count * struct.calcsize(_SCALARS[inner]))
+            self._data.seek(count * struct.calcsize(_SCALARS[inner]), os.SEEK_CUR)
         return None
 
     def _skip_strings(self, count: int) -> None:
         self._strings += count
         if self._strings > _MOST_STRINGS:
             raise ValueError
-        at, length = self._at, struct.Struct("<Q")
+        at, length = self._data.tell(), struct.Struct("<Q")
         for _ in range(count):
             at += length.size + length.unpack_from(self._data, at)[0]
-        self._at = at
-        self._pass(0)
+        self._data.seek(at)
 
     def _scalar(self, form: str) -> Any:
-        (value,) = struct.unpack("<" + form, self._take(struct.calcsize("<" + form)))
+        (value,) = struct.unpack("<" + form, self._data.read(struct.calcsize("<" + form)))
         return value
 
     def _text(self) -> str:
@@ -205,13 +187,7 @@ class _Reader:
         self._text_bytes += length
         if self._text_bytes > _MOST_TEXT:
             raise ValueError
-        return self._take(length).decode("utf-8", "replace")
-
-    def _take(self, count: int) -> bytes:
-        self._pass(count)
-        return self._data[self._at - count : self._at]
-
-    def _pass(self, count: int) -> None:
-        if count > len(self._data) - self._at:  # also after `_skip_strings` went beyond the end
+        text = self._data.read(length)
+        if len(text) < length:
             raise ValueError
-        self._at += count
+        return text.decode("utf-8", "replace")

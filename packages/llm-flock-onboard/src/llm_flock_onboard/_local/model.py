@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 from llm_flock.errors import InputError
@@ -13,12 +14,6 @@ from llm_flock.llm import Call, CallSettings, Reply, answer_grammar, longest_ans
 from llm_flock_onboard._local.engine import ENGINES, Engine, Engines
 from llm_flock_onboard._local.gguf import read_header
 from llm_flock_onboard._local.weights import Weights, find_weights
-
-TEMPERATURE = 0.0
-"""Unless the operator asks for another: the task needs the likeliest numbers, not variety."""
-
-LONGEST = 512
-"""Longest answer where no form is given [tokens]."""
 
 LEAST_CONTEXT = 1024
 
@@ -30,7 +25,7 @@ def context_for(call: Call) -> int:
 
 
 def _longest(call: Call) -> int:
-    return LONGEST if call.form is None else longest_answer(call.kind, call.form)
+    return 512 if call.form is None else longest_answer(call.kind, call.form)
 
 
 class EngineLeases:
@@ -76,15 +71,11 @@ class LocalModel:
         self.weights = find_weights(name.partition(":")[2])
         self.name = name
         self._leases = leases
-        self._settings: dict[str, Any] = {"temperature": TEMPERATURE, **settings.plain()}
+        # The task needs the likeliest numbers, not variety.
+        self._settings: dict[str, Any] = {"temperature": 0.0, **settings.plain()}
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, in the form that it asks for.
-
-        Raises:
-            InputError: the engine cannot be loaded.
-            ModelError: the engine refuses the question, or was stopped.
-        """
+        """Answer one call, in the form that it asks for; InputError if the engine cannot be loaded, else ModelError."""
         engine = await self._leases.engine(self.weights, call)
         started = time.perf_counter()
         stop = threading.Event()
@@ -92,16 +83,8 @@ class LocalModel:
             answer = await asyncio.wrap_future(engine.submit(self._body(call), stop))
         finally:
             stop.set()  # a caller that gives up frees the slot
-        return Reply(
-            text=answer.text,
-            model=self.name,
-            settings=self._settings,
-            usage=answer.usage,
-            cost_usd=0.0,
-            latency_s=time.perf_counter() - started,
-            finish_reason=answer.finish_reason,
-            thought=answer.thought,
-        )
+        latency_s = time.perf_counter() - started
+        return replace(answer, model=self.name, settings=self._settings, cost_usd=0.0, latency_s=latency_s)
 
     def _body(self, call: Call) -> dict[str, Any]:
         longest = _longest(call)

@@ -41,12 +41,9 @@ ADAPTER_MISSING = (
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """The files of one model on board.
+    """The files of one model on board: a GGUF file, and that of a LoRA adapter.
 
-    Attributes:
-        model: GGUF file.
-        adapter: GGUF file of a LoRA adapter, None without one.
-        packaged: whether the model comes from a package; the engine then reads it in a faster format.
+    The engine reads a model that comes from a package (`packaged`) in a faster format.
     """
 
     model: Path
@@ -82,13 +79,9 @@ def is_packaged(text: str) -> bool:
 
 
 def find_weights(text: str) -> Weights:
-    """Find the files of a model on board and read their headers. Call before a run, to refuse early.
+    """Find the files of `local:TEXT` and read their headers, before a run, to refuse early.
 
-    Args:
-        text: what follows `local:`: `smollm2` or a path, then `+ADAPTER.gguf`, `+letters`, `+none` or nothing.
-
-    Raises:
-        InputError: for field `model`: the engine, the weights, the adapter or a file is missing or unfit.
+    The text is `smollm2` or a path, then `+ADAPTER.gguf`, `+letters`, `+none` or nothing.
     """
     name, beside = split_name(text)
     if util.find_spec("xllamacpp") is None:
@@ -155,9 +148,7 @@ def packaged_model() -> Path | None:
 def packaged_adapter(*, letters: bool = False) -> Path | None:
     """A GGUF file of the package `llm-flock-smollm2-adapter`, None where that is not installed, or older."""
     module = "llm_flock_smollm2_adapter"
-    return (
-        None if util.find_spec(module) is None else vars(import_module(module)).get("LETTERS" if letters else "ADAPTER")
-    )
+    return vars(import_module(module)).get("LETTERS" if letters else "ADAPTER") if util.find_spec(module) else None
 
 
 def _digest(file: Path) -> str:

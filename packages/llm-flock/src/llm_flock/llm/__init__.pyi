@@ -14,6 +14,7 @@ from ._letters import ways_of as ways_of
 from ._letters import ways_text as ways_text
 from ._limits import Budget as Budget
 from ._limits import BudgetMeter as BudgetMeter
+from ._limits import CallLane as CallLane
 from ._limits import CallLimits as CallLimits
 from ._limits import Limited as Limited
 from ._limits import Spent as Spent
@@ -45,11 +46,7 @@ from ._prompting import PromptSet as PromptSet
 from ._providers import PROVIDERS as PROVIDERS
 from ._providers import parse_base_urls as parse_base_urls
 from ._providers import parse_model as parse_model
-from ._replay import HEADER as HEADER
-from ._replay import VERSION as VERSION
-from ._replay import CassetteLine as CassetteLine
 from ._replay import ReplayModel as ReplayModel
-from ._sharing import CallLane as CallLane
 from ._sharing import Rate as Rate
 from ._sharing import SharedGate as SharedGate
 from ._simulated.profiles import parse_profile as parse_profile

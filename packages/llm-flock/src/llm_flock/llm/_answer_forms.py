@@ -56,23 +56,19 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
     """The grammar of an answer in this form; it begins at `root`."""
     if form.letters:
         return "root ::= " + " | ".join(f'"{letter}"' for letter in form.letters) + "\n"
-    number = f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?'
     rules = {
-        "answer": _json_answer(kind, form) if form.json else _text_answer(kind, form),
+        "root": "answer" if form.json or not form.reasons else f"reason{{0,{REASON_LINES}}} answer",
+        "answer": _answer(kind, form),
         "point": f'"[" number (", " number){{{form.dim - 1}}} "]"',
-        "number": number,
+        "number": f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?',
     }
     if kind == "plan":
         rules["index"] = " | ".join(f'"{place}"' for place in range(form.n))
     if form.reasons and form.json:
         rules["reason"] = f'"\\"{REASONING}\\": \\"" [^"\\\\\\x00-\\x1F]{{0,{REASON_CHARS}}} "\\", "'
-        root = "answer"
     elif form.reasons:
         rules["reason"] = f'[^\\n]{{1,{REASON_CHARS}}} "\\n"'
-        root = f"reason{{0,{REASON_LINES}}} answer"
-    else:
-        root = "answer"
-    return "\n".join(f"{name} ::= {rule}" for name, rule in {"root": root, **rules}.items()) + "\n"
+    return "\n".join(f"{name} ::= {rule}" for name, rule in rules.items()) + "\n"
 
 
 def longest_answer(kind: Kind, form: AnswerForm) -> int:
@@ -91,19 +87,15 @@ def tokens_of(text: str) -> int:
     return len(text) - prose + prose // CHARS_PER_TOKEN
 
 
-def _text_answer(kind: Kind, form: AnswerForm) -> str:
-    """The paper's lines (118, 391 and 110), and our own for a path."""
-    if kind == "plan":
-        return f'"Plan: [" point (", " point){{{form.n - 1}}} "]\\nmy plan: " index'
-    if form.horizon == 1:
-        return '"Position: " point'
-    return f'"Path: [" point (", " point){{0,{form.horizon - 1}}} "]"'
-
-
-def _json_answer(kind: Kind, form: AnswerForm) -> str:
+def _answer(kind: Kind, form: AnswerForm) -> str:
+    """The paper's lines (118, 391 and 110) and our own for a path, or the fields of a JSON object."""
+    places = f'point (", " point){{{form.n - 1}}}'
+    path = f'point (", " point){{0,{form.horizon - 1}}}'
+    if not form.json:
+        if kind == "plan":
+            return f'"Plan: [" {places} "]\\nmy plan: " index'
+        return '"Position: " point' if form.horizon == 1 else f'"Path: [" {path} "]"'
     begin = '"{" reason ' if form.reasons else '"{" '
     if kind == "plan":
-        return begin + f'"\\"plan\\": [" point (", " point){{{form.n - 1}}} "], \\"my_plan\\": " index "}}"'
-    if form.horizon == 1:
-        return begin + '"\\"position\\": " point "}"'
-    return begin + f'"\\"path\\": [" point (", " point){{0,{form.horizon - 1}}} "]}}"'
+        return begin + f'"\\"plan\\": [" {places} "], \\"my_plan\\": " index "}}"'
+    return begin + ('"\\"position\\": " point "}"' if form.horizon == 1 else f'"\\"path\\": [" {path} "]}}"')

@@ -72,13 +72,9 @@ _BEFORE_POSITION = re.compile(
 )
 """Allowed before a bare `Position:`; "Your position:" and "Goal position:" only repeat the question."""
 
-_PLAN = re.compile(
-    rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
-    re.IGNORECASE,
-)
+_PLAN = re.compile(rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})", re.IGNORECASE)
 _PATH = re.compile(
-    rf"(?:(?<![A-Za-z])path(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})",
-    re.IGNORECASE,
+    rf"(?:(?<![A-Za-z])path(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})", re.IGNORECASE
 )
 _BARE_PLAN = re.compile(rf"(?P<list>{_LISTS})", re.IGNORECASE)
 _BARE_POSITION = re.compile(rf"[{_MARKUP}]*+{_LANGUAGE}(?P<list>{_LIST})[{_MARKUP}.]*+", re.IGNORECASE)
@@ -97,45 +93,36 @@ _EACH_NUMBER = re.compile(_NUMBER, re.IGNORECASE)
 
 
 def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
-    """The plan and the index of the model's own place in it.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
-    """
+    """The plan and the index of the model's own place in it; AnswerError with a reason for the model."""
     n, dim = form.n, form.dim
+    names = [f"point {i} of the plan" for i in range(n)]
     text = _said(text)
     answer = _json_object(text, "plan") if form.json else None
     if answer is not None:
         rows = _list_field(answer, "plan", f"a list of {n} points")
         _check_count(len(rows), n)
-        names = [f"point {i} of the plan" for i in range(n)]
         points = [_point(what, _row(what, row), dim) for what, row in zip(names, rows, strict=True)]
         index = _number("my_plan", _field(answer, "my_plan", f"a whole number from 0 to {n - 1}"))
         return Plan(tuple(points)), _index(index, n)
     text = _plain(text)
     found = _last(_PLAN, text) or _last(_BARE_PLAN, text)
     if found is None:
-        raise AnswerError(
-            f"it holds no complete plan; a line `Plan: [[...], ...]` with {n} points of {dim} numbers is required."
-        )
+        required = f"a line `Plan: [[...], ...]` with {n} points of {dim} numbers is required."
+        raise AnswerError(f"it holds no complete plan; {required}")
     lists = _EACH_LIST.findall(found["list"])
     _check_count(len(lists), n)
-    points = [_place(number, row, dim) for number, row in enumerate(lists)]
+    points = [_point(what, _numbers(what, row), dim) for what, row in zip(names, lists, strict=True)]
     index = _last(_INDEX, text)
     if index is None:
-        raise AnswerError(
-            f"it does not say which place is yours; a line `my plan: a` with a from 0 to {n - 1} is required."
-        )
-    return Plan(tuple(points)), _index(_spelled("my plan", index["wrapped"] or index["bare"]), n)
+        required = f"a line `my plan: a` with a from 0 to {n - 1} is required."
+        raise AnswerError(f"it does not say which place is yours; {required}")
+    return Plan(tuple(points)), _index(_numbers("my plan", index["wrapped"] or index["bare"])[0], n)
 
 
 def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
-    """The next position and those that follow it, 1 to `form.horizon` of them [units].
+    """The next position and those that follow it, 1 to `form.horizon` of them [units]; AnswerError as above.
 
     Where a path is asked for, a single position is a path of one.
-
-    Raises:
-        AnswerError: with a reason that the model can act on; never anything else.
     """
     dim, horizon = form.dim, form.horizon
     text = _said(text)
@@ -221,8 +208,7 @@ def _stands_alone(text: str, match: re.Match[str]) -> bool:
 def _json_object(text: str, *fields: str) -> Mapping[str, Any] | None:
     """The last JSON object with one of these fields, or else the last one; None where there is none.
 
-    Raises:
-        AnswerError: an object is cut off, or holds a reasoning and is no JSON: its draft must not be read as words.
+    AnswerError if one is cut off, or holds a reasoning and is no JSON: its draft must not be read as words.
     """
     found, wanted, end, broken = None, None, 0, False
     while (begin := text.find("{", end)) >= 0:
@@ -271,13 +257,11 @@ def _list_field(answer: Mapping[str, Any], name: str, required: str) -> list[obj
 
 def _numbers(what: str, row: str) -> list[float]:
     """The numbers of a list in the form of `_LIST`."""
-    return [_spelled(what, number) for number in _EACH_NUMBER.findall(row)]
-
-
-def _spelled(what: str, number: str) -> float:
-    if len(number) > MAX_DIGITS:
-        raise AnswerError(f"{what} holds a number of {len(number)} characters, {MAX_DIGITS} are the limit.")
-    return float(number)
+    spelled = _EACH_NUMBER.findall(row)
+    for number in spelled:
+        if len(number) > MAX_DIGITS:
+            raise AnswerError(f"{what} holds a number of {len(number)} characters, {MAX_DIGITS} are the limit.")
+    return list(map(float, spelled))
 
 
 def _row(what: str, value: object) -> list[float]:
@@ -302,22 +286,10 @@ def _check_count(count: int, n: int) -> None:
         raise AnswerError(f"the plan holds {count} {'point' if count == 1 else 'points'}, {n} are required.")
 
 
-def _place(number: int, row: str, dim: int) -> Point:
-    """A point of a plan; the name for reasons is made only where it is needed, for plans are long."""
-    spelled = _EACH_NUMBER.findall(row)
-    if len(spelled) == dim and max(map(len, spelled)) <= MAX_DIGITS:
-        values = tuple(map(float, spelled))
-        if all(abs(value) <= MAX_COORDINATE for value in values):
-            return values
-    what = f"point {number} of the plan"
-    return _point(what, _numbers(what, row), dim)
-
-
 def _point(what: str, values: Sequence[float], dim: int) -> Point:
     if len(values) != dim:
-        raise AnswerError(
-            f"{what} has {len(values)} {'number' if len(values) == 1 else 'numbers'}, {dim} are required."
-        )
+        count = "1 number" if len(values) == 1 else f"{len(values)} numbers"
+        raise AnswerError(f"{what} has {count}, {dim} are required.")
     for value in values:
         if not math.isfinite(value):
             raise AnswerError(f"{what} holds {value}; every coordinate must be a finite number.")

@@ -36,9 +36,6 @@ from llm_flock.llm._thoughts import spoken
 
 logger = logging.getLogger(__name__)
 
-MODEL_NAME_LENGTH = 100
-"""Longest name of a model in a reply [characters]."""
-
 DETAIL_LENGTH = 400
 """Longest error text of a provider [characters]."""
 
@@ -65,12 +62,7 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
 class PydanticModel:
     """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
 
-    Args:
-        model: the pydantic-ai model.
-        name: `provider:model` as configured.
-        settings: how to sample.
-        secrets: keys to remove from every text that leaves this object.
-        priced: whether the provider's price list applies.
+    `secrets` are removed from every text that leaves this object. `priced` tells whether the provider's prices apply.
     """
 
     def __init__(
@@ -135,7 +127,7 @@ class PydanticModel:
         raw = said.text.lstrip() if said.thought and not said.unfinished else response.text or ""
         text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
-        answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:MODEL_NAME_LENGTH])
+        answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:100])
         answered_by = answered_by or self.name.partition(":")[2]
         return Reply(
             text=text,

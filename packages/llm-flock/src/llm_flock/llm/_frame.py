@@ -25,13 +25,7 @@ A = TypeVar("A", PlanAnswer, StepAnswer)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFrame:
-    """Moved and scaled coordinates: `(point - origin) / unit`.
-
-    Attributes:
-        origin: the point that becomes zero [units; world frame].
-        unit: the length that becomes one [units].
-        decimals: decimals of observed and planned points in this frame.
-    """
+    """Moved and scaled coordinates: `(point - origin) / unit`; observed and planned points have some `decimals`."""
 
     origin: Point
     unit: float
@@ -53,13 +47,11 @@ class PromptFrame:
     def mission(self, mission: Mission) -> Mission:
         """The mission in this frame. It was valid in the world's, so it is not validated again."""
         fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
-        for name in ("spacing", "safe_distance", "max_step", "comm_range"):
-            fields[name] = getattr(mission, name) / self.unit
+        for name in ("spacing", "safe_distance", "max_step", "comm_range", "sense_range"):
+            fields[name] = None if fields[name] is None else fields[name] / self.unit
         low, high = mission.arena
         fields["center"], fields["arena"] = self.exact(mission.center), (self.exact(low), self.exact(high))
         fields["obstacles"] = tuple(map(self._obstacle, mission.obstacles))
-        if mission.sense_range is not None:
-            fields["sense_range"] = mission.sense_range / self.unit
         if mission.velocity is not None:
             fields["velocity"] = tuple(v / self.unit for v in mission.velocity)
         if mission.points is not None:
@@ -109,8 +101,7 @@ def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQu
     if name == "world" or shape_name(mission.shape) == "text":
         return FramedQuestion(question=question, framed=question)
     frame = _frame(mission.center, mission.spacing, mission)
-    still = tuple(map(frame.rounded, question.still))
-    return FramedQuestion(question=question, framed=replace(_moved(question, frame), still=still), frame=frame)
+    return _framed(question, frame, still=tuple(map(frame.rounded, question.still)))
 
 
 def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQuestion]:
@@ -118,23 +109,20 @@ def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQu
     if name == "world":
         return FramedQuestion(question=question, framed=question)
     frame = _frame(question.position, question.mission.max_step, question.mission)
-    framed = replace(
-        _moved(question, frame),
+    return _framed(
+        question,
+        frame,
         plan=Plan.of(map(frame.rounded, question.plan.points)),
         target=None if question.target is None else frame.rounded(question.target),
         corner=None if question.corner is None else frame.rounded(question.corner),
     )
+
+
+def _framed(question: Q, frame: PromptFrame, **own: Any) -> FramedQuestion[Q]:
+    """A question in a frame: the fields that both kinds have, and its `own` ones."""
+    position, neighbors = frame.rounded(question.position), tuple(map(frame.rounded, question.neighbors))
+    framed = replace(question, mission=frame.mission(question.mission), position=position, neighbors=neighbors, **own)
     return FramedQuestion(question=question, framed=framed, frame=frame)
-
-
-def _moved(question: Q, frame: PromptFrame) -> Q:
-    """A question with the fields that both kinds have in another frame."""
-    return replace(
-        question,
-        mission=frame.mission(question.mission),
-        position=frame.rounded(question.position),
-        neighbors=tuple(map(frame.rounded, question.neighbors)),
-    )
 
 
 def _frame(origin: Point, unit: float, mission: Mission) -> PromptFrame:

@@ -11,47 +11,9 @@ from typing import Any
 import httpx2
 from pydantic_ai.models import Model
 
-CONNECT_TIMEOUT_S = 10.0
-PER_POOL = 8
-"""Requests that one connection pool serves at once."""
-
 MOST_ANSWER_BYTES = 2 << 20
 """Largest body of a response that is read [bytes]: more than twice the longest answers of today's models. Read as JSON,
 it can take sixty times as much memory."""
-
-NO_KEY = "no-key"
-"""The OpenAI SDK refuses an empty key; servers that need none ignore this one."""
-
-
-_UNLIMITED = httpx2.Limits(max_connections=None, max_keepalive_connections=None)
-
-
-class ManyPools(httpx2.AsyncBaseTransport):
-    """A transport that spreads requests over small connection pools, as many as are needed.
-
-    Whenever a request begins or ends, httpcore goes through all connections of its pool, with a system call for each
-    idle one: with 200 robots, more work than all the rest of a call. Small pools keep it constant. None is limited, so
-    no robot waits for a connection (httpx2 alone would stop at 100).
-    """
-
-    def __init__(self) -> None:
-        self._busy: dict[httpx2.AsyncHTTPTransport, int] = {}
-        self._tls = httpx2.create_ssl_context()
-
-    async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
-        """Send the request through the first pool that has room."""
-        pool = next((pool for pool, busy in self._busy.items() if busy < PER_POOL), None)
-        pool = pool or httpx2.AsyncHTTPTransport(verify=self._tls, limits=_UNLIMITED)
-        self._busy[pool] = self._busy.get(pool, 0) + 1
-        try:
-            return await pool.handle_async_request(request)
-        finally:
-            self._busy[pool] -= 1
-
-    async def aclose(self) -> None:
-        """Close all connections."""
-        for pool in self._busy:
-            await pool.aclose()
 
 
 class _Bounded(httpx2.AsyncByteStream):
@@ -87,12 +49,9 @@ def new_http_client() -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
 
     A response has at most `MOST_ANSWER_BYTES`, and is not compressed: a few kilobytes can unpack to gigabytes.
-
-    Proxies from the environment (HTTPS_PROXY and its relatives) are honoured; requests through one share its pool.
     """
     return httpx2.AsyncClient(
-        limits=_UNLIMITED,
-        mounts={"all://": ManyPools()},
+        limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
         headers={"Accept-Encoding": "identity"},
         event_hooks={"response": [_bound]},
     )
@@ -103,15 +62,14 @@ def build_model(
 ) -> Model[Any]:
     """The pydantic-ai model for a provider of the table in `providers`.
 
-    The SDKs' own retries (2 by default) are switched off: they would hide faults from the record, and give up earlier
-    than `limits`.
+    The SDKs' own retries are switched off: they would hide faults from the record, and give up earlier than `limits`.
     """
     options: dict[str, Any] = {
-        "api_key": key or NO_KEY,
+        "api_key": key or "no-key",  # OpenAI's SDK refuses an empty one; servers that need none ignore it
         "base_url": base_url,
         "http_client": http,
         "max_retries": 0,
-        "timeout": httpx2.Timeout(timeout_s, connect=min(CONNECT_TIMEOUT_S, timeout_s), pool=None),
+        "timeout": httpx2.Timeout(timeout_s, connect=min(10.0, timeout_s), pool=None),
     }
     if provider == "anthropic":
         # Its SDK takes longer to import than all the others together.

@@ -24,12 +24,7 @@ _WHOLE_TEXT = OpenAIModelProfile(thinking_tags=("<no answer holds this>", "</no 
 _ANY_SERVER: OpenAIModelProfile = {**_WHOLE_TEXT, "openai_chat_supports_max_completion_tokens": False}
 """`max_tokens` is the older name of the setting, and known to more servers."""
 
-_OPENAI_LIKE = {
-    "openai": OpenAIProvider,
-    "deepseek": DeepSeekProvider,
-    "qwen": AlibabaProvider,
-    "vllm": VLLMProvider,
-}
+_OPENAI_LIKE = {"openai": OpenAIProvider, "deepseek": DeepSeekProvider, "qwen": AlibabaProvider, "vllm": VLLMProvider}
 """pydantic-ai providers that know the peculiarities of a service."""
 
 

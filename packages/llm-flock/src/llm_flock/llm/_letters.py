@@ -23,9 +23,6 @@ Letter: TypeAlias = Literal["S", "H", "L", "R", "W"]
 
 Room: TypeAlias = Literal["tight", "wide", "free"]
 
-ROUND_DEGREES = 50.0
-"""Angle between a way round and the way to the goal [degrees]."""
-
 ROOMS: tuple[tuple[float, Room], ...] = ((1.5, "tight"), (2.5, "wide"), (math.inf, "free"))
 """Words for room, each with the gap from which on it is no longer used [least allowed distances]."""
 
@@ -63,17 +60,14 @@ def ways_of(question: StepQuestion, *, wait: bool | None = None) -> tuple[Letter
     """The open ways, farthest first: those that the checks of a step accept, and that keep clear all the way.
 
     Standing still is open only while a robot blocks the straight way, and then in every other round, so that no two
-    robots wait for each other for ever. In space, ways round turn about the vertical.
-
-    Args:
-        question: in the world, where the checks are made.
-        wait: whether this is a round in which standing still may be open; None if the numbers of robot and round say.
+    robots wait for each other for ever; `wait` says whether this is such a round, None if robot and round tell. In
+    space, ways round turn about the vertical. The question is in the world, where the checks are made.
     """
     mission, here, goal = question.mission, question.position, question.goal
     distance = math.dist(here, goal)
     share = min(1.0, mission.max_step * (1 - 1e-9) / distance) if distance else 0.0
     course = [share * (g - x) for x, g in zip(here, goal, strict=True)]
-    turn = math.radians(ROUND_DEGREES)
+    turn = math.radians(50.0)  # between a way round and the way to the goal
     ends: dict[Letter, Point] = {
         "S": goal if share == 1.0 else _from(here, course, 1.0, 0.0),
         "H": _from(here, course, 0.5, 0.0),

@@ -6,15 +6,15 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 
-FINAL = frozenset({"refused", "budget"})
-"""Kinds of ModelError that are not retried."""
+if TYPE_CHECKING:
+    from llm_flock.llm._models import ModelPool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,38 +76,39 @@ class Budget:
     max_tokens: int | None = None
     max_cost_usd: float | None = None
 
-    def exhausted(self, spent: Spent, *, new_call: bool, owner: str = "") -> str | None:
-        """Say which limit is reached (and whose: ` of the sweep`), None while none is; a retry is no new call."""
-        if self.max_tokens is not None and spent.tokens >= self.max_tokens:
-            return f"max_tokens = {self.max_tokens}{owner} is used up ({spent.tokens} tokens)"
-        if self.max_cost_usd is not None and spent.cost_usd >= self.max_cost_usd:
-            return f"max_cost = {self.max_cost_usd:g}{owner} is used up ({spent.cost_usd:.4f} US dollars)"
-        if new_call and self.max_calls is not None and spent.calls >= self.max_calls:
-            return f"max_calls = {self.max_calls}{owner} is used up"
-        return None
-
 
 class BudgetMeter:
-    """Counts what the models of a run were asked and have used, and enforces its budget.
+    """Counts what models were asked and have used, and enforces a budget.
 
     Calls are counted when they begin, so that many at once cannot overrun `max_calls`. Tokens and money are known
     only with the answer: calls under way at that moment may overrun those two.
 
     Attributes:
+        elsewhere: spent by other processes, of the same budget; whoever learns of it sets it.
         reason: which limit turned a call away, None while none has.
     """
 
+    owner = ""
+
     def __init__(self, budget: Budget | None = None) -> None:
         self.budget = budget or Budget()
-        self.spent = Spent()
+        self.spent: Spent = Spent()
+        self.elsewhere: Spent = Spent()
         self.reason: str | None = None
 
     def check(self, *, new_call: bool) -> None:
-        """Raise BudgetExceeded when a limit is reached, as far as replies have told."""
-        reason = self.budget.exhausted(self.spent, new_call=new_call)
-        if reason is not None:
-            self.reason = reason
-            raise BudgetExceeded(reason)
+        """Raise BudgetExceeded when a limit is reached, as far as replies have told; a retry is no new call."""
+        limits, spent = self.budget, self.spent + self.elsewhere
+        if limits.max_tokens is not None and spent.tokens >= limits.max_tokens:
+            self.reason = f"max_tokens = {limits.max_tokens}{self.owner} is used up ({spent.tokens} tokens)"
+        elif limits.max_cost_usd is not None and spent.cost_usd >= limits.max_cost_usd:
+            paid = f"{spent.cost_usd:.4f} US dollars"
+            self.reason = f"max_cost = {limits.max_cost_usd:g}{self.owner} is used up ({paid})"
+        elif new_call and limits.max_calls is not None and spent.calls >= limits.max_calls:
+            self.reason = f"max_calls = {limits.max_calls}{self.owner} is used up"
+        else:
+            return
+        raise BudgetExceeded(self.reason)
 
 
 class CallGate(Protocol):
@@ -116,16 +117,28 @@ class CallGate(Protocol):
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
         """Wait for a turn to ask `provider:model` a question of `chars` characters; returns a ticket for `leave`.
 
-        A call that failed before (`again`) is no new one for the budget.
-
-        Raises:
-            BudgetExceeded: nothing is left for it.
+        A call that failed before (`again`) is no new one for the budget. BudgetExceeded if nothing is left for it.
         """
         ...
 
     def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
         """End the call; without usage, it failed."""
         ...
+
+
+@dataclass(slots=True)
+class CallLane:
+    """One run's access to what it shares with others.
+
+    Attributes:
+        gate: admits calls of this run and others; None admits all.
+        pool: makes the models; without it, the run makes its own.
+        cut: whether the gate turned away a call of this run.
+    """
+
+    gate: CallGate | None = None
+    pool: ModelPool | None = None
+    cut: bool = False
 
 
 @dataclass(slots=True, kw_only=True)
@@ -136,7 +149,6 @@ class CallLimits:
         rng: chance for the jitter of waits.
         max_concurrent: calls under way at once; `slots` holds as many.
         timeout_s: longest try, the queue not counted [s].
-        gate: admits calls of this run and others; None admits all.
     """
 
     rng: np.random.Generator
@@ -144,7 +156,7 @@ class CallLimits:
     timeout_s: float = 120.0
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     meter: BudgetMeter = field(default_factory=BudgetMeter)
-    gate: CallGate | None = None
+    lane: CallLane = field(default_factory=CallLane)
     clock: Callable[[], float] = time.perf_counter
     sleep: Callable[[float], Awaitable[None]] = asyncio.sleep
     slots: asyncio.Semaphore = field(init=False)
@@ -162,16 +174,12 @@ class Limited:
         self._limits = limits
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, retrying faults.
+        """Answer one call, retrying faults; BudgetExceeded or the last ModelError, with all faults, without an answer.
 
-        The reply's latency runs from the first try to the answer, with the waits between tries but without the queue
-        before the first one; its faults are those that were retried.
-
-        Raises:
-            BudgetExceeded: the budget is used up; nothing more was sent.
-            ModelError: the last fault, with all of them in `faults`.
+        The latency runs from the first try to the answer, without the queue before it; faults are those that were
+        retried.
         """
-        limits = self._limits
+        limits, lane = self._limits, self._limits.lane
         limits.meter.check(new_call=True)
         limits.meter.spent += Spent(calls=1)
         faults: tuple[str, ...] = ()
@@ -182,10 +190,11 @@ class Limited:
                 try:
                     # Other calls may have used up the budget while this one was in the queue.
                     limits.meter.check(new_call=False)
-                    if limits.gate is not None:
+                    if lane.gate is not None:
                         chars = sum(len(message.text) for message in call.messages)
-                        ticket = await limits.gate.enter(self.name, chars, again=bool(faults))
+                        ticket = await lane.gate.enter(self.name, chars, again=bool(faults))
                 except BudgetExceeded as error:
+                    lane.cut |= error.detail != limits.meter.reason  # then the gate refused it
                     if not faults:
                         limits.meter.spent += Spent(calls=-1)  # it was never sent
                     error.faults = faults
@@ -194,29 +203,23 @@ class Limited:
                     started = limits.clock()
                 outcome: Reply | ModelError | None = None
                 try:
-                    outcome = await self._try(call)
+                    async with asyncio.timeout(limits.timeout_s):
+                        outcome = await self._model.ask(call)
+                except ModelError as error:  # its wait happens outside the slot
+                    outcome = error
+                except TimeoutError:
+                    outcome = ModelError("timeout", f"no answer within {limits.timeout_s:g} s")
                 finally:
-                    if limits.gate is not None and ticket is not None:
+                    if lane.gate is not None and ticket is not None:
                         used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
-                        limits.gate.leave(ticket, *used)
+                        lane.gate.leave(ticket, *used)
             if isinstance(outcome, Reply):
                 limits.meter.spent += Spent(tokens=outcome.usage.total, cost_usd=outcome.cost_usd or 0.0)
                 if not faults and outcome.latency_s:
                     return outcome  # a single try, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            if outcome.kind in FINAL or limits.retry.gives_up(faults):
+            if outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))
-
-    async def _try(self, call: Call) -> Reply | ModelError:
-        """One try; a fault is returned, because its wait happens outside the slot."""
-        limits = self._limits
-        try:
-            async with asyncio.timeout(limits.timeout_s):
-                return await self._model.ask(call)
-        except ModelError as error:
-            return error
-        except TimeoutError:
-            return ModelError("timeout", f"no answer within {limits.timeout_s:g} s")

@@ -22,8 +22,6 @@ from llm_flock.validation import input_error
 LONGEST = 2000
 """Most letters of a mission in plain words."""
 
-TIMEOUT_S = 60.0
-
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -46,11 +44,7 @@ class MissionDraft(NamedTuple):
 
 
 class MissionReader:
-    """Turns plain words into a mission draft by asking a model, `provider:model`.
-
-    Raises:
-        InputError: the model cannot be asked: unknown, a stand-in, or without a key.
-    """
+    """Turns plain words into a mission draft by asking a model, `provider:model`; no stand-in."""
 
     def __init__(self, model: str, base_url: str | None = None) -> None:
         name = parse_model(model)
@@ -61,17 +55,11 @@ class MissionReader:
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(
-            max_concurrent=1, timeout_s=TIMEOUT_S, retry=RetryPolicy(max_tries=3), rng=np.random.default_rng(0)
+            max_concurrent=1, timeout_s=60.0, retry=RetryPolicy(max_tries=3), rng=np.random.default_rng(0)
         )
 
     async def read(self, text: str) -> MissionDraft:
-        """The mission that a text describes.
-
-        Raises:
-            InputError: the text is empty or too long, or asks for a mission that is not allowed.
-            AnswerError: the answer is not in the fixed form.
-            ModelError: no answer came.
-        """
+        """The mission that a text describes; errors as in `mission_call` and `draft_of`, and ModelError."""
         call = mission_call(text)
         async with ModelPool() as pool:
             model = pool.model(self.model, rng=np.random.default_rng(0), base_urls=self._base_urls)
@@ -80,11 +68,7 @@ class MissionReader:
 
 
 def mission_call(text: str) -> Call:
-    """The question to a model: its rules, the form of the answer, and the text.
-
-    Raises:
-        InputError: for field `words`: the text is empty or too long.
-    """
+    """The question to a model: its rules, the form of the answer, and the text; InputError if that is too long."""
     text = text.strip()
     if not text or len(text) > LONGEST:
         raise InputError("words", f"{len(text)} letters", f"from 1 to {LONGEST} letters")
@@ -98,11 +82,7 @@ def mission_call(text: str) -> Call:
 
 
 def answer_of(answer: str) -> MissionAnswer:
-    """The fields in an answer of the model, not yet checked as a mission.
-
-    Raises:
-        AnswerError: it is not in the fixed form.
-    """
+    """The fields in an answer of the model, not yet checked as a mission; AnswerError if it has another form."""
     start, end = answer.find("{"), answer.rfind("}")
     try:
         return MissionAnswer.model_validate_json(answer[start : end + 1])
@@ -112,12 +92,7 @@ def answer_of(answer: str) -> MissionAnswer:
 
 
 def draft_of(answer: str) -> MissionDraft:
-    """An answer of the model as a draft, checked as a mission.
-
-    Raises:
-        AnswerError: it is not in the fixed form.
-        InputError: it is no mission that can be flown.
-    """
+    """An answer of the model as a draft; AnswerError if it has another form, InputError if it cannot be flown."""
     parsed = answer_of(answer)
     fields = parsed.model_dump(exclude_none=True)
     if parsed.shape.startswith("points"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Self, get_args
 
@@ -14,24 +14,17 @@ import numpy as np
 from llm_flock.errors import InputError, unknown
 from llm_flock.llm._port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm._providers import PROVIDERS, ModelName, parse_model
+from llm_flock.llm._sources import ModelHost, source_of
 
 if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
 
-    from llm_flock.llm._sources import ModelHost
-
-LISTED = frozenset({"openai", "anthropic", "deepseek"})
-"""Providers with a price list, which holds at their own addresses."""
-
-
-_SAME_LIST = {"openai-responses": "openai"}
-
 
 def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
     """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
-    provider = _SAME_LIST.get(provider or "", provider)
-    if provider not in LISTED:
+    provider = "openai" if provider == "openai-responses" else provider
+    if provider not in ("openai", "anthropic", "deepseek"):
         return None
     from genai_prices import calc_price
     from genai_prices.types import Usage as PricedUsage
@@ -53,10 +46,7 @@ _NEXT_RANGE = re.compile(rf",(?={_RANGE})")
 def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
     """Assign values to robots: `A` for all, `0-4=A,5-9=B` or `3=A,0-2=B` by ranges.
 
-    Values may contain commas: only a comma before another range separates.
-
-    Raises:
-        InputError: for `field`: an empty or reversed range, or a robot outside 0..n-1, named twice, or missing.
+    Values may contain commas: only a comma before another range separates. InputError unless each robot has one value.
     """
     if not _STARTS_WITH_RANGE.match(text):
         return (text.strip(),) * n
@@ -96,33 +86,30 @@ def parse_settings(
     max_tokens: int | None = None,
 ) -> tuple[CallSettings, ...]:
     """Sampling settings of each of n robots, written as in `per_robot`; one cap on the tokens of an answer for all."""
-    given = {"temperature": temperature, "seed": seed, "reasoning": reasoning}
-    spread = {name: per_robot(_FIELDS[name], text, n) for name, text in given.items() if text is not None}
-    return tuple(
-        CallSettings(max_tokens=max_tokens, **{name: _setting(name, values[robot]) for name, values in spread.items()})
-        for robot in range(n)
+    efforts = list[Any]((None,) * n if reasoning is None else per_robot("reasoning_effort", reasoning, n))
+    for effort in efforts:
+        if effort is not None and effort not in get_args(Effort):
+            raise InputError("reasoning_effort", effort, says=unknown("effort", effort, get_args(Effort)))
+    columns = zip(
+        _numbers("temperature", temperature, n, float, 2, "a number from 0 to 2"),
+        _numbers("model_seed", seed, n, int, 2**63 - 1, "a whole number of at least 0"),
+        efforts,
+        strict=True,
     )
+    return tuple(CallSettings(temperature=t, seed=s, reasoning=r, max_tokens=max_tokens) for t, s, r in columns)
 
 
-_FIELDS = {"temperature": "temperature", "seed": "model_seed", "reasoning": "reasoning_effort"}
-"""Sampling settings by the field of the configuration that holds them."""
-
-
-def _setting(name: str, text: str) -> Any:
-    """Read one sampling setting."""
-    field = _FIELDS[name]
-    if name == "reasoning":
-        if text not in get_args(Effort):
-            raise InputError(field, text, says=unknown("effort", text, get_args(Effort)))
-        return text
-    warm = name == "temperature"
-    try:
-        value = float(text) if warm else int(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value <= (2 if warm else 2**63 - 1):
-        raise InputError(field, text, "a number from 0 to 2" if warm else "a whole number of at least 0")
-    return value
+def _numbers(
+    field: str, text: str | None, n: int, read: Callable[[str], float], most: int, allowed: str
+) -> Iterable[Any]:
+    for value in (None,) * n if text is None else per_robot(field, text, n):
+        try:
+            number = None if value is None else read(value)
+        except ValueError:
+            number = math.nan
+        if number is not None and not 0 <= number <= most:
+            raise InputError(field, value, allowed)
+        yield number
 
 
 def waits(model: str) -> bool:
@@ -136,25 +123,13 @@ def waits(model: str) -> bool:
 
 
 def model_digests(model: str) -> Mapping[str, str]:
-    """Digests of the files of a plug-in's model, by name; empty for any other model.
-
-    Raises:
-        InputError: the files are missing or unfit.
-    """
+    """Digests of the files of a plug-in's model, by name; empty for any other. InputError if they are unfit."""
     name = parse_model(model)
-    if name.kind != "plugin":
-        return {}
-    from llm_flock.llm._sources import source_of
-
-    return source_of(name.provider).digests(name.model)
+    return source_of(name.provider).digests(name.model) if name.kind == "plugin" else {}
 
 
 def parse_history(text: str) -> int | None:
-    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all.
-
-    Raises:
-        InputError: for field `history`.
-    """
+    """Read `none`, `last:K` (K >= 1) or `full`: the number of earlier exchanges that a model sees, None for all."""
     if text in ("none", "full"):
         return 0 if text == "none" else None
     last, _, count = text.partition(":")
@@ -168,9 +143,6 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
 
     Simulated models, cassettes and geometry cost nothing. A provider behind another address may charge anything, and
     so may a class of the user's own.
-
-    Raises:
-        InputError: for field `max_cost`, naming the models without a price.
     """
     if max_cost_usd is None:
         return
@@ -199,13 +171,9 @@ class _NeverAsked:
 class ModelPool:
     """Builds models on one HTTP client, and a host for each plug-in; many runs of one event loop may share them.
 
-    It is an async context manager. Keys are read from the environment when a model is first needed, and removed from
-    all texts of its replies.
+    It is an async context manager. Keys are read from the environment (`environ`) when a model is first needed, and
+    removed from all texts of its replies.
     A pool for which `asks` is false needs no keys: its models of providers check a configuration, and are never asked.
-
-    Args:
-        environ: environment variables with keys; those of the process by default.
-        asks: whether models of providers will be asked.
     """
 
     def __init__(self, *, environ: Mapping[str, str] | None = None, asks: bool = True) -> None:
@@ -239,23 +207,17 @@ class ModelPool:
         base_urls: Mapping[str, str] = MappingProxyType({}),
         timeout_s: float = 600.0,
     ) -> LanguageModel:
-        """The language model of one robot.
+        """The language model of one robot, a provider's, a simulated one, or a plug-in's.
 
-        Args:
-            text: `provider:model`, `simulated:PROFILE`, or the name of a plug-in's model.
-            rng: chance of a simulated model; others do not use it.
-            settings: how to sample.
-            base_urls: addresses that replace the providers' own (`parse_base_urls`).
-            timeout_s: longest wait for a response, should `limits` fail to end it [s].
+        Only simulated models use `rng`. `base_urls` replace the providers' own addresses (`parse_base_urls`).
+        `timeout_s` is the longest wait for a response, should `limits` fail to end it [s].
 
         Raises:
-            InputError: unknown name, missing key (naming the variable), missing address or file; or a replay or
-                geometry, which other classes provide (`ReplayModel`, `GeometryPlanner`).
+            InputError: unknown name, missing key (naming the variable), missing address or file; or a replay, geometry
+                or a class, which are made elsewhere.
         """
         name = parse_model(text)
         if name.kind == "plugin":
-            from llm_flock.llm._sources import source_of
-
             if name.provider not in self._hosts:
                 self._hosts[name.provider] = source_of(name.provider).host()
             return self._hosts[name.provider].model(name.text, settings)
@@ -272,18 +234,12 @@ class ModelPool:
         # pydantic-ai takes about a second to import: wrong input is reported without it.
         from llm_flock.llm._client import PydanticModel
 
+        # An error of one provider may quote the key of another.
+        keys = (self._environ.get(info.key_env, "").strip() for info in PROVIDERS.values())
+        priced = name.provider not in base_urls
         return PydanticModel(
-            hosted,
-            name=name.text,
-            settings=settings,
-            secrets=self._secrets(),
-            priced=name.provider not in base_urls,
+            hosted, name=name.text, settings=settings, secrets=tuple(filter(None, keys)), priced=priced
         )
-
-    def _secrets(self) -> tuple[str, ...]:
-        """Every key that is set: an error of one provider may quote the key of another."""
-        values = (self._environ.get(info.key_env, "").strip() for info in PROVIDERS.values())
-        return tuple(value for value in values if value)
 
     def _hosted(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float) -> Model[Any]:
         info = name.info
@@ -293,7 +249,6 @@ class ModelPool:
         address = base_urls.get(name.provider, info.base_url)
         if address is None:
             raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
-
         from llm_flock.extras import require
 
         require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")

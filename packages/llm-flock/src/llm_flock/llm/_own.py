@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import hashlib
 import inspect
 import json
 import logging
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any, Self, TypeAlias, cast
+from typing import Self, TypeAlias, cast
+
+from pydantic import TypeAdapter, ValidationError
 
 from llm_flock.errors import InputError, ModelError
-from llm_flock.llm._port import MOST_TOKENS, Answers, Call, Reply, Usage
+from llm_flock.llm._port import Answers, Call, Reply
 from llm_flock.llm._providers import model_forms, parse_model
 from llm_flock.llm._sources import habits_of
 from llm_flock.own_code import is_cancelled, load_own, shown
 
 logger = logging.getLogger(__name__)
+
+_REPLY = TypeAdapter(Reply)
 
 CLOSE_S = 10.0
 """Longest wait for a model of the user's own to close [s]."""
@@ -32,15 +33,13 @@ class OwnModel:
     """A `LanguageModel` around an object of the user's own: whatever it raises or returns, the run goes on.
 
     What it raises counts as a failed call: `TimeoutError` and other `OSError`s are tried again, everything else is a
-    fault of the code, is logged once with its traceback, and is not.
+    fault of the code, is logged once with its traceback, and is not. InputError if it has no `async def ask(self,
+    call)`.
 
     Attributes:
         name: `package.module:Class`, as in records.
-        simulated: whether the object says of itself that it is a stand-in (an attribute `simulated` that is true).
+        simulated: whether the object says of itself that it is a stand-in.
         made: whether it was made by its name, and not handed over as an object.
-
-    Raises:
-        InputError: for field `model`: the object has no `async def ask(self, call)`.
     """
 
     def __init__(self, model: object, *, name: str | None = None) -> None:
@@ -54,11 +53,7 @@ class OwnModel:
 
     @classmethod
     def load(cls, name: str) -> Self:
-        """The model that a class, called without arguments, makes.
-
-        Raises:
-            InputError: for field `model`: there is no such class, or it cannot be called so.
-        """
+        """The model that a class, called without arguments, makes; InputError if it cannot."""
         make = load_own("model", name, model_forms())
         try:
             model = make()
@@ -102,15 +97,6 @@ class OwnModel:
                 logger.warning("%s could not be closed: %s", self.name, shown(error))
 
     @property
-    def source(self) -> str | None:
-        """SHA-256 of the file that defines the class; None where there is none, as in a notebook."""
-        try:
-            file = inspect.getsourcefile(type(self._model))
-            return None if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
-        except (OSError, TypeError):
-            return None
-
-    @property
     def unrepeatable(self) -> str:
         """What of this model a record cannot repeat, as a sentence."""
         if not self.made:
@@ -118,16 +104,11 @@ class OwnModel:
                 f"{self.name} was handed over as an object: neither its code nor its arguments are recorded, so the "
                 "run cannot be flown again by its configuration; a cassette (record_llm) repeats the answers."
             )
-        code = "its code is not recorded" if self.source is None else f"its file had SHA-256 {self.source}"
-        return f"{self.name} is code of the user's own, of which only the name is recorded ({code})."
+        return f"{self.name} is code of the user's own, of which only the name is recorded."
 
 
 def says_simulated(name: str) -> bool:
-    """Whether a model is a stand-in, by its name; a class of the user's own is imported, but not called.
-
-    Raises:
-        InputError: for field `model`: there is no such class.
-    """
+    """Whether a model is a stand-in, by its name; a class of the user's own is imported, but not called."""
     if parse_model(name).kind != "own":
         return habits_of(name).simulated
     return bool(getattr(load_own("model", name, model_forms()), "simulated", False))
@@ -140,11 +121,7 @@ def own_name(model: object) -> str:
 
 
 def split_choice(choice: ModelChoice) -> tuple[str, Mapping[int, OwnModel]]:
-    """A choice of models as the configuration writes it, and the objects among them by robot; -1 stands for all.
-
-    Raises:
-        InputError: for field `model`: neither a name nor an object with `ask`, or a sequence without any.
-    """
+    """A choice of models as the configuration writes it, and the objects among them by robot; -1 stands for all."""
     if isinstance(choice, str):
         return choice, {}
     if not isinstance(choice, list | tuple):
@@ -174,23 +151,12 @@ def _fault(reply: object) -> str | None:
     """What is wrong with a reply, None if nothing: a record must be able to hold it."""
     if not isinstance(reply, Reply):
         return f"{type(reply).__name__}, and no Reply or str"
-    values: list[tuple[str, Any]] = [
-        ("text", reply.text),
-        ("usage", reply.usage),
-        ("finish_reason", reply.finish_reason),
-    ]
-    kinds: tuple[tuple[type, ...], ...] = ((str,), (Usage,), (str, type(None)))
-    for (name, value), kind in zip(values, kinds, strict=True):
-        if not isinstance(value, kind):
-            return f"a reply whose {name} is {type(value).__name__}"
-    usage = (reply.usage.input, reply.usage.output, reply.usage.cached)
-    if not all(type(count) is int and 0 <= count <= MOST_TOKENS for count in cast("tuple[Any, ...]", usage)):
-        return f"a reply whose usage is {usage}"
-    for name, number in (("cost_usd", reply.cost_usd), ("latency_s", reply.latency_s)):
-        if number is not None and not (isinstance(cast(Any, number), int | float) and 0 <= number < math.inf):
-            return f"a reply whose {name} is {number!r}"
     try:
+        _REPLY.validate_python(reply)
         json.dumps(dict(reply.settings), allow_nan=False)
+    except ValidationError as error:
+        first = error.errors()[0]
+        return f"a reply whose {'.'.join(map(str, first['loc']))} is {first['input']!r}: {first['msg']}"
     except (TypeError, ValueError, RecursionError) as error:
         return f"a reply whose settings are no JSON ({error})"
     return None

@@ -15,10 +15,12 @@ from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm._answer_forms import answer_schema
 from llm_flock.llm._answers import read_plan, read_waypoints
 from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
+from llm_flock.llm._letters import read_way, ways_of
 from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._whole_answer import quoted, whole_answer
+from llm_flock.llm._thoughts import quoted, whole_answer
 from llm_flock.mission import Mission
+from llm_flock.protocol._geometry import plan_by_geometry, straight_path
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 
@@ -67,22 +69,13 @@ class LanguagePlanner:
     An answer that cannot be read, or that a check rejects, goes back to the model with the reason. Rejected tries stay
     in the conversation of their question only: later questions see the accepted exchange.
 
-    Args:
-        prompts: renders the questions, which state the form of the answers.
-        max_retries: number of rejected answers that are sent back before giving up.
-        history: number of earlier exchanges (a question and its accepted answer) that the model sees, None for all.
-        on_attempt: called after every call, with its outcome.
-        judge: checks steps and paths.
-        clips: accept an answer that does not fit if it can be flown clipped, which is quicker than asking again.
-        frame: coordinates of the prompts, see `frame`.
+    `history` is the number of earlier exchanges that the model sees, None for all. A planner that `clips` accepts an
+    answer that does not fit if it can be flown clipped, which is quicker than asking again.
 
-    Raises:
-        InputError: history is to be kept of questions in different frames, or the prompts ask for something else than
-            this planner reads.
+    With the prompts `letters`, the model chooses among open ways by its letter. Plans come from geometry, and say so;
+    so do steps where there is nothing to choose: fewer than two ways are open, or the straight one reaches the goal.
+    Otherwise a robot that is to go slowly would halve its last step for ever.
     """
-
-    LETTERS = False
-    """Whether it reads letters."""
 
     def __init__(
         self,
@@ -98,8 +91,6 @@ class LanguagePlanner:
         clips: bool = False,
         frame: FrameName = "world",
     ) -> None:
-        if prompts.letters != self.LETTERS:
-            raise InputError("prompts", "letters", "full, brief or a folder: nothing else than a run asks for a letter")
         if frame == "own" and history != 0:
             raise InputError(
                 "frame", frame, "world while history is kept, because with own each question has a different frame"
@@ -121,6 +112,8 @@ class LanguagePlanner:
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
         """Ask for a plan of the whole formation and the robot's own place in it."""
+        if self._prompts.letters:
+            return plan_by_geometry(question)
 
         def read(text: str, form: AnswerForm) -> PlanAnswer:
             plan, slot = read_plan(text, form)
@@ -131,6 +124,8 @@ class LanguagePlanner:
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask for the next waypoint, or for a path."""
+        if self._prompts.letters:
+            return await self._choose(question)
 
         def read(text: str, form: AnswerForm) -> StepAnswer:
             waypoint, *path = read_waypoints(text, form)
@@ -138,6 +133,19 @@ class LanguagePlanner:
 
         asked, horizon = frame_step(question, self._frame), question.horizon
         return await self._converse("step", asked, self._prompts.step(asked.framed), horizon, read, self._check_step)
+
+    async def _choose(self, question: StepQuestion) -> StepAnswer | NoAnswer:
+        """Ask which way to go; its end is the waypoint. A path has one position."""
+        ways = ways_of(question)
+        if len(ways) < 2 or ways[0].waypoint == question.goal:
+            only = ways[0].waypoint if ways else straight_path(question).waypoint
+            return StepAnswer(waypoint=only, by="geometry")
+
+        def read(text: str, _: AnswerForm) -> StepAnswer:
+            return StepAnswer(waypoint=read_way(text, ways).waypoint)
+
+        asked, letters = FramedQuestion(question=question, framed=question), "".join(way.letter for way in ways)
+        return await self._converse("step", asked, self._prompts.step(question), 1, read, self._check_step, letters)
 
     def _check_step(self, question: StepQuestion, answer: StepAnswer) -> str | None:
         return None if self._judge is None else self._judge(question, answer).reason
@@ -153,28 +161,40 @@ class LanguagePlanner:
         letters: str = "",
     ) -> A | NoAnswer:
         """Ask one question up to `1 + max_retries` times; a probe once."""
-        mission, round_ = asked.question.mission, asked.question.round
+        mission, round_, probe = asked.question.mission, asked.question.round, asked.question.probe
+        json, reasons = self._prompts.json, self._prompts.reasons
         form = AnswerForm(
-            n=mission.n_places,
-            dim=mission.dim,
-            horizon=horizon,
-            json=self._prompts.json,
-            reasons=self._prompts.reasons,
-            letters=letters,
+            n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons, letters=letters
         )
-        self._forget_other_missions(mission)
-        system = ChatMessage("system", self._prompts.system(asked.framed.mission))
+        if self._about is None or not _same_task(self._about, mission):
+            self._history = []
+        self._about = mission
+        if round_ != self._round:  # attempts are numbered within a round, over both kinds of questions
+            self._round, self._attempt = round_, 0
         question = ChatMessage("user", text)
-        messages = (system, *self._history, question)
+        messages = (ChatMessage("system", self._prompts.system(asked.framed.mission)), *self._history, question)
+        schema = answer_schema(kind, form) if json else None
         reason, unfit = "", None
-        tries = 1 if asked.question.probe else 1 + self._max_retries
+        tries = 1 if probe else 1 + self._max_retries
         for _ in range(tries):
-            call = self._call(kind, round_, messages, form, probe=asked.question.probe)
+            call = Call(
+                robot=self._robot,
+                round=round_,
+                kind=kind,
+                attempt=self._attempt,
+                messages=messages,
+                schema=schema,
+                form=form,
+                probe=probe,
+            )
+            self._attempt += 1
             began = time.perf_counter()
             try:
                 reply = await self._model.ask(call)
-            except ModelError as error:
-                return self._give_up(call, error, time.perf_counter() - began)
+            except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
+                self._report(Attempt.failed(call, error, self._model.name, time.perf_counter() - began))
+                logger.info("robot %d, round %d, %s: no answer: %s", self._robot, round_, kind, error)
+                return NoAnswer(cause=error.kind, reason=str(error))
             try:
                 framed = read(whole_answer(reply), form)
                 answer = asked.to_world(framed)
@@ -184,18 +204,8 @@ class LanguagePlanner:
             clipped = None
             if rejected is not None and self._will_be_clipped(asked.question, answer):
                 clipped, rejected = rejected, None
-            self._report(
-                Attempt(
-                    call=call,
-                    model=reply.model,
-                    reply=reply,
-                    parsed=_plain(asked.question, answer) if answer is not None and rejected is None else None,
-                    rejected=rejected,
-                    clipped=clipped,
-                    faults=reply.faults,
-                    latency_s=reply.latency_s,
-                )
-            )
+            parsed = _plain(asked.question, answer) if answer is not None and rejected is None else None
+            self._report(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
             said = ChatMessage("assistant", quoted(reply))
             if answer is not None and rejected is None:
                 self._keep(question, said)
@@ -212,49 +222,8 @@ class LanguagePlanner:
             return False
         return self._clips and self._judge(question, answer).fit is not None
 
-    def _forget_other_missions(self, mission: Mission) -> None:
-        """Forget exchanges about another mission; one whose centre has moved is still the same."""
-        if self._about is None or not _same_task(self._about, mission):
-            self._history = []
-        self._about = mission
-
-    def _call(
-        self, kind: Kind, round_: int, messages: tuple[ChatMessage, ...], form: AnswerForm, *, probe: bool
-    ) -> Call:
-        """The next call; attempts are numbered within a round, over both kinds of questions."""
-        if round_ != self._round:
-            self._round, self._attempt = round_, 0
-        call = Call(
-            robot=self._robot,
-            round=round_,
-            kind=kind,
-            attempt=self._attempt,
-            messages=messages,
-            schema=answer_schema(kind, form) if form.json else None,
-            form=form,
-            probe=probe,
-        )
-        self._attempt += 1
-        return call
-
-    def _give_up(self, call: Call, error: ModelError, latency_s: float) -> NoAnswer:
-        """Report a failed call. It is not repeated here: `limits` has retried transport faults already."""
-        self._report(
-            Attempt(
-                call=call,
-                model=error.model or self._model.name,
-                error=(error.kind, error.detail),
-                faults=error.faults,
-                latency_s=latency_s,
-            )
-        )
-        logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
-        return NoAnswer(cause=error.kind, reason=str(error))
-
     def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
         """Add an accepted exchange to the history, and drop the oldest ones."""
-        if self._kept == 0:
-            return
         self._history += [question, answer]
         if self._kept is not None:
-            del self._history[: -2 * self._kept]
+            del self._history[: max(0, len(self._history) - 2 * self._kept)]

@@ -5,8 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal, Protocol, TypeAlias
+from dataclasses import asdict, dataclass, field, fields
+from typing import Annotated, Any, Literal, Protocol, TypeAlias
+
+from pydantic import ConfigDict, Field
+
+from llm_flock.errors import ModelError
 
 Role: TypeAlias = Literal["system", "user", "assistant"]
 Kind: TypeAlias = Literal["plan", "step"]
@@ -47,14 +51,21 @@ class CallSettings:
 MOST_TOKENS = 10**9
 """Most tokens that are believed of one call, in each direction: sums of calls have room in a record."""
 
+Count: TypeAlias = Annotated[int, Field(ge=0, le=MOST_TOKENS)]
+Amount: TypeAlias = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+CHECKED = ConfigDict(strict=True, revalidate_instances="always")
+"""How pydantic checks what code or files of others hold, where it is asked to."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
     """Tokens of one or many calls; `cached` is the part of `input` that the provider had in its cache."""
 
-    input: int = 0
-    output: int = 0
-    cached: int = 0
+    __pydantic_config__ = CHECKED
+
+    input: Count = 0
+    output: Count = 0
+    cached: Count = 0
 
     @classmethod
     def reported(cls, tokens_in: int, tokens_out: int, cached: int = 0) -> Usage:
@@ -77,13 +88,7 @@ class Usage:
 class AnswerForm:
     """The form of an answer, to read it, and to hold a model to it while it writes.
 
-    Attributes:
-        n: number of places of a plan.
-        dim: number of coordinates of a point.
-        horizon: longest path; 1 asks for a single position.
-        json: a JSON object instead of the paper's lines.
-        reasons: the prompts ask for a reason before the answer.
-        letters: the letters of which the answer is one; empty where positions are asked for.
+    A `horizon` of 1 asks for a single position, `letters` for one of them. `reasons`: the prompts ask for one before.
     """
 
     n: int
@@ -139,12 +144,14 @@ class Reply:
         thought: whether it thought before it answered: thoughts are not part of the text, but may be all there is.
     """
 
+    __pydantic_config__ = CHECKED
+
     text: str
     model: str
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     usage: Usage = Usage()
-    cost_usd: float | None = None
-    latency_s: float = 0.0
+    cost_usd: Amount | None = None
+    latency_s: Amount = 0.0
     faults: tuple[str, ...] = ()
     finish_reason: str | None = None
     thought: bool = False
@@ -159,12 +166,7 @@ class LanguageModel(Protocol):
         ...
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call.
-
-        Raises:
-            ModelError: there is no answer.
-            ReplayDrift: a replayed conversation differs.
-        """
+        """Answer one call; ModelError if there is no answer, ReplayDrift if a replayed conversation differs."""
         ...
 
 
@@ -181,26 +183,33 @@ class Attempt:
     """One call and its outcome: a line of a cassette and of a record's `/llm` channel.
 
     Attributes:
-        model: `provider:model` that was asked, or answered.
-        reply: None without an answer.
+        reply: without text if there was no answer; then it tells who was asked, the faults and the duration.
         parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
             `"path"`), None when rejected.
         rejected: why the answer was rejected, in the words that went back to the model.
         clipped: why the answer, a step, is only flown clipped; None otherwise.
-        error: kind and detail of the ModelError, None when there was a reply.
-        faults: transport faults that were retried.
-        latency_s: duration of the whole attempt [s].
+        error: kind and detail of the ModelError, None when there was an answer.
     """
 
     call: Call
-    model: str
-    reply: Reply | None = None
+    reply: Reply
     parsed: Mapping[str, Any] | None = None
     rejected: str | None = None
     clipped: str | None = None
     error: tuple[str, str] | None = None
-    faults: tuple[str, ...] = ()
-    latency_s: float = 0.0
+
+    @classmethod
+    def failed(cls, call: Call, error: ModelError, name: str, latency_s: float = 0.0) -> Attempt:
+        """A call to the model of this name that got no answer."""
+        reply = Reply(text="", model=error.model or name, faults=error.faults, latency_s=latency_s)
+        return cls(call=call, reply=reply, error=(error.kind, error.detail))
+
+    def told(self) -> dict[str, Any]:
+        """Its fields, and those of the call and the reply, by name: what cassettes and records hold."""
+        values = (self, self.call, self.reply)
+        told = {field.name: getattr(value, field.name) for value in values for field in fields(value)}
+        told |= {"request_hash": self.call.request_hash, "settings": dict(self.reply.settings)}
+        return told | {"text": self.reply.text if self.error is None else None}
 
 
 AttemptSink: TypeAlias = Callable[[Attempt], None]

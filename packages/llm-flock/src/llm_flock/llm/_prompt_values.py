@@ -15,9 +15,6 @@ from llm_flock.plan import DECIMALS, Plan
 
 AXES = ("x", "y", "z")
 
-NEAREST = 3
-"""Robots that the brief prompts mention at most."""
-
 FARTHEST = 10.0
 """Distance of the farthest goal that brief prompts name [step limits]: small models lose the direction of others."""
 
@@ -61,7 +58,7 @@ def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) 
     """The robots that one step could come too near to, nearest first and three at most, or `none`."""
     reach = mission.max_step + mission.safe_distance
     by_distance = sorted((math.dist(position, other), other) for other in neighbors)
-    near = [other for distance, other in by_distance[:NEAREST] if distance < reach]
+    near = [other for distance, other in by_distance[:3] if distance < reach]
     decimals = position_decimals(mission.max_step)
     return ", ".join(short_text(other, decimals) for other in near) or "none"
 

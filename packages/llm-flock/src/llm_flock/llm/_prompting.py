@@ -7,11 +7,10 @@ update (166-171); the wording here is our own, and the plan message also gives t
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, Self
 
 import jinja2
@@ -20,7 +19,7 @@ from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
 from llm_flock.llm._frame import Q
-from llm_flock.llm._letters import NO_WISH, LetterWay, ways_of, ways_text
+from llm_flock.llm._letters import NO_WISH, ways_of, ways_text
 from llm_flock.llm._prompt_values import (
     MISSION,
     nearer_goal,
@@ -43,9 +42,6 @@ PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief", "let
 
 LETTERS = "letters"
 """The packaged set that asks for one letter, of ways that code computes; plans are not asked."""
-
-MISSIONS_KEPT = 64
-"""Missions whose variables and system message are kept."""
 
 COMMON = frozenset({"json", "wish", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
@@ -88,14 +84,6 @@ def _decimals(asked: PlanQuestion | StepQuestion) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CompiledTemplate:
-    """A compiled template, and the variables that it may use."""
-
-    template: jinja2.Template
-    uses: frozenset[str]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PromptSet:
     """Four templates, compiled and checked.
 
@@ -104,16 +92,14 @@ class PromptSet:
         reasons: whether they ask for a reason before the answer.
         letters: whether they ask for a letter instead of a position, and for no plan.
         wish: what the operator wishes of the steps, in words; empty without a wish.
+        templates: each with the variables that it may use.
     """
 
     json: bool
     reasons: bool = True
     letters: bool = False
     wish: str = ""
-    templates: Mapping[str, CompiledTemplate]
-    _missions: dict[str, tuple[dict[str, Any], str]] = field(
-        default_factory=dict[str, tuple[dict[str, Any], str]], init=False, repr=False
-    )
+    templates: Mapping[str, tuple[jinja2.Template, frozenset[str]]]
 
     @classmethod
     def load(cls, prompts: str | Path = "full", *, json: bool = False, wish: str = "") -> Self:
@@ -129,74 +115,50 @@ class PromptSet:
             letters = prompts == LETTERS
             if letters and json:
                 raise InputError("answers", "json", "text: the prompts 'letters' ask for one letter")
-            templates = _packaged_templates(prompts)
-            return cls(json=json, reasons=prompts == "full", letters=letters, wish=wish, templates=templates)
+            return cls(json=json, reasons=prompts == "full", letters=letters, wish=wish, templates=_packaged(prompts))
         folder = Path(prompts)
         replaced = [name for name in VARIABLES if (folder / name).is_file()]
         if not replaced:
             raise InputError("prompts", str(folder), f"a folder with at least one of {', '.join(VARIABLES)}")
         logger.info("prompt templates from %s: %s", folder, ", ".join(replaced))
         loaded = cls(json=json, wish=wish, templates=_templates("full", folder))
-        loaded.try_out()
+        loaded._try_out()
         return loaded
 
     def system(self, mission: Mission) -> str:
         """The system message: the same text for every robot of the team."""
-        return self._mission(mission)[1]
+        return self._render("system.j2", _about(mission))
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
         return self._question("plan.j2", PLAN, question)
 
-    def step(self, question: StepQuestion, ways: Sequence[LetterWay] | None = None) -> str:
-        """The position update message; with the ways to choose from, where they are known already."""
-        known: Mapping[str, Callable[[StepQuestion], Any]] = STEP
-        if ways is not None:
-            shown = ways_text(ways)
-            known = {**STEP, "ways": lambda asked: shown}
-        return self._question("step.j2", known, question)
+    def step(self, question: StepQuestion) -> str:
+        """The position update message."""
+        return self._question("step.j2", STEP, question)
 
     def retry(self, reason: str, question: PlanQuestion | StepQuestion) -> str:
         """The message after an answer that cannot be used to the same question; `reason` is a sentence."""
-        plan = isinstance(question, PlanQuestion)
-        common = self._mission(question.mission)[0]
-        variables = {name: common[name] for name in ("json", "point_format", "plan_format")}
-        about = {"reason": reason, "kind": "plan" if plan else "step", "horizon": 1 if plan else question.horizon}
-        return self._render("retry.j2", {**self._globals(), **variables, **about})
-
-    def _mission(self, mission: Mission) -> tuple[dict[str, Any], str]:
-        """Variables of every message, and the system message, made once for each mission."""
-        known = self._missions.get(mission.digest)
-        if known is None:
-            if len(self._missions) >= MISSIONS_KEPT:
-                # A moving centre gives another mission in every round.
-                self._missions.clear()
-            common = {**self._globals(), "json": self.json, "wish": self.wish or NO_WISH}
-            common |= {name: write(mission) for name, write in MISSION.items()}
-            known = self._missions[mission.digest] = common, self._render("system.j2", common)
-        return known
-
-    def _globals(self) -> Mapping[str, Any]:
-        """Jinja's own globals."""
-        return self.templates["system.j2"].template.globals
+        step = isinstance(question, StepQuestion)
+        about = {"reason": reason, "kind": "step" if step else "plan", "horizon": question.horizon if step else 1}
+        return self._render("retry.j2", {**_about(question.mission), **about})
 
     def _question(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> str:
         """Write only the variables that the template uses, for every robot asks."""
-        uses = self.templates[name].uses
+        uses = self.templates[name][1]
         own = {variable: write(question) for variable, write in known.items() if variable in uses}
-        return self._render(name, {**self._mission(question.mission)[0], **own})
+        return self._render(name, {**_about(question.mission), **own})
 
-    def _render(self, name: str, variables: dict[str, Any]) -> str:
-        template = self.templates[name].template
+    def _render(self, name: str, variables: Mapping[str, Any]) -> str:
+        template = self.templates[name][0]
         try:
-            # As `template.render`, without its two copies of the variables: they hold the globals already.
-            return "".join(template.root_render_func(template.new_context(variables, shared=True))).strip()
+            return template.render(variables, json=self.json, wish=self.wish or NO_WISH).strip()
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
             # Any fault of an expression: the template is the operator's text, not our code.
             allowed = f"a template that can be rendered: {error}"
             raise InputError("prompts", template.filename or name, allowed) from None
 
-    def try_out(self) -> None:
+    def _try_out(self) -> None:
         """Render everything once, so that a faulty template fails before a run begins."""
         mission = build_mission(shape="triangle", n_robots=3)
         here, there = (40.0, 40.0), ((45.0, 40.0),)
@@ -211,18 +173,15 @@ class PromptSet:
         self.retry("the answer is an example.", asked)
 
 
-@lru_cache(maxsize=len(PACKAGED))
-def _packaged_templates(packaged: str) -> Mapping[str, CompiledTemplate]:
-    """Compiled and tried out once in a process: it takes 0.1 s."""
-    templates = MappingProxyType(_templates(packaged, None))
-    for json in (False, True):
-        PromptSet(json=json, templates=templates).try_out()
-    return templates
+@lru_cache(maxsize=64)
+def _about(mission: Mission) -> Mapping[str, Any]:
+    """Variables of every message. A moving centre gives another mission in every round."""
+    return {name: write(mission) for name, write in MISSION.items()}
 
 
-def _templates(packaged: str, directory: Path | None) -> dict[str, CompiledTemplate]:
+def _templates(packaged: str, folder: Path | None = None) -> Mapping[str, tuple[jinja2.Template, frozenset[str]]]:
     """Every template, compiled and checked: the operator's, or else the packaged one."""
-    folders: list[jinja2.BaseLoader] = [] if directory is None else [jinja2.FileSystemLoader(directory)]
+    folders: list[jinja2.BaseLoader] = [] if folder is None else [jinja2.FileSystemLoader(folder)]
     # Templates may come from strangers; in the sandbox they can only make text.
     environment = SandboxedEnvironment(
         loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
@@ -230,13 +189,18 @@ def _templates(packaged: str, directory: Path | None) -> dict[str, CompiledTempl
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return {name: _compiled(environment, name, directory) for name in VARIABLES}
+    return {name: _compiled(environment, name, folder) for name in VARIABLES}
 
 
-def _compiled(environment: jinja2.Environment, name: str, directory: Path | None) -> CompiledTemplate:
+_packaged = lru_cache(maxsize=len(PACKAGED))(_templates)
+
+
+def _compiled(
+    environment: jinja2.Environment, name: str, folder: Path | None
+) -> tuple[jinja2.Template, frozenset[str]]:
     """A template with correct syntax and known variables."""
     assert environment.loader is not None
-    file = name if directory is None else str(directory / name)
+    file = name if folder is None else str(folder / name)
     try:
         source, filename, _ = environment.loader.get_source(environment, name)
         file = filename or file
@@ -254,4 +218,4 @@ def _compiled(environment: jinja2.Environment, name: str, directory: Path | None
         known = ", ".join(sorted(VARIABLES[name]))
         raise InputError("prompts", file, f"a template of the variables {known}; not {', '.join(unknown)}")
     # The variables of included templates are not known.
-    return CompiledTemplate(template=template, uses=VARIABLES[name] if others else frozenset(used))
+    return template, VARIABLES[name] if others else frozenset(used)

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 from urllib.parse import urlsplit
 
+from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
+from llm_flock.extras import EXTRAS, ExtraMissing
 from llm_flock.printable import hidden
 
 LONGEST_URL = 2_000
@@ -21,10 +23,7 @@ ModelKind: TypeAlias = Literal["provider", "plugin", "simulated", "replay", "geo
 class ProviderInfo:
     """One line of the table of providers.
 
-    Attributes:
-        base_url: default address; None where the operator must give one.
-        example: a model string that works.
-        key_required: whether the provider's own address refuses calls without a key.
+    `base_url` is None where the operator must give one. `key_required`: its own address refuses calls without a key.
     """
 
     name: str
@@ -34,16 +33,11 @@ class ProviderInfo:
     key_required: bool = False
 
 
+_OPENAI_URL = "https://api.openai.com/v1"
 _QWEN_URL = "https://dashscope-intl.aliyuncs.com/compatible-mode/v1"
 _TABLE = (
-    ProviderInfo("openai", "OPENAI_API_KEY", "https://api.openai.com/v1", "openai:o3-mini", key_required=True),
-    ProviderInfo(
-        "openai-responses",
-        "OPENAI_API_KEY",
-        "https://api.openai.com/v1",
-        "openai-responses:gpt-5-mini",
-        key_required=True,
-    ),
+    ProviderInfo("openai", "OPENAI_API_KEY", _OPENAI_URL, "openai:o3-mini", key_required=True),
+    ProviderInfo("openai-responses", "OPENAI_API_KEY", _OPENAI_URL, "openai-responses:gpt-5-mini", key_required=True),
     ProviderInfo(
         "anthropic", "ANTHROPIC_API_KEY", "https://api.anthropic.com", "anthropic:claude-sonnet-4-6", key_required=True
     ),
@@ -63,8 +57,6 @@ PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 
 def model_forms() -> str:
     """What a model string may be, as a phrase."""
-    from llm_flock import plugins
-
     installed = "".join(f"{prefix}:MODEL, " for prefix in plugins.entries("models"))
     return (
         f"PROVIDER:MODEL with a provider of {', '.join(PROVIDERS)}; or {installed}simulated:PROFILE, replay:FILE, "
@@ -75,9 +67,6 @@ def model_forms() -> str:
 _OWN = re.compile(r"(?:[^\W\d]\w*\.)+[^\W\d]\w*:[^\W\d][\w.<>]*|[^\W\d]\w*:(?:[\w.<>]+\.)?[A-Z]\w*|__main__:[\w.<>]+")
 """A class of the user's own. Where the module has no dot, the class begins with a capital letter, so that a misspelt
 provider is no class."""
-
-_ALWAYS: Mapping[str, ModelKind] = {"simulated": "simulated", "replay": "replay"}
-"""Kinds by prefix, beside providers and plug-ins."""
 
 _RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
 
@@ -95,12 +84,9 @@ def needs_responses(provider: str, model: str, base_url: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelName:
-    """A parsed model string.
+    """A parsed model string: `provider` is in the table, or the prefix of a plug-in, else the kind.
 
-    Attributes:
-        text: as written.
-        provider: name in the table of providers, or prefix of a plug-in; the kind for everything else.
-        model: the part after the first colon: model name, profile of a simulated model, path of a cassette, or a class.
+    `model` is the part after the first colon: model name, profile of a simulated model, path of a cassette, or a class.
     """
 
     text: str
@@ -117,38 +103,32 @@ class ModelName:
 def parse_model(text: str) -> ModelName:
     """Read `provider:model`, `simulated:PROFILE`, `replay:FILE`, `geometry`, `package.module:Class`, or a plug-in's.
 
-    Nothing that the name chooses is imported: it may come from a record.
-
-    Raises:
-        InputError: for field `model`, with a list of the possibilities.
-        ExtraMissing: the prefix belongs to an extra that is not installed.
+    Nothing that the name chooses is imported: it may come from a record. ExtraMissing if an extra has to be installed.
     """
     text = text.strip()
     provider, colon, model = text.partition(":")
     if text == "geometry":
         return ModelName(text=text, kind="geometry", provider="geometry", model="")
-    from llm_flock import plugins
-    from llm_flock.extras import EXTRAS, ExtraMissing
-
-    others: dict[str, ModelKind] = {**dict.fromkeys(plugins.entries("models"), "plugin"), **_ALWAYS}
-    known = (*PROVIDERS, *others)
-    if colon and provider in EXTRAS and provider not in known:
+    kinds: dict[str, ModelKind] = {**dict.fromkeys(PROVIDERS, "provider"), "simulated": "simulated", "replay": "replay"}
+    kinds |= dict.fromkeys(plugins.entries("models"), "plugin")
+    kind = kinds.get(provider)
+    if kind is None and colon and provider in EXTRAS:
         raise ExtraMissing(f"--model {text}", provider)
-    if provider not in known and _OWN.fullmatch(text):
+    if kind is None and _OWN.fullmatch(text):
         return ModelName(text=text, kind="own", provider="own", model=model)
-    if not colon or provider not in known:
-        says = unknown(f"provider {provider!r}", provider, (*known, "package.module:Class")) if colon else ""
+    if kind is None or not colon:
+        says = unknown(f"provider {provider!r}", provider, (*kinds, "package.module:Class")) if colon else ""
         if provider.isidentifier() and model.isidentifier():
             says += " (a class of your own begins with a capital letter)"
         raise InputError("model", text, model_forms(), says=says)
     if not model:
         expected = {"simulated": "a profile", "replay": "a file"}.get(provider, "a model name")
-        if others.get(provider) == "plugin":
+        if kind == "plugin":
             expected = plugins.load("models", provider).expects
         raise InputError("model", text, f"{expected} after '{provider}:'")
-    if provider in PROVIDERS and re.search(r"[\s,=]", model):
+    if kind == "provider" and re.search(r"[\s,=]", model):
         raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
-    return ModelName(text=text, kind=others.get(provider, "provider"), provider=provider, model=model)
+    return ModelName(text=text, kind=kind, provider=provider, model=model)
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
@@ -177,12 +157,7 @@ def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
 
 
 def check_url(url: str) -> str:
-    """The address without a trailing slash.
-
-    Raises:
-        InputError: it is not http(s)://host..., or has a user name, password or query: keys in them would end up in
-            records.
-    """
+    """The address without a trailing slash. A user name, password or query is refused: it would end up in records."""
     try:
         parts = urlsplit(url)
         host, secret, port = parts.hostname, parts.username or parts.password, parts.port

@@ -6,18 +6,19 @@ have answered; each further line is a `CassetteLine`.
 
 from __future__ import annotations
 
-import difflib
 import json
 import logging
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, fields
+from itertools import zip_longest
 from pathlib import Path
-from typing import IO, Annotated, Any, Self
+from typing import IO, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
-from llm_flock.llm._port import MOST_TOKENS, Attempt, Call, ChatMessage, Kind, Reply, Usage
+from llm_flock.llm._port import Amount, Attempt, Call, ChatMessage, Kind, Reply, Usage
 from llm_flock.protocol._planning import PlanQuestion
 
 logger = logging.getLogger(__name__)
@@ -26,9 +27,6 @@ VERSION = 1
 HEADER = "llm_flock_cassette"
 LONGEST_LINE = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
-
-DIFF_LINES = 40
-"""Longest difference that an error shows [lines]."""
 
 
 class CassetteLine(BaseModel):
@@ -53,20 +51,13 @@ class CassetteLine(BaseModel):
     rejected: str | None
     error: tuple[str, str] | None
     usage: Usage
-    cost_usd: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)] | None
-    latency_s: Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+    cost_usd: Amount | None
+    latency_s: Amount
     faults: tuple[str, ...]
     finish_reason: str | None = None
     thought: bool = False
     clipped: str | None = None
     """The last three are missing in older cassettes."""
-
-    @field_validator("usage")
-    @classmethod
-    def _believed(cls, usage: Usage) -> Usage:
-        if usage != Usage.reported(usage.input, usage.output, usage.cached):
-            raise ValueError(f"tokens of one call are from 0 to {MOST_TOKENS}")
-        return usage
 
 
 class _Cassette:
@@ -90,9 +81,6 @@ class CassetteWriter(_Cassette):
 
     A run that is killed loses at most the line that was being written. An existing file is never touched. `simulated`
     tells whether a stand-in may answer: the names of models need not say so.
-
-    Raises:
-        InputError: for field `record_llm`: the file exists or cannot be created.
     """
 
     def __init__(self, path: Path, *, simulated: bool = False) -> None:
@@ -106,12 +94,7 @@ class CassetteWriter(_Cassette):
 
     def __call__(self, attempt: Attempt) -> None:
         """Write one line, the fields of a `CassetteLine`."""
-        call, reply = attempt.call, attempt.reply
-        # Without an answer, the attempt itself tells the model, the faults and the duration.
-        answer = reply or Reply(text="", model=attempt.model, faults=attempt.faults, latency_s=attempt.latency_s)
-        told = _fields(attempt) | _fields(call) | _fields(answer)
-        told |= {"request_hash": call.request_hash, "answer_schema": call.schema}
-        told |= {"settings": dict(answer.settings), "text": reply.text if reply else None}
+        told = attempt.told() | {"answer_schema": attempt.call.schema}
         self._write({name: told[name] for name in CassetteLine.model_fields})
 
     def _write(self, line: dict[str, Any]) -> None:
@@ -125,11 +108,7 @@ class ReplayModel(_Cassette):
     """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
 
     Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
-    failures are repeated. Ask it directly: `limits.Limited` would retry a second time.
-
-    Raises:
-        InputError: for field `model`: there is no such file.
-        RecordError: not a cassette, another version, or damaged (with the line's number).
+    failures are repeated. Ask it directly: `limits.Limited` would retry a second time. RecordError if it is damaged.
     """
 
     def __init__(self, path: Path) -> None:
@@ -159,12 +138,7 @@ class ReplayModel(_Cassette):
         return (question.robot, question.round) in self._plans
 
     async def ask(self, call: Call) -> Reply:
-        """The recorded answer to this call.
-
-        Raises:
-            ReplayDrift: the cassette has no such attempt, or another question there.
-            ModelError: the recorded error.
-        """
+        """The recorded answer or error; ReplayDrift if there is no such attempt, or another question."""
         line = self._read(call)
         if line.error is not None:
             kind, detail = line.error
@@ -178,7 +152,7 @@ class ReplayModel(_Cassette):
         return Reply(**told)
 
     def _read(self, call: Call) -> CassetteLine:
-        where = f"robot {call.robot}, round {call.round}, attempt {call.attempt}"
+        where = _place(call.robot, call.round, call.attempt)
         offset = self._offsets.get((call.robot, call.round, call.attempt))
         if offset is None:
             rounds = [r for robot, r, _ in self._offsets if robot == call.robot]
@@ -194,13 +168,7 @@ class ReplayModel(_Cassette):
         """Byte offset of every attempt; checks the whole file, line by line."""
         offsets: dict[tuple[int, int, int], int] = {}
         self._check_header(self._file.readline(LONGEST_LINE))
-        number = 1
-        while True:
-            offset = self._file.tell()
-            raw = self._file.readline(LONGEST_LINE)
-            if not raw:
-                return offsets
-            number += 1
+        for number, raw in enumerate(iter(lambda: self._file.readline(LONGEST_LINE), b""), start=2):
             if len(raw) == LONGEST_LINE:
                 raise RecordError(f"{self._path}, line {number}: damaged: a line of {LONGEST_LINE} bytes or more")
             try:
@@ -208,19 +176,18 @@ class ReplayModel(_Cassette):
             except ValidationError as error:
                 if not raw.endswith(b"\n"):
                     logger.warning("%s: line %d was cut off in writing and is left out", self._path, number)
-                    return offsets
+                    break
                 first = error.errors()[0]
-                at = ".".join(str(part) for part in first["loc"])
-                raise RecordError(f"{self._path}, line {number}: damaged: {at or 'line'}: {first['msg']}") from None
+                at = ".".join(map(str, first["loc"])) or "line"
+                raise RecordError(f"{self._path}, line {number}: damaged: {at}: {first['msg']}") from None
             key = (line.robot, line.round, line.attempt)
             if key in offsets:
-                raise RecordError(
-                    f"{self._path}, line {number}: robot {key[0]}, round {key[1]}, attempt {key[2]} is there twice"
-                )
-            offsets[key] = offset
+                raise RecordError(f"{self._path}, line {number}: {_place(*key)} is there twice")
+            offsets[key] = self._file.tell() - len(raw)
             self.models.add(line.model)
             if line.kind == "plan":
                 self._plans.add((line.robot, line.round))
+        return offsets
 
     def _check_header(self, raw: bytes) -> None:
         try:
@@ -233,27 +200,21 @@ class ReplayModel(_Cassette):
             raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")
 
 
-def _fields(value: Attempt | Call | Reply) -> dict[str, Any]:
-    return {field.name: getattr(value, field.name) for field in fields(value)}
+def _place(robot: int, round_: int, attempt: int) -> str:
+    return f"robot {robot}, round {round_}, attempt {attempt}"
 
 
 def _difference(line: CassetteLine, call: Call) -> str:
-    """A unified diff of limited length between the recorded question and this one."""
+    """The first line in which this question differs from the recorded one, of limited length."""
     recorded = _readable(line.kind, line.messages, line.answer_schema)
-    asked = _readable(call.kind, call.messages, dict(call.schema) if call.schema is not None else None)
-    diff = list(difflib.unified_diff(recorded, asked, "recorded", "asked now", n=1, lineterm=""))
-    if not diff:
-        return "the texts are equal: the recorded hash does not fit its own line"
-    if len(diff) > DIFF_LINES:
-        diff = [*diff[:DIFF_LINES], f"... and {len(diff) - DIFF_LINES} more lines"]
-    return "\n".join(text if len(text) <= 300 else text[:297] + "..." for text in diff)
+    asked = _readable(call.kind, call.messages, call.schema)
+    for was, is_now in zip_longest(recorded, asked, fillvalue=""):
+        if was != is_now:
+            return f"-{was[:300]}\n+{is_now[:300]}"
+    return "the texts are equal: the recorded hash does not fit its own line"
 
 
-def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: dict[str, Any] | None) -> list[str]:
-    lines = [f"kind: {kind}"]
-    for message in messages:
-        lines.append(f"[{message.role}]")
-        lines.extend(message.text.splitlines())
-    if schema is not None:
-        lines.append(f"[schema] {json.dumps(schema, sort_keys=True)}")
-    return lines
+def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: Mapping[str, Any] | None) -> list[str]:
+    said = [line for message in messages for line in (f"[{message.role}]", *message.text.splitlines())]
+    form = [] if schema is None else [f"[schema] {json.dumps(schema, sort_keys=True)}"]
+    return [f"kind: {kind}", *said, *form]

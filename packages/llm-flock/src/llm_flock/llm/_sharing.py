@@ -1,4 +1,4 @@
-"""A budget, the rates of providers, and models that the runs of a sweep share."""
+"""A budget and the rates of providers that the runs of a sweep share."""
 
 from __future__ import annotations
 
@@ -8,20 +8,16 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
-from llm_flock.llm._limits import Budget, CallGate, Spent
-from llm_flock.llm._models import ModelPool, cost_usd
+from llm_flock.llm._limits import Budget, BudgetMeter, Spent
+from llm_flock.llm._models import cost_usd
 from llm_flock.llm._port import Usage
 from llm_flock.llm._sources import source_of
 
 CHARS_PER_TOKEN = 4
-FIRST_GUESS = 500
-"""Expected length of an answer before a model's first one [tokens]."""
-
-WINDOW_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,67 +44,56 @@ class _SentCall:
     at_s: float
 
 
+@dataclass(slots=True)
 class _Traffic:
     """One provider's calls: those under way and those of the last minute."""
 
-    def __init__(self, rate: Rate, window_s: float) -> None:
-        self.rate = rate
-        self.queue = asyncio.Lock()
-        self.under_way = 0
-        self._window_s = window_s
-        self._recent: deque[_SentCall] = deque()
+    rate: Rate
+    window_s: float
+    queue: asyncio.Lock = field(default_factory=asyncio.Lock)
+    under_way: int = 0
+    recent: deque[_SentCall] = field(default_factory=deque[_SentCall])
 
     def wait_s(self, tokens: int, now: float) -> float:
         """Wait before a call of this size may be sent [s]; infinite until another call ends."""
-        rate, recent = self.rate, self._recent
+        rate, recent = self.rate, self.recent
         if rate.max_concurrent is not None and self.under_way >= rate.max_concurrent:
             return float("inf")
-        while recent and recent[0].at_s <= now - self._window_s:
+        while recent and recent[0].at_s <= now - self.window_s:
             recent.popleft()
         full = rate.calls_per_minute is not None and len(recent) >= rate.calls_per_minute
         if not full and rate.tokens_per_minute is not None:
             full = sum(call.tokens for call in recent) + tokens > rate.tokens_per_minute
         # A call larger than the whole limit may go when no other one counts.
-        return recent[0].at_s + self._window_s - now if recent and full else 0.0
+        return recent[0].at_s + self.window_s - now if recent and full else 0.0
 
     def sent(self, call: _SentCall) -> None:
         """Count a call."""
         self.under_way += 1
         if self.rate.calls_per_minute is not None or self.rate.tokens_per_minute is not None:
-            self._recent.append(call)
+            self.recent.append(call)
 
 
-class SharedGate:
+class SharedGate(BudgetMeter):
     """A `CallGate` within one process and event loop.
 
     Calls count when they begin. Tokens and money are known with the answer; until then a call reserves its expected
     use, so that near the end of a budget calls wait for those under way, and it is overrun by about one call.
 
-    Args:
-        budget: of all runs together.
-        rates: of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to as
-            many questions at once as they answer.
-        window_s: length of a minute, for tests [s].
+    `rates` are of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to
+    as many questions at once as they answer. `window_s` is the length of a minute, for tests [s].
     """
 
+    owner = " of the sweep"
+
     def __init__(
-        self,
-        budget: Budget | None = None,
-        rates: Mapping[str, Rate] | None = None,
-        *,
-        window_s: float = WINDOW_S,
+        self, budget: Budget | None = None, rates: Mapping[str, Rate] | None = None, *, window_s: float = 60.0
     ) -> None:
+        super().__init__(budget)
         given = rates or {}
-        self.budget = budget or Budget()
-        self.spent = Spent()
-        self.elsewhere = Spent()
-        """Spent by other processes, of the same budget; whoever learns of it sets it."""
-        self.reason: str | None = None
         self._traffic: defaultdict[str, _Traffic] = defaultdict(lambda: _Traffic(Rate(), window_s))
         for provider in {*plugins.entries("models"), *given}:
-            rate = given.get(provider)
-            if rate is None:
-                rate = Rate(max_concurrent=source_of(provider).at_once)
+            rate = given.get(provider) or Rate(max_concurrent=source_of(provider).at_once)
             self._traffic[provider] = _Traffic(rate, window_s)
         self._changed = asyncio.Event()
         self._tickets = itertools.count()
@@ -121,7 +106,7 @@ class SharedGate:
         tokens, cost = self._expected(model, chars)
         async with traffic.queue:
             while True:
-                self._check(new_call=not again)
+                self.check(new_call=not again)
                 wait = max(self._wait_for_budget(tokens, cost), traffic.wait_s(tokens, time.monotonic()))
                 if wait <= 0:
                     break
@@ -151,15 +136,8 @@ class SharedGate:
     def exhausted(self) -> bool:
         """Whether a new call would be turned away."""
         with suppress(BudgetExceeded):
-            self._check(new_call=True)
+            self.check(new_call=True)
         return self.reason is not None
-
-    def _check(self, *, new_call: bool) -> None:
-        reason = self.budget.exhausted(self.spent + self.elsewhere, new_call=new_call, owner=" of the sweep")
-        if reason is not None:
-            self.reason = reason
-            self._changed.set()
-            raise BudgetExceeded(reason)
 
     def _wait_for_budget(self, tokens: int, cost: float) -> float:
         """Infinite while calls under way may use up the rest of the budget, else 0 [s]."""
@@ -175,37 +153,10 @@ class SharedGate:
     def _expected(self, model: str, chars: int) -> tuple[int, float]:
         """Expected tokens and money of a call: by list price, or the mean of earlier calls."""
         calls, output, paid = self._answers[model]
-        usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else FIRST_GUESS)
+        # An answer is expected to be as long as the mean of earlier ones; the first one, 500 tokens.
+        usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else 500)
         provider, _, name = model.partition(":")
         if self.budget.max_cost_usd is None:
             return usage.total, 0.0
         listed = cost_usd(provider, name, usage)
         return usage.total, listed if listed is not None else paid / max(1, calls)
-
-
-class CallLane:
-    """One run's access to the shared gate and models.
-
-    Without gate, all calls are admitted; without pool, the run makes its own. `cut` tells whether the shared budget
-    turned away a call of this run.
-    """
-
-    def __init__(self, gate: CallGate | None = None, pool: ModelPool | None = None) -> None:
-        self.pool = pool
-        self.cut = False
-        self._gate = gate
-
-    async def enter(self, model: str, chars: int, *, again: bool) -> int:
-        """See `CallGate`."""
-        if self._gate is None:
-            return -1
-        try:
-            return await self._gate.enter(model, chars, again=again)
-        except BudgetExceeded:
-            self.cut = True
-            raise
-
-    def leave(self, ticket: int, usage: Usage | None, cost_usd: float | None) -> None:
-        """See `CallGate`."""
-        if self._gate is not None:
-            self._gate.leave(ticket, usage, cost_usd)

@@ -36,11 +36,7 @@ class ModelHost(Protocol):
     """What the models of one team share, such as an engine."""
 
     def model(self, text: str, settings: CallSettings | None) -> LanguageModel:
-        """The model of one robot, named as in the configuration.
-
-        Raises:
-            InputError: it cannot work, as far as that is known before asking it.
-        """
+        """The model of one robot, named as in the configuration; InputError if it is known that it cannot work."""
         ...
 
     async def aclose(self) -> None:
@@ -73,11 +69,7 @@ class ModelSource(Protocol):
         ...
 
     def digests(self, model: str) -> Mapping[str, str]:
-        """Digests of the model's files by name.
-
-        Raises:
-            InputError: there is no such model, or a file is missing or unfit.
-        """
+        """Digests of the model's files by name; InputError if one is missing or unfit."""
         ...
 
     def versions(self, model: str) -> Mapping[str, str]:
@@ -86,12 +78,7 @@ class ModelSource(Protocol):
 
 
 def source_of(prefix: str) -> ModelSource:
-    """The plug-in of this prefix.
-
-    Raises:
-        KeyError: there is none.
-        FieldError: it cannot be imported.
-    """
+    """The plug-in of this prefix; KeyError if there is none, FieldError if it cannot be imported."""
     return plugins.load("models", prefix)
 
 

@@ -31,8 +31,8 @@ from llm_flock.runtime._trial import Steer, Trial, TrialProgress
 from llm_flock.simulate import InstantBodies, Readings, start_positions
 
 if TYPE_CHECKING:
+    from llm_flock.llm._limits import CallLane
     from llm_flock.llm._own import ModelChoice, OwnModel
-    from llm_flock.llm._sharing import CallLane
 
 T = TypeVar("T")
 

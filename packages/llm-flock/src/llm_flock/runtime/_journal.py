@@ -8,6 +8,7 @@ import platform
 import subprocess
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib import metadata as installed
 from pathlib import Path
@@ -17,7 +18,7 @@ from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.events import MoveTo, Note, Origin
 from llm_flock.links import Traffic
-from llm_flock.llm._port import Attempt, Reply, Usage
+from llm_flock.llm._port import Attempt, Usage
 from llm_flock.mission import Mission
 from llm_flock.obstacles import segment_clearance
 from llm_flock.record._schema import (
@@ -103,30 +104,17 @@ def finite(value: float | None) -> float | None:
 
 def llm_entry(attempt: Attempt) -> LlmEntry:
     """A model call as it is recorded."""
-    call, reply = attempt.call, attempt.reply or Reply(text="", model="")
-    usage = reply.usage
-    return LlmEntry(
-        round=call.round,
-        robot=call.robot,
-        kind=call.kind,
-        attempt=call.attempt,
-        model=attempt.model,
-        request_hash=call.request_hash,
-        messages=[ChatLine(role=m.role, text=m.text) for m in call.messages],
-        text=None if attempt.reply is None else reply.text,
-        parsed=None if attempt.parsed is None else dict(attempt.parsed),
-        rejected=attempt.rejected,
-        clipped=attempt.clipped,
-        probe=call.probe or None,
-        error=None if attempt.error is None else ": ".join(attempt.error),
-        finish_reason=reply.finish_reason,
-        thought=reply.thought or None,
-        settings=dict(reply.settings),
-        usage=CallUsage(input=usage.input, output=usage.output, cached=usage.cached),
-        cost_usd=reply.cost_usd,
-        latency_s=attempt.latency_s,
-        faults=list(attempt.faults),
-    )
+    told = attempt.told()
+    told |= {
+        "messages": [ChatLine(role=m.role, text=m.text) for m in attempt.call.messages],
+        "parsed": None if attempt.parsed is None else dict(attempt.parsed),
+        "probe": attempt.call.probe or None,
+        "error": None if attempt.error is None else ": ".join(attempt.error),
+        "thought": attempt.reply.thought or None,
+        "usage": CallUsage(**asdict(attempt.reply.usage)),
+        "faults": list(attempt.reply.faults),
+    }
+    return LlmEntry(**{name: told[name] for name in LlmEntry.model_fields})
 
 
 ERROR_EVERY_ROUND_UP_TO = 300
@@ -198,9 +186,9 @@ class Journal:
             if attempt.error[0] == "budget":
                 return
         self.calls += 1
-        self.latency_s += attempt.latency_s
-        self.faults.update(attempt.faults)
-        if attempt.reply is None:
+        self.latency_s += attempt.reply.latency_s
+        self.faults.update(attempt.reply.faults)
+        if attempt.error is not None:
             self.calls_failed += 1
         else:
             self.calls_rejected += attempt.rejected is not None

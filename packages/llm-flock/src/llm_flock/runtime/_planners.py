@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
-from llm_flock.llm._limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
+from llm_flock.llm._limits import Budget, BudgetMeter, CallLane, CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool, check_priced, parse_history, parse_models, parse_settings
 from llm_flock.llm._port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm._providers import ModelName, parse_base_urls, parse_model
+from llm_flock.llm._sources import habits_of, source_of
 from llm_flock.protocol._planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import Stream, stream
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from llm_flock.llm._own import OwnModel
     from llm_flock.llm._prompting import PromptSet
     from llm_flock.llm._replay import ReplayModel  # each kind of model is imported where a robot asks one
-    from llm_flock.llm._sharing import CallLane
     from llm_flock.protocol._verification.steps import Verdict
 
 
@@ -39,145 +39,126 @@ class TeamPlanners:
     ) -> None:
         model, limits, n = config.model, config.limits, config.mission.n_robots
         self.names = parse_models(model.model, n)
+        self._config = config
+        self._lane = lane or CallLane()
+        self._pool = self._lane.pool or ModelPool()
         self._replaced: dict[int, str] = {}
         self._sinks: list[AttemptSink] = []
         self._replays: dict[str, ReplayModel] = {}
         self._own: dict[str, OwnModel] = {}
         self._handed = dict(own or {})
+        self._queues: dict[str, CallLimits] = {}
+        self._prompts: dict[str, PromptSet] = {}
+        self._around: list[Callable[[int, Planner], Planner]] = []
         self._meter = BudgetMeter(
             Budget(max_calls=limits.max_calls, max_tokens=limits.max_tokens, max_cost_usd=limits.max_cost)
         )
-        base_urls = parse_base_urls(model.base_url, self.names)
-        check_priced(limits.max_cost, self.names, base_urls)
-        self._lane = lane
-        self._shares = lane is not None and lane.pool is not None
-        self._pool = (lane and lane.pool) or ModelPool()
-        seed = config.trial.seed
-
-        def limits_of(at_once: int) -> CallLimits:
-            return CallLimits(
-                max_concurrent=min(limits.max_concurrent, at_once),
-                timeout_s=limits.timeout_s,
-                retry=RetryPolicy(max_tries=limits.max_tries),
-                meter=self._meter,
-                gate=lane,
-                rng=stream(seed, Stream.BACKOFF),
-            )
-
-        # A question waits for a plug-in's model before its time-out begins, in a queue that delays no other model.
-        self._limits = limits_of(limits.max_concurrent)
-        queues: dict[str, CallLimits] = {}
-
-        def limits_for(name: ModelName) -> CallLimits:
-            if name.kind != "plugin":
-                return self._limits
-            from llm_flock.llm._sources import source_of
-
-            if name.provider not in queues:
-                queues[name.provider] = limits_of(source_of(name.provider).at_once)
-            return queues[name.provider]
-
-        settings = parse_settings(
+        self._base_urls = parse_base_urls(model.base_url, self.names)
+        check_priced(limits.max_cost, self.names, self._base_urls)
+        self._settings = parse_settings(
             n,
             temperature=model.temperature,
             seed=model.model_seed,
             reasoning=model.reasoning_effort,
             max_tokens=limits.max_answer_tokens,
         )
-
-        wish = model.wish or ""
-        if wish:
+        self._wish = model.wish or ""
+        if self._wish:
             from llm_flock.llm._letters import check_wish
 
-            wish = check_wish(wish)
+            self._wish = check_wish(self._wish)
+        for text in dict.fromkeys(self.names):
+            # Prompts that were chosen are checked, even if nobody is asked.
+            if model.prompts or self._wish or parse_model(text).kind != "geometry":
+                self._prompts_of(text)
+        self._history = parse_history(model.history)
+        self._planners = [self._planner_of(robot, text) for robot, text in enumerate(self.names)]
 
-        def prompts_of(text: str) -> PromptSet:
-            from llm_flock.llm._prompting import PromptSet
-            from llm_flock.llm._sources import habits_of
+    def _prompts_of(self, text: str) -> PromptSet:
+        if text in self._prompts:
+            return self._prompts[text]
+        from llm_flock.llm._prompting import PromptSet
 
-            words = model.prompts or habits_of(text).prompts
-            prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
-            if wish and words in ("full", "brief"):
-                raise InputError(
-                    "wish", wish, f"no wish with the prompts {words!r}, which do not name it: use 'letters'"
-                )
-            if parse_model(text).kind == "simulated":
-                from llm_flock.llm._simulated.prompt_reader import check_prompts
+        model, wish = self._config.model, self._wish
+        words = model.prompts or habits_of(text).prompts
+        prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
+        if wish and words in ("full", "brief"):
+            raise InputError("wish", wish, f"no wish with the prompts {words!r}, which do not name it: use 'letters'")
+        if parse_model(text).kind == "simulated":
+            from llm_flock.llm._simulated.prompt_reader import check_prompts
 
-                check_prompts(prompts, config.mission)
-            return prompts
+            check_prompts(prompts, self._config.mission)
+        self._prompts[text] = prompts
+        return prompts
 
-        given = bool(model.prompts or wish)  # then they are checked, even if nobody is asked
-        asked_by = [text for text in dict.fromkeys(self.names) if given or parse_model(text).kind != "geometry"]
-        self._prompts = {text: prompts_of(text) for text in asked_by}
-        history = parse_history(model.history)
-        shield_on, verify = bool(config.protocol.shield), bool(config.protocol.verify)
-
-        def check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-            from llm_flock.protocol._verification.plans import check_proposal
-
-            return check_proposal(question.mission, answer.plan, question.still, question.position)
-
-        def judged(question: StepQuestion, answer: StepAnswer) -> Verdict:
-            from llm_flock.protocol._verification.steps import judge
-
-            return judge(question, answer, shield_on=shield_on)
-
-        def planner_of(robot: int, text: str) -> Planner:
-            rng = stream(seed, Stream.MODEL, robot)
-            name = parse_model(text)
-            if name.kind == "geometry":
-                from llm_flock.protocol._geometry import GeometryPlanner
-
-                return GeometryPlanner(rng)
-            from llm_flock.llm._sources import habits_of
-
-            knows = habits_of(text).plans
-            asked: LanguageModel
-            if name.kind == "replay":
-                from llm_flock.llm._replay import ReplayModel
-
-                if text not in self._replays:
-                    self._replays[text] = ReplayModel(Path(name.model))
-                asked = replay = self._replays[text]
-                if any(habits_of(model).plans for model in replay.models):
-                    knows = replay.was_asked
-            elif name.kind == "own":
-                asked = Limited(self._own_model(robot, text), self._limits)
-            else:
-                remote = self._pool.model(
-                    text, rng=rng, settings=settings[robot], base_urls=base_urls, timeout_s=2 * limits.timeout_s
-                )
-                asked = Limited(remote, limits_for(name))
-            prompts = self._prompts[text]
-            from llm_flock.llm._planner import LanguagePlanner
-
-            kind = LanguagePlanner
-            if prompts.letters:
-                from llm_flock.llm._letter_planner import LetterPlanner
-
-                kind = LetterPlanner
-            planner = kind(
-                robot,
-                asked,
-                prompts,
-                max_retries=model.max_retries,
-                history=history,
-                on_attempt=self._notify,
-                check_plan=check_plan if verify else None,
-                judge=judged if verify else None,
-                clips=config.protocol.fallback != "hold",
-                frame=model.frame or habits_of(text).frame,
+    def _queue_of(self, name: ModelName) -> CallLimits:
+        """A question waits for a plug-in's model before its time-out begins, in a queue that delays no other model."""
+        queue, limits = name.provider if name.kind == "plugin" else "", self._config.limits
+        if queue not in self._queues:
+            at_once = min(limits.max_concurrent, source_of(queue).at_once) if queue else limits.max_concurrent
+            self._queues[queue] = CallLimits(
+                max_concurrent=at_once,
+                timeout_s=limits.timeout_s,
+                retry=RetryPolicy(max_tries=limits.max_tries),
+                meter=self._meter,
+                lane=self._lane,
+                rng=stream(self._config.trial.seed, Stream.BACKOFF),
             )
-            if knows is None:
-                return planner
-            from llm_flock.protocol._geometry import KnownPlans
+        return self._queues[queue]
 
-            return KnownPlans(planner, knows)
+    def _model_of(self, robot: int, name: ModelName) -> LanguageModel:
+        if name.kind == "replay":
+            from llm_flock.llm._replay import ReplayModel
 
-        self._planner_of: Callable[[int, str], Planner] = planner_of
-        self._prompts_of = prompts_of
-        self._planners = [planner_of(robot, text) for robot, text in enumerate(self.names)]
+            if name.text not in self._replays:
+                self._replays[name.text] = ReplayModel(Path(name.model))
+            return self._replays[name.text]
+        if name.kind == "own":
+            return Limited(self._own_model(robot, name.text), self._queue_of(name))
+        model = self._pool.model(
+            name.text,
+            rng=stream(self._config.trial.seed, Stream.MODEL, robot),
+            settings=self._settings[robot],
+            base_urls=self._base_urls,
+            timeout_s=2 * self._config.limits.timeout_s,
+        )
+        return Limited(model, self._queue_of(name))
+
+    def _planner_of(self, robot: int, text: str) -> Planner:
+        planner = self._asking(robot, parse_model(text))
+        for around in self._around:
+            planner = around(robot, planner)
+        return planner
+
+    def _asking(self, robot: int, name: ModelName) -> Planner:
+        from llm_flock.protocol._geometry import GeometryPlanner, KnownPlans
+
+        if name.kind == "geometry":
+            return GeometryPlanner(stream(self._config.trial.seed, Stream.MODEL, robot))
+        from llm_flock.llm._planner import LanguagePlanner
+
+        config, habits, prompts = self._config, habits_of(name.text), self._prompts_of(name.text)
+        model, knows, verify = self._model_of(robot, name), habits.plans, bool(config.protocol.verify)
+        if name.kind == "replay" and any(habits_of(asked).plans for asked in self._replays[name.text].models):
+            knows = self._replays[name.text].was_asked
+        planner = LanguagePlanner(
+            robot,
+            model,
+            prompts,
+            max_retries=config.model.max_retries,
+            history=self._history,
+            on_attempt=self._notify,
+            check_plan=_check_plan if verify else None,
+            judge=self._judge if verify else None,
+            clips=config.protocol.fallback != "hold",
+            frame=config.model.frame or habits.frame,
+        )
+        return planner if knows is None else KnownPlans(planner, knows)
+
+    def _judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
+        from llm_flock.protocol._verification.steps import judge
+
+        return judge(question, answer, shield_on=bool(self._config.protocol.shield))
 
     def __getitem__(self, robot: int) -> Planner:
         return self._planners[robot]
@@ -188,15 +169,12 @@ class TeamPlanners:
 
     def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
         """Wrap every planner in another one, made from a robot's id and its planner; also planners made later."""
-        inner = self._planner_of
-        self._planner_of = lambda robot, text: around(robot, inner(robot, text))
+        self._around.append(around)
         self._planners = [around(robot, planner) for robot, planner in enumerate(self._planners)]
 
     def replace(self, robot: int, model: str) -> None:
         """Give a robot another model from its next question on; `InputError` if there is no such model."""
         self._replaced[robot] = model
-        if model not in self._prompts and parse_model(model).kind != "geometry":
-            self._prompts[model] = self._prompts_of(model)
         self._planners[robot] = self._planner_of(robot, model)
 
     def _own_model(self, robot: int, text: str) -> OwnModel:
@@ -234,18 +212,14 @@ class TeamPlanners:
     def weights(self) -> Mapping[str, str]:
         """Digests of the files of plug-ins' models, by name."""
         names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "plugin"]
-        if not names:
-            return {}
-        from llm_flock.llm._sources import source_of
-
         found = [source_of(name.provider).versions(name.model) for name in names]
         return {file: digest for files in found for file, digest in files.items()}
 
     @property
     def exhausted(self) -> bool:
         """Whether the run's budget, the one that it shares, or that of a recorded run is used up."""
-        shared = self._lane is not None and self._lane.cut
-        return shared or self._meter.reason is not None or any(replay.exhausted for replay in self._replays.values())
+        used_up = self._lane.cut or self._meter.reason is not None
+        return used_up or any(replay.exhausted for replay in self._replays.values())
 
     def listen(self, sink: AttemptSink) -> None:
         """Pass every model call from now on to `sink`."""
@@ -257,7 +231,7 @@ class TeamPlanners:
 
     async def close(self) -> None:
         """Close connections and cassettes."""
-        if not self._shares:
+        if self._lane.pool is None:
             await self._pool.aclose()
         for replay in self._replays.values():
             replay.close()
@@ -265,17 +239,16 @@ class TeamPlanners:
             await own.aclose()
 
 
+def _check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
+    from llm_flock.protocol._verification.plans import check_proposal
+
+    return check_proposal(question.mission, answer.plan, question.still, question.position)
+
+
 def check_planners(config: RunConfig, *, asks: bool = True) -> None:
     """Refuse a configuration whose models cannot work, as a run of it would. Call where no event loop runs.
 
-    Args:
-        config: the run.
-        asks: whether its models will be asked. Without that, providers need neither a key nor their library.
-
-    Raises:
-        InputError: a model cannot work, as far as that is known before asking it.
+    Where its models will not be asked (`asks`), providers need neither a key nor their library.
     """
-    from llm_flock.llm._sharing import CallLane
-
     lane = None if asks else CallLane(pool=ModelPool(asks=False))
     asyncio.run(TeamPlanners(config, lane).close())

@@ -40,9 +40,6 @@ def parse_profile(text: str) -> Profile:
     """Read profiles separated by commas, each with an optional rate: `overshoot`, `distorted@0.3,slow@0.5`.
 
     A rate is a share of calls, 1 if left out. `ideal` adds nothing to the others and takes no rate.
-
-    Raises:
-        InputError: for field `model`: unknown or repeated profile, or a rate outside [0, 1].
     """
     rates: dict[str, float] = {}
     for part in text.split(","):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -35,9 +36,10 @@ _WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
 WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
-_NEIGHBORS_MARK = "\nRobots near you, moving as well: "
-_GOAL_MARK = "\nYour goal, "
 _JSON_MARK = "JSON object"
+_POSITION = re.compile(rf"{STEP_MARK}(.*)")
+_NEIGHBORS = re.compile(r"^Robots near you, moving as well: (.*)", re.MULTILINE)
+_GOAL = re.compile(r"^Your goal, .*?: (.*)", re.MULTILINE)
 _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 
@@ -60,15 +62,9 @@ class Task:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepPrompt:
-    """The content of the position update.
+    """The content of the position update; `horizon` is 1 where it asks for a single position."""
 
-    Attributes:
-        goal_text: the goal as it was written.
-        neighbors: positions of the other robots, as text.
-        horizon: longest path; 1 asks for a single position.
-        json: whether the answer is to be JSON.
-    """
-
+    task: Task
     position: Point
     goal: Point
     goal_text: str
@@ -79,6 +75,35 @@ class StepPrompt:
     def seen(self) -> list[Point]:
         """Read the positions of the other robots."""
         return _points(self.neighbors, len(self.position))
+
+    @property
+    def decimals(self) -> int:
+        """Of stated positions."""
+        return sensible_decimals(self.task.max_step)
+
+    @property
+    def reach(self) -> float:
+        """Longest stated step: the step limit less what rounding of the printed position may add."""
+        return self.task.max_step - max(1e-6, 10.0 ** -(self.decimals + 1))
+
+    def towards(self, target: Point) -> Point:
+        """A full step towards a target, each coordinate rounded back towards the own position."""
+        share, scale = self.reach / math.dist(self.position, target), 10**self.decimals
+        return tuple(
+            (math.floor if t > x else math.ceil)((x + share * (t - x)) * scale) / scale
+            for x, t in zip(self.position, target, strict=True)
+        )
+
+    def rounded(self, point: Sequence[float]) -> str:
+        """A position as it is stated."""
+        return repr([round(x, self.decimals) for x in point])
+
+    def stated(self, path: Sequence[str]) -> str:
+        """Waypoints in the form that the prompt asks for."""
+        if self.horizon == 1:
+            return f'{{"position": {path[0]}}}' if self.json else f"Position: {path[0]}"
+        rows = ", ".join(path)
+        return f'{{"path": [{rows}]}}' if self.json else f"Path: [{rows}]"
 
 
 def _points(text: str, dim: int) -> list[Point]:
@@ -128,32 +153,30 @@ def _obstacles(text: str) -> tuple[Obstacle, ...]:
 
 def read_plan(text: str) -> tuple[int, bool]:
     """Read the robot's id in the plan message, and whether the answer is to be JSON; InputError as in `read_task`."""
-    robot = _ROBOT.search(text)
-    if robot is None:
+    robot = _found(_ROBOT, text)
+    if not robot:
         raise _other_words("plan.j2", text)
-    return int(robot[1]), _JSON_MARK in text
+    return int(robot), _JSON_MARK in text
 
 
 def read_still(text: str, dim: int) -> list[Point]:
     """Read where the plan message says that robots stand still; empty if it names none."""
-    found = _STILL.search(text)
-    return [] if found is None else _points(found[1], dim)
+    return _points(_found(_STILL, text), dim)
 
 
-def read_step(text: str) -> StepPrompt:
+def read_step(text: str, task: Task) -> StepPrompt:
     """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
-    position = numbers(_line_after(text, STEP_MARK))
-    goal_text = _line_after(text, _GOAL_MARK).partition(": ")[2]
-    goal = numbers(goal_text)
+    goal_text = _found(_GOAL, text)
+    position, goal = numbers(_found(_POSITION, text)), numbers(goal_text)
     if not position or len(goal) != len(position):
         raise _other_words("step.j2", text)
-    horizon = _HORIZON.search(text)
     return StepPrompt(
+        task=task,
         position=position,
         goal=goal,
         goal_text=goal_text,
-        neighbors=_line_after(text, _NEIGHBORS_MARK),
-        horizon=1 if horizon is None else int(horizon[1]),
+        neighbors=_found(_NEIGHBORS, text),
+        horizon=int(_found(_HORIZON, text) or 1),
         json=_JSON_MARK in text,
     )
 
@@ -164,24 +187,20 @@ def read_ways(text: str) -> list[str]:
 
 
 def check_prompts(prompts: PromptSet, mission: Mission) -> None:
-    """Read the prompts of sample questions. Call before a run with simulated models; InputError as in `read_task`."""
+    """Read the prompts of sample questions, before a run with simulated models; InputError as in `read_task`."""
     if prompts.letters:
         return
-    read_task(prompts.system(mission))
+    task = read_task(prompts.system(mission))
     here, plan = mission.center, Plan.of([mission.center] * mission.n_places)
     read_plan(prompts.plan(PlanQuestion(mission=mission, robot=0, round=1, position=here, neighbors=())))
     step = StepQuestion(mission=mission, robot=0, round=1, position=here, neighbors=(), plan=plan, slot=0)
-    read_step(prompts.step(step))
+    read_step(prompts.step(step), task)
 
 
-def _line_after(text: str, mark: str) -> str:
-    """The rest of the line after a mark, empty without the mark."""
-    begin = text.find(mark)
-    if begin < 0:
-        return ""
-    begin += len(mark)
-    end = text.find("\n", begin)
-    return text[begin:] if end < 0 else text[begin:end]
+def _found(pattern: re.Pattern[str], text: str) -> str:
+    """What the group of a pattern matches, empty without a match."""
+    found = pattern.search(text)
+    return "" if found is None else found[1]
 
 
 def _other_words(template: str, text: str) -> InputError:
@@ -209,9 +228,13 @@ def formation(task: Task) -> Points:
     return points
 
 
-def clear_of_obstacles(points: Points, task: Task) -> bool:
-    """Whether all places, shape (n, d) [units], are far enough from the task's obstacles."""
-    return all(clearance(tuple(row), task.obstacles) >= task.clearance for row in points.tolist())
+def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:
+    """Whether all places, shape (n, d) [units], are far enough from obstacles, and from robots that stand still."""
+    return all(
+        clearance(tuple(row), task.obstacles) >= task.clearance
+        and all(math.dist(row, body) >= task.safe_distance for body in still)
+        for row in points.tolist()
+    )
 
 
 def _spec(words: str) -> str:
