@@ -173,9 +173,6 @@ class Examiner:
             question: the question.
             model: who is asked; None asks geometry.
             repeat: how often it was asked before.
-
-        Raises:
-            ReplayDrift: a recording holds another question.
         """
         round_ = round_of(question, repeat)
         if question.section == WORDS:

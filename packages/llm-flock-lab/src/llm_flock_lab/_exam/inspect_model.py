@@ -104,9 +104,6 @@ class FlockModel(ModelAPI):
     Attributes:
         kind: of the model, as `parse_model` tells it.
         limits: budget, time-outs and retries.
-
-    Raises:
-        InputError: there is no such model.
     """
 
     def __init__(self, model_name: str, base_url: str | None = None, api_key: str | None = None, **other: Any) -> None:
@@ -146,9 +143,6 @@ class FlockModel(ModelAPI):
             budget: of the whole exam.
             max_concurrent: calls under way at once.
             timeout_s: longest wait for an answer [s].
-
-        Raises:
-            InputError: its key, address, file, profile or price is missing, or it does not take these settings.
         """
         check_priced(budget.max_cost_usd, (self.model_name,), self._urls)
         if self._source is not None:
@@ -183,12 +177,7 @@ class FlockModel(ModelAPI):
         return Limited(self._pool.model(self.model_name, rng=rng, settings=settings, **options), self.limits)
 
     async def generate(self, input: Any, tools: Any, tool_choice: Any, config: Any) -> Any:
-        """Answer the call of the question under way, as Inspect asks for it.
-
-        Raises:
-            ModelError: there is no answer.
-            ReplayDrift: a recording holds another question.
-        """
+        """Answer the call of the question under way, as Inspect asks for it."""
         asked = _ASKED.get(None)
         if asked is None or asked.call is None:
             raise InputError("model", f"{PREFIX}/{self.model_name}", "a model of Inspect: this one sits our exam only")

@@ -45,9 +45,6 @@ def exam(
     """The exam, as `llm-flock exam` takes it; epochs of Inspect are repeats.
 
     Prompts and frame that are None are those of the model that is evaluated, as in `llm-flock run`.
-
-    Raises:
-        InputError: a value is not allowed.
     """
     api = _api()
     name = api.model_name if api is not None else ""

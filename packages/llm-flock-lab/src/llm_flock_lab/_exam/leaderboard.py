@@ -125,11 +125,7 @@ class Row(BaseModel):
 
 
 def read_log(path: Path | str) -> Row:
-    """The row of a finished log of the exam's task.
-
-    Raises:
-        InputError: for field `log`: it is no such log, or questions in it have no answer.
-    """
+    """The row of a finished log of the exam's task."""
     log = import_module("inspect_ai.log").read_eval_log(str(path))
     samples: list[Any] = log.samples or []
     if log.status != "success" or not samples or any(sample.error is not None for sample in samples):
@@ -242,13 +238,7 @@ def _bands(outcomes: Sequence[Outcome]) -> dict[str, Figures]:
 
 
 def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
-    """Write rows into the folder, and the page of all rows there; returns what was written.
-
-    Raises:
-        InputError: for field `page`: it is no folder, holds a file that is no row or a page of somebody else, or a row
-            with more questions.
-        RecordError: a file cannot be written.
-    """
+    """Write rows into the folder, and the page of all rows there; returns what was written."""
     page = folder / PAGE
     if not rows and not folder.is_dir():
         raise InputError("page", str(folder), "a folder that is there, with the rows of a leaderboard")
@@ -277,11 +267,7 @@ def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """All rows of a folder.
-
-    Raises:
-        InputError: for field `page`: a file in it is no row.
-    """
+    """All rows of a folder."""
     rows: list[Row] = []
     for path in sorted(folder.glob("*.json")):
         try:

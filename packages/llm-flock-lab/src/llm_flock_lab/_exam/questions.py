@@ -134,11 +134,7 @@ def to_lines(questions: Iterable[Question]) -> str:
 
 
 def from_lines(text: str, source: str) -> list[Question]:
-    """Questions from JSON lines; `source` names them in errors.
-
-    Raises:
-        InputError: for field `questions`: a line is not a question.
-    """
+    """Questions from JSON lines; `source` names them in errors."""
     found: list[Question] = []
     for number, line in enumerate(text.splitlines(), start=1):
         try:

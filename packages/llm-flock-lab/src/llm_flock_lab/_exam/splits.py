@@ -61,11 +61,7 @@ def public_split() -> tuple[Question, ...]:
 
 @lru_cache(maxsize=4)
 def private_split(seed: int) -> tuple[Question, ...]:
-    """The split of another seed: the same kinds and numbers of questions, none of them public.
-
-    Raises:
-        InputError: for field `seed`: it is that of the public split.
-    """
+    """The split of another seed: the same kinds and numbers of questions, none of them public."""
     if seed == PUBLIC_SEED:
         raise InputError("seed", seed, "another seed than that of the public split")
     known = {question.content for question in public_split()}
@@ -101,10 +97,6 @@ def paper(
         seed: of a private split.
         sections: names with commas between them; None for all.
         limit: most questions of each section, evenly spread over it.
-
-    Raises:
-        InputError: there is no such split or section, a private one has no seed of its own, or a number is not
-            allowed.
     """
     if split not in ("public", "private"):
         raise InputError("split", split, "public or private")

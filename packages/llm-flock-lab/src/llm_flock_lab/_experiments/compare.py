@@ -280,9 +280,6 @@ def trial_file(path: Path) -> Generator[OnResult]:
 
     Missing folders are created. Each line is handed to the operating system at once. The figures of a trial that broke
     off stay empty.
-
-    Raises:
-        InputError: the file exists, or cannot be created.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

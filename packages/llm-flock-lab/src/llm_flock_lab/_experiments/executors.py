@@ -120,12 +120,7 @@ async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Fou
 
 
 def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
-    """Fly trials in this process: those that wait for answers at once, the others one after another.
-
-    Raises:
-        FlockError: results cannot be kept.
-        KeyboardInterrupt: after all records were brought to a readable end.
-    """
+    """Fly trials in this process: those that wait for answers at once, the others one after another."""
     if not specs:
         return
     if resource is not None:  # each call holds a connection: allow as many open files as the system lets us
@@ -210,11 +205,6 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
     Each process keeps its own results, so a kill loses only the trials in flight. The processes share nothing but the
     directory: budgets and rates need `fly_here`. Workers are spawned: a script that calls this needs its
     `if __name__ == "__main__":` guard.
-
-    Raises:
-        InputError: a value is not allowed; only without a store.
-        FlockError: a worker was killed, or results cannot be kept.
-        KeyboardInterrupt: after all workers were stopped.
     """
     if not specs:
         return

@@ -34,11 +34,6 @@ def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, j
     """Fly trials on a Ray cluster, with one worker for each of its processors unless `jobs` says how many.
 
     The address is `HOST:PORT`, `auto` or `ray://HOST:PORT`.
-
-    Raises:
-        InputError: Ray is not installed, the cluster cannot be reached, or it runs another version of this package.
-        FlockError: a trial lost its worker `TRIES` times, or results cannot be kept.
-        KeyboardInterrupt: after the workers were stopped.
     """
     if not specs:
         return

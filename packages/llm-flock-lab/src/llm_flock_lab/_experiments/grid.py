@@ -134,11 +134,7 @@ def _digest(path: Path) -> str:
 
 
 def parse_teams(text: str) -> list[tuple[str, int]]:
-    """Read `SHAPE/N,SHAPE/N,...`, such as `triangle/6,circle/10`.
-
-    Raises:
-        InputError: for field `cells`.
-    """
+    """Read `SHAPE/N,SHAPE/N,...`, such as `triangle/6,circle/10`."""
     teams: list[tuple[str, int]] = []
     for part in text.split(","):
         shape, slash, count = part.strip().rpartition("/")
@@ -163,9 +159,6 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
     """The arena of a configuration that may be refused for lack of room, as `fitted_arena` grows it.
 
     `load` makes a configuration of `fields`, among which are `shape` and `n_robots`.
-
-    Raises:
-        InputError: a value is not allowed.
     """
     shape, n_robots = fields["shape"], fields["n_robots"]
     if not isinstance(shape, str) or type(n_robots) is not int or not 1 <= n_robots <= MAX_ROBOTS:
@@ -193,9 +186,6 @@ def fitted_arena(
 
     Returns:
         lower and upper corner [units].
-
-    Raises:
-        InputError: there is no such shape, or not for this team size.
     """
     center = np.array(team.center)
     ideal = formations.ideal_points(shape, team.places or n_robots, team.center, team.spacing, points)

@@ -51,9 +51,6 @@ def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans
     The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
     meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
     Figures are finite, one for each seed, and of the same seeds in the same order.
-
-    Raises:
-        InputError: the lengths differ.
     """
     _check_pairs(first, second)
     differences = [a - b for a, b in zip(first, second, strict=True)]
@@ -69,9 +66,6 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
     The interval is Newcombe's of squared and added score intervals, corrected for the pairs' correlation (Improved
     confidence intervals for the difference between binomial proportions based on paired data, Statistics in Medicine
     1998, method 10). It has a width where all or none succeeded.
-
-    Raises:
-        InputError: the lengths differ.
     """
     _check_pairs(first, second)
     n = len(first)

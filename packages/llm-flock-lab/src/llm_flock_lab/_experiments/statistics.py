@@ -36,9 +36,6 @@ def wilson(successes: int, trials: int) -> Estimate:
 
     It stays within 0 .. 1 and has a width at 0 and at all successes, where the normal interval has none (Wilson:
     Probable inference, the law of succession, and statistical inference, JASA 1927).
-
-    Raises:
-        InputError: a number is out of its range.
     """
     if trials < 1:
         raise InputError("trials", trials, "at least 1")

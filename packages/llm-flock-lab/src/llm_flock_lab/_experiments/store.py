@@ -33,11 +33,7 @@ TRIALS, RECORDS, CLAIMS, SPENT = "trials", "records", "claims", "spent"
 
 
 class Store:
-    """The directory of one sweep, created if it is missing.
-
-    Raises:
-        InputError: it cannot be created or written to.
-    """
+    """The directory of one sweep, created if it is missing."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -52,11 +48,7 @@ class Store:
         return self.folder / TRIALS / f"{trial}.json"
 
     def load(self, trial: str) -> TrialResult | None:
-        """A finished trial; None where it is not finished.
-
-        Raises:
-            RecordError: the file is damaged, or of a newer format.
-        """
+        """A finished trial; None where it is not finished."""
         path = self.trial_path(trial)
         return read_trial(path) if path.exists() else None
 
@@ -153,11 +145,7 @@ def trial_files(folder: Path) -> Iterator[Path]:
 
 
 def read_trial(path: Path) -> TrialResult:
-    """Read one finished trial.
-
-    Raises:
-        RecordError: the file cannot be read, is damaged, or of a newer format.
-    """
+    """Read one finished trial."""
     try:
         found = msgspec.json.decode(path.read_bytes(), type=TrialResult)
     except OSError as error:
@@ -175,9 +163,6 @@ def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None
     """Write a file so that after a crash it holds all of `data`, or what it held before.
 
     `dated_ns` is the time of change to set, in nanoseconds since 1970; None for now.
-
-    Raises:
-        RecordError: the file cannot be written.
     """
     # A unique name, because other processes may write the same file at the same time.
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.partial")

@@ -159,11 +159,7 @@ def _check(sweep: Sweep) -> None:
 
 
 def load_flown(sweep: Sweep, store: Store) -> dict[str, TrialResult]:
-    """The results of this sweep's trials so far by their id, cut ones included.
-
-    Raises:
-        RecordError: one of them is damaged.
-    """
+    """The results of this sweep's trials so far by their id, cut ones included."""
     wanted = {spec.id for spec in sweep.trials}
     return {path.stem: read_trial(path) for path in trial_files(store.folder) if path.stem in wanted}
 

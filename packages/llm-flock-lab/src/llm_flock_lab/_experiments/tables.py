@@ -139,12 +139,7 @@ ROUNDS: tuple[Column, ...] = (
 
 
 def read_tables(folder: Path) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Both tables, built from the finished trials: trials by cell and seed, and their rounds in the same order.
-
-    Raises:
-        InputError: this is no directory of results.
-        RecordError: a trial is damaged.
-    """
+    """Both tables, built from the finished trials: trials by cell and seed, and their rounds in the same order."""
     if not (folder / TRIALS_FOLDER).is_dir():
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
     trials = load_all(folder)
@@ -167,12 +162,7 @@ def read_rounds(folder: Path) -> pl.DataFrame:
 
 
 def build_tables(folder: Path) -> None:
-    """Write both tables as files, for other programs.
-
-    Raises:
-        InputError: this is no directory of results.
-        RecordError: a trial is damaged, or a table cannot be written.
-    """
+    """Write both tables as files, for other programs."""
     for name, frame in zip((TRIALS_NAME, ROUNDS_NAME), read_tables(folder), strict=True):
         file = io.BytesIO()
         frame.write_parquet(file)
@@ -184,10 +174,6 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
 
     Numbers are written with full precision; an unknown value is an empty field. A text that a spreadsheet would take
     for a formula has a quote before it: results may come from anywhere.
-
-    Raises:
-        InputError: there are no results, or the files cannot be written.
-        RecordError: a trial is damaged.
     """
     frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
     try:
@@ -217,11 +203,7 @@ class _TrialFields(BaseModel):
 
 
 def load_all(folder: Path) -> list[TrialResult]:
-    """Read every finished trial, sorted by cell and seed.
-
-    Raises:
-        RecordError: a trial is damaged.
-    """
+    """Read every finished trial, sorted by cell and seed."""
     trials = [read_trial(path) for path in list(trial_files(folder))]
     for trial in trials:
         try:

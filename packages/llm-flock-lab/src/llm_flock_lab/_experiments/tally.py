@@ -28,9 +28,6 @@ def expect_cells(
 
     A cell with finished trials is expected to go on as they did. Any other cell is rehearsed with its first seed, as
     `[expect]` says; `on_cell` is called before. Cells whose rehearsals are the same share one.
-
-    Raises:
-        InputError: a model cannot work, as far as that is known without a key.
     """
     configs: dict[str, RunConfig] = {}
     for spec in sweep.trials:

@@ -125,10 +125,6 @@ async def fly(
 
     Returns:
         its result, and the path of its record in `scratch` if that is to be kept.
-
-    Raises:
-        InputError: a value is not allowed; only without `scratch`.
-        asyncio.CancelledError: the sweep is being stopped.
     """
     out = None
     if scratch is not None:

@@ -125,12 +125,7 @@ class Results:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read a directory of results; it may be one that is still being filled.
-
-        Raises:
-            InputError: there are no results.
-            RecordError: a trial is damaged.
-        """
+        """Read a directory of results; it may be one that is still being filled."""
         frame, rounds = tables.read_tables(folder)
         if frame.is_empty():
             raise InputError("dir", str(folder), "a directory with at least one finished trial")

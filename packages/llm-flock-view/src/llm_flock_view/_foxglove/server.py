@@ -47,10 +47,6 @@ class FoxgloveServer:
 
     Attributes:
         url: address to open in Foxglove.
-
-    Raises:
-        InputError: the port cannot be used.
-        ExtraMissing: the foxglove-sdk is not installed.
     """
 
     def __init__(self, port: int, n_robots: int) -> None:

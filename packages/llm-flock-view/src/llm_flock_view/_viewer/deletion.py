@@ -15,9 +15,6 @@ def delete_record(run: Recording) -> None:
     """Delete the file that a run was read from, and its folder if it was made for the record and holds nothing else.
 
     A record that is gone already is no error. Nothing is deleted that is written still, or that is another file by now.
-
-    Raises:
-        InputError: for field `run`: the record may not or cannot be deleted; it is as it was.
     """
     if run.path is None:
         raise _refused("there is no such record")

@@ -12,12 +12,7 @@ from llm_flock_view._viewer.paths import RECORD_NAME
 
 
 def exported(record: Path, name: str) -> bytes:
-    """The record itself, or what is drawn from it; `name` is one of `export_kinds`.
-
-    Raises:
-        InputError: there is no such kind, or an extra is missing.
-        RecordError: the record cannot be read.
-    """
+    """The record itself, or what is drawn from it; `name` is one of `export_kinds`."""
     if name not in [one for _, one in export_kinds()]:
         raise FieldError("export", name, says="there is no such export")
     if not record.is_file():

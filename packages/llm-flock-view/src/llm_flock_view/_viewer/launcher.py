@@ -73,9 +73,6 @@ class Launcher:
         """Start a run, or the same run with each of several protocols; nothing starts unless all of them can.
 
         The fields are the form's, by name; the pace is in rounds a second.
-
-        Raises:
-            InputError: a value is not allowed, or too many runs fly already.
         """
         from llm_flock_view._viewer.steered_run import config_of
 

@@ -30,12 +30,7 @@ MOST_ROBOT_ROUNDS = 200_000
 
 
 def write_page(record: Path, target: Path) -> int:
-    """Write a record as a page, and return its size [bytes]. An older page is replaced; missing folders are made.
-
-    Raises:
-        RecordError: the record cannot be read, or holds no round.
-        InputError: the run is too large for a page, or the target cannot be written to.
-    """
+    """Write a record as a page, and return its size [bytes]. An older page is replaced; missing folders are made."""
     if not record.is_file():
         raise RecordError(f"{record}: no such record")
     run = Recording(FIRST_KEY, title_of(record), record, live=False)
@@ -56,11 +51,7 @@ def write_page(record: Path, target: Path) -> int:
 
 
 def page(run: Recording) -> str:
-    """The page of a run that was read.
-
-    Raises:
-        InputError: it has too many robots times rounds.
-    """
+    """The page of a run that was read."""
     history = run.history
     size = history.n_robots * (history.rounds + 1)
     if size > MOST_ROBOT_ROUNDS:

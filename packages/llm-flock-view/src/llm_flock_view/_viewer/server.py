@@ -75,9 +75,6 @@ def listen(host: str, port: int, token: str | None) -> Address:
     """Open the port. Call it before anything heavy is loaded: a browser that comes early waits instead of failing.
 
     An address other than a loopback address gets a token, a random one where none is given.
-
-    Raises:
-        InputError: the address cannot be listened at, or the token is too short; no error shows a token.
     """
     if token is not None and (len(token) < SHORTEST_TOKEN or hidden(token) is not None):
         raise InputError("token", None, f"{SHORTEST_TOKEN} characters or more, all of them visible")

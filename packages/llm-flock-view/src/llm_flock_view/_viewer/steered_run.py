@@ -56,9 +56,6 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunCon
     """The configuration of a run that a page asks for, checked as the command line checks it.
 
     Values of None and "" are not given; `models` cost money or reach out, and the operator allowed them.
-
-    Raises:
-        InputError: a value is not allowed, here or anywhere.
     """
     given = {name: value for name, value in fields.items() if value not in (None, "")}
     for name in given:
@@ -85,11 +82,7 @@ def _free(model: str) -> bool:
 
 
 def check_pace(pace: float) -> None:
-    """Refuse a pace [rounds a second] that nobody can watch.
-
-    Raises:
-        InputError: it is one.
-    """
+    """Refuse a pace [rounds a second] that nobody can watch."""
     if not 0.1 <= pace <= 100:
         raise InputError("pace", pace, "from 0.1 to 100 rounds a second")
 
@@ -127,11 +120,7 @@ class SteeredRun:
         threading.Thread(target=load, args=(self.recording, lambda: self.over), daemon=True).start()
 
     def end(self) -> None:
-        """End the run, paused or not; its record can be read.
-
-        Raises:
-            InputError: it is over.
-        """
+        """End the run, paused or not; its record can be read."""
         self._check("end")
         self.paused = False
         self._end.set()
@@ -173,49 +162,29 @@ class SteeredRun:
             raise FieldError("run" if robot is None else "robot", robot, says=says)
 
     def hold(self, paused: bool) -> None:
-        """Hold the run before its next round, or let it go on.
-
-        Raises:
-            InputError: it is over.
-        """
+        """Hold the run before its next round, or let it go on."""
         self._check("pause")
         self.paused = paused
 
     def set_pace(self, pace: float) -> None:
-        """Change the rounds a second.
-
-        Raises:
-            InputError: it is over, or that is no pace.
-        """
+        """Change the rounds a second."""
         self._check("pace")
         check_pace(pace)
         self.pace = pace
 
     def kill(self, robot: int) -> None:
-        """Kill a robot; see `RunOrders.kill`.
-
-        Raises:
-            InputError: there is no such robot, it is dead or the last one, or the run is over.
-        """
+        """Kill a robot; see `RunOrders.kill`."""
         self._check("kill", robot)
         self.orders.kill(robot)
         self._killed.add(robot)
 
     def change(self, fields: dict[str, Any]) -> int:
-        """Give one robot another mission, and return that robot; see `RunOrders.change`.
-
-        Raises:
-            InputError: the mission cannot be changed like that, or the run is over.
-        """
+        """Give one robot another mission, and return that robot; see `RunOrders.change`."""
         self._check("change")
         return self.orders.change(fields)
 
     def lose(self, share: float) -> None:
-        """Lose this share of the messages.
-
-        Raises:
-            InputError: it is no share, or the run is over.
-        """
+        """Lose this share of the messages."""
         self._check("lose")
         if not 0.0 <= share <= 1.0:
             raise InputError("loss", share, "a share from 0 to 1")
@@ -223,11 +192,7 @@ class SteeredRun:
             self._loss = self.loss = share
 
     def hallucinate(self, robot: int) -> None:
-        """Replace a robot's model by one that answers nonsense.
-
-        Raises:
-            InputError: there is no such robot, it is dead, it does so already, or the run is over.
-        """
+        """Replace a robot's model by one that answers nonsense."""
         self._check("hallucinate", robot)
         with self._lock:
             self._hallucinating.append(robot)
