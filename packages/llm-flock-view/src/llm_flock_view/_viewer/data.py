@@ -1,7 +1,4 @@
-"""JSON for the canvases of a page: one run's rounds and measurements, by its key.
-
-The startup server and the web application answer with the same bytes, so this module needs no web framework.
-"""
+"""JSON for the canvases of a page: one run's rounds and measurements, by its key."""
 
 from __future__ import annotations
 

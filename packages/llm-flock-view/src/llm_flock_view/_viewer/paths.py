@@ -9,9 +9,6 @@ from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock.record import MAGIC, RECORD_NAME
 
-FIRST_KEY = "1"
-"""Key of a viewer's first run; the others count on from it."""
-
 
 def records_in(paths: Iterable[Path]) -> list[Path]:
     """Records at the given paths: files, folders with a record, and folders with such folders."""

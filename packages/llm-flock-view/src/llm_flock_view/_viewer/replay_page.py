@@ -22,7 +22,7 @@ from llm_flock_view._figures.style import whole_file
 from llm_flock_view._viewer.canvases import CHARTS, player_options
 from llm_flock_view._viewer.data import MOST_FRAMES, about, event_lines, frames, news
 from llm_flock_view._viewer.page import PAGE, PLAYER, as_data, bundle, css
-from llm_flock_view._viewer.paths import FIRST_KEY, title_of
+from llm_flock_view._viewer.paths import title_of
 from llm_flock_view._viewer.recording import Recording
 
 MOST_ROBOT_ROUNDS = 200_000
@@ -33,7 +33,7 @@ def write_page(record: Path, target: Path) -> int:
     """Write a record as a page, and return its size [bytes]. An older page is replaced; missing folders are made."""
     if not record.is_file():
         raise RecordError(f"{record}: no such record")
-    run = Recording(FIRST_KEY, title_of(record), record, live=False)
+    run = Recording("1", title_of(record), record, live=False)
     for entry in RecordStream(record).entries():
         # The page has no conversations, which are most of a record.
         said: dict[str, Any] = {"messages": [], "text": None, "parsed": None, "settings": {}}

@@ -22,7 +22,6 @@ from llm_flock_view._viewer.export import exported
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.page import html
 from llm_flock_view._viewer.run_rows import FIGURES
-from llm_flock_view._viewer.startup import OPEN
 
 if TYPE_CHECKING:
     from llm_flock_view._viewer.launcher import Launcher
@@ -52,7 +51,6 @@ class Routes:
             Route("/cockpit", self.cockpit),
             Route("/export/{key}/{name}", self.export),
             Route("/data/shapes", self.shapes),
-            Route(OPEN, self.is_open),
             Route("/data/runs", self.data),
             Route("/data/{key}/{what}", self.data),
             Route("/order", self.order, methods=["POST"]),
@@ -95,10 +93,6 @@ class Routes:
         if text is None:
             return Response("no such run", status_code=404)
         return Response(text, media_type="application/json", headers=UNCACHED)
-
-    async def is_open(self, request: Request) -> Response:
-        """A page from before the viewer was there may reload now."""
-        return Response(status_code=204, headers=UNCACHED)
 
     def export(self, request: Request) -> Response:
         """A file that is made of a record."""

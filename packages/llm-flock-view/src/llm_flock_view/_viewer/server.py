@@ -13,7 +13,6 @@ from urllib.parse import quote
 
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import hidden
-from llm_flock_view._viewer.startup import StartupServer
 
 SHORTEST_TOKEN = 16
 """Fewest characters of a token."""
@@ -31,19 +30,11 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """The address at which a viewer listens; `startup` answers there until the viewer does.
-
-    Attributes:
-        sock: the socket.
-        host: as it was given.
-        token: what a browser must show; None for none.
-        startup: the server until the viewer's own is loaded.
-    """
+    """The address at which a viewer listens, with the host as it was given; a browser must show the token, if any."""
 
     sock: socket.socket
     host: str
     token: str | None
-    startup: StartupServer
 
     @property
     def port(self) -> int:
@@ -96,4 +87,4 @@ def listen(host: str, port: int, token: str | None) -> Address:
             raise FieldError("port", port, says=says) from None
         says = f"this machine cannot listen there: {getattr(error, 'strerror', None) or error}"
         raise InputError("host", host, says=says) from None
-    return Address(sock=sock, host=host, token=token, startup=StartupServer(sock))
+    return Address(sock=sock, host=host, token=token)
