@@ -48,24 +48,7 @@ ROUNDS = 1_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of one question, once.
-
-    Attributes:
-        question: its id.
-        repeat: 0 for the first time that it was asked.
-        tries: reasons that the model was given before its answer was right, 0 for none; None if it never was.
-        readable: whether the first answer could be read.
-        flyable: whether a robot would fly the first answer, clipped if need be; for words, whether nobody would be
-            shown a wrong mission.
-        error: of the first answer, as in `Marks`.
-        degrees: of the first answer, as in `Marks`.
-        separation: of the first answer, as in `Marks`.
-        seconds: from asking to the last answer, waits for faults of the provider included [s].
-        cost_usd: [US dollars]; None where the price is not known.
-        answered_by: name by which the model that gave the first answer calls itself; None without a call.
-        cause: kind of the fault where no answer came (`timeout`, ...), None otherwise.
-        reason: what was wrong with the first answer, None if nothing was.
-    """
+    """The result of one question, once; `readable` to `separation` and `reason` are those of its first answer."""
 
     question: str
     section: str
@@ -73,31 +56,25 @@ class Outcome:
     n: int
     distance: float | None
     repeat: int
-    tries: int | None
+    tries: int | None  # reasons given before the answer was right; None if it never was
     readable: bool
-    flyable: bool
+    flyable: bool  # clipped if need be; for words: whether no wrong mission would be shown
     error: float | None = None
     degrees: float | None = None
     separation: bool | None = None
     calls: int
     tokens_input: int
     tokens_output: int
-    seconds: float
-    cost_usd: float | None
+    seconds: float  # waits for faults of the provider included
+    cost_usd: float | None  # None where the price is not known
     answered_by: str | None = None
-    cause: str | None = None
+    cause: str | None = None  # kind of the fault where no answer came
     reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Asked:
-    """What came back from one robot.
-
-    Attributes:
-        answer: the accepted answer, or why there is none.
-        attempts: calls of the model, without those that were scripted.
-        first: the answer at first ask, if it could be read.
-    """
+    """What came back from one robot: its accepted answer, its calls without scripted ones, and its first answer."""
 
     answer: PlanAnswer | StepAnswer | NoAnswer
     attempts: Sequence[Attempt] = ()
@@ -120,23 +97,14 @@ class Scripted:
 
 
 def round_of(question: Question, repeat: int) -> int:
-    """The number of a question's calls, by which a recording finds them and stand-ins draw their chance.
-
-    It is the same for every selection of questions.
-    """
+    """The number of a question's calls in any selection: recordings find them by it, stand-ins draw chance from it."""
     section, _, number = question.id.rpartition("-")
     place = int.from_bytes(hashlib.blake2b(section.encode(), digest_size=1).digest()) * 1000 + int(number)
     return repeat * ROUNDS + place
 
 
 class Examiner:
-    """Asks questions with one set of prompts.
-
-    Args:
-        prompts: renders the questions.
-        frame: coordinates of the prompts.
-        max_retries: rejected answers that are sent back with the reason.
-    """
+    """Asks questions with one set of prompts, in the coordinates of a frame; a refused answer is sent back with why."""
 
     def __init__(self, prompts: PromptSet, frame: FrameName, *, max_retries: int = 2) -> None:
         self._prompts = prompts
@@ -167,13 +135,7 @@ class Examiner:
         return found.hexdigest()
 
     async def ask(self, question: Question, model: LanguageModel | None, repeat: int = 0) -> Outcome:
-        """Ask a question, and score what comes back.
-
-        Args:
-            question: the question.
-            model: who is asked; None asks geometry.
-            repeat: how often it was asked before.
-        """
+        """Ask a question for the `repeat`-th time, and score what comes back; without a model, geometry answers."""
         round_ = round_of(question, repeat)
         if question.section == WORDS:
             assert model is not None, "geometry cannot read"

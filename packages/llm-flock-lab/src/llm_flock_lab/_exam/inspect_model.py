@@ -43,16 +43,7 @@ PREFIX = "flock"
 
 
 class AskedByInspect:
-    """A `LanguageModel` that asks through Inspect, which logs and counts; one for each question.
-
-    Attributes:
-        name: of the model, as Inspect knows it.
-        robot: the first robot that is asked.
-        round: number of the question's calls.
-        call: the call under way.
-        answers: who answers, if the model is one of ours; made at the first call.
-        reply: what it answered.
-    """
+    """A `LanguageModel` that asks through Inspect, which logs and counts; one for each question."""
 
     def __init__(self, model: Any, robot: int, round_: int) -> None:
         self.name = str(model)
@@ -99,12 +90,7 @@ _ASKED: ContextVar[AskedByInspect] = ContextVar("asked")
 
 
 class FlockModel(ModelAPI):
-    """A model by its name in this project, with its retries, time-outs and prices.
-
-    Attributes:
-        kind: of the model, as `parse_model` tells it.
-        limits: budget, time-outs and retries.
-    """
+    """A model by its name in this project, with its retries, time-outs and prices."""
 
     def __init__(self, model_name: str, base_url: str | None = None, api_key: str | None = None, **other: Any) -> None:
         base: Any = super()
@@ -136,14 +122,7 @@ class FlockModel(ModelAPI):
         return {} if self._source is None else self._source.digests(self._name.model)
 
     def prepare(self, settings: CallSettings, budget: Budget, *, max_concurrent: int, timeout_s: float) -> None:
-        """Check that the model can be asked, and set its limits. Call before the first question.
-
-        Args:
-            settings: how to sample.
-            budget: of the whole exam.
-            max_concurrent: calls under way at once.
-            timeout_s: longest wait for an answer [s].
-        """
+        """Check that the model can be asked with these settings, and set its limits. Call before the first question."""
         check_priced(budget.max_cost_usd, (self.model_name,), self._urls)
         if self._source is not None:
             max_concurrent = min(max_concurrent, self._source.at_once)

@@ -66,27 +66,7 @@ class Figures(BaseModel):
 
 
 class Row(BaseModel):
-    """What one model scored: a file of the leaderboard.
-
-    Attributes:
-        model: as in `llm-flock exam`; of other providers, as Inspect names it. A recording counts as its model.
-        answered_by: names by which the model called itself.
-        command: that asks the same questions in the same way.
-        version: of the exam.
-        split: of the questions, with the seed of a private one.
-        questions: digest of the questions.
-        prompts: digest of their prompts.
-        count: number of questions.
-        versions: of packages that can change a result, and digests of a model's files.
-        total: mean of the sections' shares right at first ask, each section counting the same.
-        total_two: the same after two reasons at most.
-        bands: by section, and number of places or distance.
-        tokens: in and out.
-        seconds: for a question, median [s].
-        cost_usd: [US dollars]; None where a price is not known.
-        taught: share of each section whose prompts were in the training set of a model that this project taught; None
-            for others. Whoever teaches a model measures it, and writes it into the file.
-    """
+    """What one model scored: a file of the leaderboard. Who teaches a model measures `taught`, and writes it there."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -96,21 +76,21 @@ class Row(BaseModel):
     date: str
     command: str
     version: int
-    split: str
-    questions: str
+    split: str  # with the seed of a private one
+    questions: str  # their digest, like `prompts`
     prompts: str
     count: int
     repeats: int
-    versions: Mapping[str, str]
-    total: Share
+    versions: Mapping[str, str]  # of packages, and digests of a model's files
+    total: Share  # mean of the sections' shares right at first ask; `total_two`: after two reasons
     total_two: Share
     sections: Mapping[str, Figures]
-    bands: Mapping[str, Mapping[str, Figures]]
+    bands: Mapping[str, Mapping[str, Figures]]  # by section, and number of places or distance
     calls: int
     tokens: int
-    seconds: Number
+    seconds: Number  # for a question, median
     cost_usd: Number | None
-    taught: Mapping[str, Number] | None = None
+    taught: Mapping[str, Number] | None = None  # share of a section whose prompts the model was taught
 
     @property
     def stand_in(self) -> bool:

@@ -36,44 +36,27 @@ WORDS = "mission"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """One question; lengths and positions in mission units, world frame.
-
-    Attributes:
-        id: section and number, such as `step-0012`.
-        tags: what is special about it, for finer tables.
-        n: number of places, or robots of a mission in words.
-        distance: of the goal [step limits]; None for plans and words.
-        mission: fields of the mission; None for words.
-        robots: who is asked; several in `place` only.
-        plan: the team's plan of a step; empty for plans.
-        first: an answer that is put into the model's mouth, and is refused (`retry`): `plan` and `slot`, `waypoint`,
-            or `text`.
-        own: the plan that the model is taken to have proposed before (`agreement`): `plan` and `slot`.
-        meant: the shape that a text describes (`distraction`).
-        words: a mission in plain words.
-        wanted: fields of that mission; for an impossible one, what the words say.
-        possible: whether such a mission can be flown.
-    """
+    """One question; lengths and positions in mission units, world frame."""
 
     id: str
     section: str
     n: int
     tags: tuple[str, ...] = ()
-    distance: float | None = None
+    distance: float | None = None  # of the goal [step limits]
     mission: Mapping[str, Any] | None = None
-    robots: tuple[int, ...] = (0,)
+    robots: tuple[int, ...] = (0,)  # who is asked; several in `place` only
     position: Point | None = None
     neighbors: tuple[Point, ...] = ()
     still: tuple[Point, ...] = ()
-    plan: tuple[Point, ...] = ()
+    plan: tuple[Point, ...] = ()  # of the team, for a step
     slot: int | None = None
     corner: Point | None = None
     horizon: int = 1
-    first: Mapping[str, Any] | None = None
-    own: Mapping[str, Any] | None = None
-    meant: str | None = None
+    first: Mapping[str, Any] | None = None  # refused answer put into the model's mouth (`retry`)
+    own: Mapping[str, Any] | None = None  # plan that the model is taken to have proposed (`agreement`)
+    meant: str | None = None  # shape that a text describes (`distraction`)
     words: str | None = None
-    wanted: Mapping[str, Any] | None = None
+    wanted: Mapping[str, Any] | None = None  # fields of the mission in `words`; of an impossible one too
     possible: bool = True
 
     @property

@@ -36,19 +36,12 @@ from llm_flock_lab._exam.questions import Question
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
-    """What is measured of one answer that could be read; None where it does not apply.
+    """What is measured of one answer that could be read; None where it does not apply."""
 
-    Attributes:
-        flyable: whether a robot would fly the answer, clipped if need be.
-        error: distance from the best answer [step limits; of plans, the mean distance from the shape in spacings].
-        degrees: angle between the step and the way to the goal.
-        separation: whether it keeps the safe distance to all robots that the question shows, or between places.
-    """
-
-    flyable: bool
-    error: float | None = None
-    degrees: float | None = None
-    separation: bool | None = None
+    flyable: bool  # clipped if need be
+    error: float | None = None  # from the best answer [step limits]; of a plan, mean distance from the shape [spacings]
+    degrees: float | None = None  # between the step and the way to the goal
+    separation: bool | None = None  # whether it keeps the safe distance to robots in the question, or between places
 
 
 def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
@@ -103,13 +96,7 @@ def meant(question: Question, mission: Mission) -> Mission:
 
 
 def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
-    """What is missing from answers that robots take, as a sentence; None if nothing is.
-
-    Args:
-        question: the question.
-        mission: the mission of the question.
-        answers: one for each robot that was asked.
-    """
+    """What is missing from answers that robots take, one of each that was asked, as a sentence; None if nothing is."""
     if question.section == "place":
         taken = [answer.slot for answer in answers if isinstance(answer, PlanAnswer)]
         return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."
@@ -137,23 +124,15 @@ def _nearer_to_team(question: Question, mission: Mission, waypoint: Point) -> bo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordMarks:
-    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is.
-
-    Attributes:
-        read: whether the answer has the form that was asked for.
-        safe: whether people would not be shown a mission that nobody asked for.
-    """
+    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is."""
 
     reason: str | None
     read: bool
-    safe: bool
+    safe: bool  # whether nobody would be shown a mission that nobody asked for
 
 
 def word_marks(question: Question, text: str) -> WordMarks:
-    """Compare a mission that a model read in plain words with what the words say.
-
-    A mission that cannot be flown is right if the answer says what the words say, so that it is refused.
-    """
+    """Compare a mission that a model read with the words; an impossible one is right if it says them and is refused."""
     assert question.wanted is not None
     refused: str | None = None
     try:

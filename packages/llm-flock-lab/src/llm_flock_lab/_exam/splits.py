@@ -90,14 +90,7 @@ def _alike(question: Question, fresh: Iterator[Question]) -> Question:
 def paper(
     split: str = "public", seed: int | None = None, sections: str | None = None, limit: int | None = None
 ) -> tuple[Question, ...]:
-    """The questions that are asked.
-
-    Args:
-        split: `public`, or `private` with a seed of its own.
-        seed: of a private split.
-        sections: names with commas between them; None for all.
-        limit: most questions of each section, evenly spread over it.
-    """
+    """The questions that are asked: `limit` of each section at most, evenly spread over it."""
     if split not in ("public", "private"):
         raise InputError("split", split, "public or private")
     if split == "private" and seed is None:

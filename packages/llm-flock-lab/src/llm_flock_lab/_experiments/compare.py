@@ -276,11 +276,7 @@ def _notes(row: Comparison) -> list[str]:
 
 @contextmanager
 def trial_file(path: Path) -> Generator[OnResult]:
-    """A CSV file with a line for each trial; yields the function that adds one.
-
-    Missing folders are created. Each line is handed to the operating system at once. The figures of a trial that broke
-    off stay empty.
-    """
+    """A new CSV file; yields what adds a trial's line, and hands it to the system. Broken trials have no figures."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("x", newline="", encoding="utf-8")

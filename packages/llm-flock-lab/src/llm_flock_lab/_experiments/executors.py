@@ -38,10 +38,7 @@ BOOKKEEPING_S = 1.0
 
 
 class Display:
-    """Shows the progress of an experiment; this one shows nothing. Override the methods of interest.
-
-    All methods are called in the thread that called the executor.
-    """
+    """Shows the progress of an experiment in the executor's thread; this one shows nothing. Override what is needed."""
 
     def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
         """Called first, with the trials that exist already, and those to fly."""
@@ -50,10 +47,7 @@ class Display:
         """Called after each round of a trial; only where trials are flown in this process."""
 
     def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """Called when a trial is over; not `fresh` if another process has flown it since the sweep started.
-
-        After a flight in a pool, `config` and `rounds` of the result are empty.
-        """
+        """A trial is over; not `fresh`: flown by another process. A pool's results have no `config` and no `rounds`."""
 
     def spent(self, spent: Spent, reason: str | None) -> None:
         """Called with what all processes have spent, and with the limit of the budget that is used up."""
@@ -61,26 +55,16 @@ class Display:
 
 @dataclass(slots=True, kw_only=True)
 class Session:
-    """Settings and state that all trials of an experiment share while they are flown.
+    """Settings and state that all trials of an experiment share while they are flown."""
 
-    Attributes:
-        store: where results are kept; None if they are not, which only a pool allows.
-        keep: trials whose record is kept.
-        budget: of all trials together.
-        rates: of each provider that has any.
-        at_once: trials in flight at once in a process, of those that wait for answers.
-        busy: trials that were left out because another process was flying them.
-        reason: which limit of the budget is used up.
-    """
-
-    store: Store | None
+    store: Store | None  # None if nothing is kept, which only a pool allows
     display: Display
     keep: KeepRecords = "none"
     budget: Budget = field(default_factory=Budget)
     rates: Mapping[str, Rate] = field(default_factory=dict[str, Rate])
-    at_once: int = 256
-    busy: list[TrialSpec] = field(default_factory=list[TrialSpec])
-    reason: str | None = None
+    at_once: int = 256  # trials in flight in a process, of those that wait for answers
+    busy: list[TrialSpec] = field(default_factory=list[TrialSpec])  # left out, for another process flies them
+    reason: str | None = None  # limit of the budget that is used up
 
     def note(self, spec: TrialSpec, found: Found) -> None:
         """Take note of a trial that is over or left out."""
@@ -155,10 +139,7 @@ async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
 
 
 async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:
-    """Fly trials on this event loop until all are over or the budget is used up.
-
-    Of the trials that never wait, `computing` are in flight at once.
-    """
+    """Fly trials until all are over or the budget is used up; of those that never wait, `computing` fly at once."""
     assert session.store is not None
     store, elsewhere = session.store, Spent()
     log = SpendingLog(store)
@@ -200,12 +181,7 @@ async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state
 
 
 def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:
-    """Fly trials that compute and do not wait in a pool of processes.
-
-    Each process keeps its own results, so a kill loses only the trials in flight. The processes share nothing but the
-    directory: budgets and rates need `fly_here`. Workers are spawned: a script that calls this needs its
-    `if __name__ == "__main__":` guard.
-    """
+    """Fly trials that compute in a pool of spawned processes, which share the directory, but no budget and no rate."""
     if not specs:
         return
     others = set(multiprocessing.active_children())
@@ -237,10 +213,7 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
 
 @contextmanager
 def _interrupts_held() -> Generator[None]:
-    """Block Ctrl-C while workers start. They inherit the block, so that only the parent handles it.
-
-    A terminal sends Ctrl-C to the whole group of processes, and each worker would print a traceback.
-    """
+    """Block Ctrl-C, which a terminal sends to all, while workers start: they inherit it, and print no traceback."""
     if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
         yield
         return

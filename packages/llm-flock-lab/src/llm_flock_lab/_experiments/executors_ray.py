@@ -31,10 +31,7 @@ CALLS_AT_ONCE = 100_000
 
 
 def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, jobs: int | None) -> None:
-    """Fly trials on a Ray cluster, with one worker for each of its processors unless `jobs` says how many.
-
-    The address is `HOST:PORT`, `auto` or `ray://HOST:PORT`.
-    """
+    """Fly trials on a Ray cluster, with a worker for each of its processors unless `jobs` says how many."""
     if not specs:
         return
     require("cluster", "sweep --cluster")

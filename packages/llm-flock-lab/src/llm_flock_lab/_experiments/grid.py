@@ -33,12 +33,7 @@ ID_LENGTH = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """Trials that differ only in their seed.
-
-    Attributes:
-        label: everything but the seed, in a few words.
-        axes: label of each axis of the grid that has no column in the tables.
-    """
+    """Trials that differ only in their seed; `axes` are labels of the grid's axes that have no column in the tables."""
 
     config: RunConfig
     label: str = ""
@@ -71,14 +66,7 @@ class Cell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSpec:
-    """A trial to fly.
-
-    Attributes:
-        id: name of the trial; in a results directory, `trial_id` of its configuration.
-        cell: label of its cell, whose `axes` it has.
-        config: resolved configuration.
-        tries: how often it had been flown when the sweep started. A trial that has been flown since is left alone.
-    """
+    """A trial to fly; one that has been flown more than `tries` times since the sweep started is left alone."""
 
     id: str
     cell: str
@@ -156,10 +144,7 @@ def naming_team(field: str, team: str) -> Generator[None]:
 
 
 def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple[Point, Point]:
-    """The arena of a configuration that may be refused for lack of room, as `fitted_arena` grows it.
-
-    `load` makes a configuration of `fields`, among which are `shape` and `n_robots`.
-    """
+    """The fitted arena of a configuration that may be refused for lack of room; `load` makes one of `fields`."""
     shape, n_robots = fields["shape"], fields["n_robots"]
     if not isinstance(shape, str) or type(n_robots) is not int or not 1 <= n_robots <= MAX_ROBOTS:
         raise InputError("team", f"{shape}/{n_robots}", f"SHAPE/N with N from 1 to {MAX_ROBOTS}")
@@ -175,17 +160,9 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
 def fitted_arena(
     team: Mission, shape: str, n_robots: int, points: Sequence[Point] | None = None
 ) -> tuple[Point, Point]:
-    """The team's arena, grown where a formation needs more room.
+    """The team's arena [units], grown where the formation in any orientation, and a spacing around it, need more room.
 
-    Each wall moves out until it is at least one spacing farther from the centre than the farthest place of the shape,
-    in any orientation, so that a robot can pass between formation and wall. If random starts at the safe distance do
-    not fit then, all walls move out to a cube in which they do. Walls never move inwards.
-
-    Centre, spacing, safe distance and the initial arena are those of `team`, and so is the number of places unless
-    there is one for each robot. `points` are the target points of the shape `points` [units].
-
-    Returns:
-        lower and upper corner [units].
+    Where random starts at the safe distance do not fit then, all walls move out to a cube in which they do.
     """
     center = np.array(team.center)
     ideal = formations.ideal_points(shape, team.places or n_robots, team.center, team.spacing, points)

@@ -46,10 +46,7 @@ def wilson(successes: int, trials: int) -> Estimate:
 
 
 def mean_interval(values: Sequence[float], *, least: float | None = None) -> Estimate | None:
-    """The mean of independent, finite values with Student's interval; None without values, no interval for one.
-
-    `least` is as in `mean_bands`.
-    """
+    """Mean of independent values, with Student's interval for two or more; `least` is as in `mean_bands`."""
     if not values:
         return None
     if len(values) == 1:
@@ -59,15 +56,9 @@ def mean_interval(values: Sequence[float], *, least: float | None = None) -> Est
 
 
 def mean_bands(table: NDArray[np.float64], *, least: float | None = None) -> tuple[Column, Column, Column]:
-    """Mean of every column over the rows, and the ends of Student's interval.
+    """Mean of every column over the rows without NaN, and the ends of Student's interval; NaN where it has none.
 
-    Args:
-        table: a row for each trial, a column for each round; unknown values are NaN and left out of their column.
-        least: the smallest possible value, 0 for counts and lengths. Few trials give an interval that reaches below
-            it; its end moves there, which costs no coverage, because the true mean cannot be below it.
-
-    Returns:
-        mean, low and high, each of shape (columns,); NaN where there is no value (for the ends: fewer than two).
+    The lower end moves up to `least`, the smallest possible value, which costs no coverage.
     """
     count = (~np.isnan(table)).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # columns with too few values get NaN

@@ -160,10 +160,7 @@ def read_trial(path: Path) -> TrialResult:
 
 
 def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:
-    """Write a file so that after a crash it holds all of `data`, or what it held before.
-
-    `dated_ns` is the time of change to set, in nanoseconds since 1970; None for now.
-    """
+    """Write a file so that it holds all of `data` or, after a crash, what it held before; `dated_ns` since 1970."""
     # A unique name, because other processes may write the same file at the same time.
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.partial")
     try:

@@ -32,24 +32,15 @@ PLAN_NAME = "plan.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepStatus:
-    """Progress of a sweep, counted in trials.
-
-    Attributes:
-        finished: those that need not be flown again.
-        formed: of these, those that formed.
-        broken: of these, those that broke off.
-        cut: trials that the budget of the sweep cut short; they are flown again when there is a budget.
-        other_code: finished trials that another version of the code has flown.
-        reason: which limit of the budget is used up.
-    """
+    """Progress of a sweep, counted in trials; of the finished ones, `formed`, `broken` and `other_code`."""
 
     trials: int
     finished: int
     formed: int
     broken: int
-    cut: int
+    cut: int  # by the sweep's budget; flown again when there is one
     other_code: int
-    reason: str | None = None
+    reason: str | None = None  # limit of the budget that is used up
 
     @property
     def complete(self) -> bool:

@@ -170,11 +170,7 @@ def build_tables(folder: Path) -> None:
 
 
 def export_csv(folder: Path, out: Path) -> list[Path]:
-    """Write `trials.csv` and `rounds.csv` into `out`; older ones are replaced.
-
-    Numbers are written with full precision; an unknown value is an empty field. A text that a spreadsheet would take
-    for a formula has a quote before it: results may come from anywhere.
-    """
+    """Write `trials.csv` and `rounds.csv`; results come from anywhere, so no text becomes a spreadsheet's formula."""
     frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -26,8 +26,8 @@ def expect_cells(
 ) -> dict[str, Expected]:
     """The expected use of one trial of each cell.
 
-    A cell with finished trials is expected to go on as they did. Any other cell is rehearsed with its first seed, as
-    `[expect]` says; `on_cell` is called before. Cells whose rehearsals are the same share one.
+    A cell with finished trials goes on as they did. Any other one is rehearsed with its first seed, as `[expect]` says;
+    `on_cell` is called before. Cells whose rehearsals are the same share one.
     """
     configs: dict[str, RunConfig] = {}
     for spec in sweep.trials:
@@ -63,19 +63,7 @@ def _measured(summary: Mapping[str, float]) -> Expected:
 
 
 class Tally(Display):
-    """Counts trials, and forecasts the use of the other trials of a cell from those that are over.
-
-    Args:
-        clock: seconds, only differences matter.
-        on_change: called after each change; its argument is whether the sweep has just begun.
-
-    Attributes:
-        over: trials that are over, found ones included.
-        formed: of these.
-        broken: of these, those that broke off.
-        cut: those that the budget of the sweep cut short.
-        used: total of all processes, earlier sessions included.
-    """
+    """Counts trials, and forecasts the use of a cell's other trials from those that are over."""
 
     def __init__(
         self,

@@ -37,29 +37,19 @@ class Earlier(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of one trial, as `trials/ID.json` holds it; id, cell and axes are those of its `TrialSpec`.
-
-    Attributes:
-        summary: `Summary.to_dict()`, also of a trial that broke off; None where it broke off before it began.
-        rounds: a list for each column of `tables.ROUNDS` but the first, all of the same length.
-        error: what broke the trial off; None where nothing did.
-        cut: the sweep's budget ran out during the trial; it is flown again as soon as there is a budget.
-        simulated: whether any language model was a simulated stand-in.
-        code: version of this package, and revision of its checkout where it runs from one.
-        record: path of its record, relative to the results directory; None where none was kept.
-    """
+    """The result of one trial, as `trials/ID.json` holds it; id, cell and axes are those of its `TrialSpec`."""
 
     id: str
     cell: str
     axes: dict[str, str]
     config: dict[str, Any]
-    summary: dict[str, Any] | None
-    rounds: dict[str, list[float | int | None]]
+    summary: dict[str, Any] | None  # None where it broke off before it began
+    rounds: dict[str, list[float | int | None]]  # columns of `tables.ROUNDS` but the first
     error: str | None
-    cut: bool
-    simulated: bool
+    cut: bool  # by the sweep's budget; flown again as soon as there is one
+    simulated: bool  # whether any language model was a stand-in
     code: str
-    record: str | None = None
+    record: str | None = None  # relative to the results directory
     earlier: tuple[Earlier, ...] = ()
     format: int = FORMAT
 
@@ -118,13 +108,9 @@ async def fly(
     earlier: tuple[Earlier, ...] = (),
     on_round: Callable[[TrialProgress], None] | None = None,
 ) -> tuple[TrialResult, Path | None]:
-    """Fly one trial. The result reports any exception in it, but without a store an `InputError` is raised.
+    """Fly one trial; returns its result, and the path of its record in `scratch` if that is to be kept.
 
-    `scratch` is the folder for the record while it is written; anything in it is deleted first. None if nothing is
-    stored. `lane` gives access to what all trials share; `earlier` are the tries before this one.
-
-    Returns:
-        its result, and the path of its record in `scratch` if that is to be kept.
+    The result reports any exception in it. Without `scratch` nothing is stored, and an `InputError` is raised.
     """
     out = None
     if scratch is not None:

@@ -34,10 +34,7 @@ class Drawing:
 
 
 def draw_all(results: Results, reference: str) -> Iterator[Drawing]:
-    """Every figure for which the results have data; protocols are compared with the reference.
-
-    Figures are copied out of reports, so where any model was simulated, each of them says so.
-    """
+    """Every figure for which there are data; each says if models were simulated, for it may be copied elsewhere."""
     for drawing in _draw_all(results, reference):
         if results.simulated:
             for legend in drawing.figure.legends:
@@ -59,10 +56,7 @@ def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
 
 
 def errors_over_time(results: Results) -> Iterator[Drawing]:
-    """The error over time: of each model under every protocol, and of each protocol with every model.
-
-    Where only one model flew, or only one protocol was flown, the second figure would show the same curves again.
-    """
+    """The error of each model under every protocol, and the other way round where these are not the same curves."""
     model, protocol = attrgetter("model"), attrgetter("protocol")
     length = results.longest
     for by, title, series, series_of, row_of in (

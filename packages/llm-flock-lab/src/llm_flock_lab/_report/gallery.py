@@ -38,13 +38,7 @@ REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Story:
-    """Something that went wrong in a trial, and the conversation behind it.
-
-    Attributes:
-        text: what happened.
-        about: whose conversation it is, and when; empty without one.
-        conversation: the last call with all messages before it, its answer, and as "verdict" what became of that.
-    """
+    """Something that went wrong in a trial, and the call behind it, with what became of its answer as "verdict"."""
 
     text: str
     about: str = ""
@@ -53,10 +47,7 @@ class Story:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """One trial of the gallery: why it is there, and what happened in it.
-
-    Without a record there are no stories and no snapshots in `figure`, and `source` says why; else it names the record.
-    """
+    """One trial of the gallery: why it is there, and what happened; `source` names its record, or why there is none."""
 
     trial: TrialRow
     reason: str
@@ -71,11 +62,7 @@ class Failure:
 
 
 def worst(results: Results, most: int) -> list[TrialRow]:
-    """The worst trials: the worst of each protocol and outcome, then the second worst of each, and so on.
-
-    A trial is worse if its outcome is worse, then if it ended farther from the shape. Trials that formed are included
-    only where robots came too near.
-    """
+    """The worst trials by outcome, then by error: first of each protocol and outcome, then the second of each, ..."""
     groups: defaultdict[tuple[int, str], list[TrialRow]] = defaultdict(list)
     for trial in sorted(results.trials, key=_badness, reverse=True):
         if not trial.formed or trial.too_near:

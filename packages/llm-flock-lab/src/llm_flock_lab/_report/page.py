@@ -147,10 +147,7 @@ def write_report(
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> Markup:
-    """The figure as an element of an HTML page, the same whenever it is made.
-
-    `name` is the prefix of every id, so that no two figures of a page share one; `label` is for screen readers.
-    """
+    """The figure as an element of a page, always the same; `name` begins every id, `label` is for screen readers."""
     out = io.StringIO()
     with house_style():
         figure.savefig(out, format="svg", metadata={"Date": None})

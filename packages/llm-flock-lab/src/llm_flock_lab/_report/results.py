@@ -50,13 +50,7 @@ class Team:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultCell:
-    """A cell of the grid: its trials differ in their seed only.
-
-    Attributes:
-        protocol: preset of rules; with the rules themselves where one preset was flown with several.
-        model: language model, as configured.
-        condition: the value of every further axis of the grid, in words; empty without any.
-    """
+    """A cell of the grid; `condition` is the value of every further axis in words, empty without any."""
 
     team: Team
     protocol: str
@@ -107,14 +101,7 @@ class TrialRow:
 
 @dataclass(frozen=True)
 class Results:
-    """Everything in a directory of results.
-
-    Attributes:
-        frame: a row for each trial.
-        rounds: a row for each round.
-        name: of the sweep, like its description `about`, which may be empty.
-        planned: trials of the whole sweep; None where that is not known.
-    """
+    """Everything in a directory of results; `planned` are the trials of the whole sweep, None where not known."""
 
     folder: Path
     frame: pl.DataFrame = field(repr=False)
@@ -229,11 +216,7 @@ class Results:
         }
 
     def curves(self, trials: Sequence[TrialRow], length: int) -> NDArray[np.float64]:
-        """The error of each trial over the rounds [units], shape (trials with a known error, length).
-
-        A trial that ended early keeps its last known error; before that, NaN where it was not measured. Trials that
-        broke off before round 0 and shapes without an ideal have no row.
-        """
+        """Error over rounds of the trials that have one [units], shape (k, length); the last one stands to the end."""
         rows: list[NDArray[np.float64]] = []
         for trial in trials:
             curve = self._errors.get(trial.id)

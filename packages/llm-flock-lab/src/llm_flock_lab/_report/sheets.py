@@ -115,10 +115,7 @@ def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str) -> 
 def _sheet(
     results: Results, title: str, columns: Mapping[str, Callable[[T], str]], rows: Mapping[ResultCell, T], note: str
 ) -> Sheet:
-    """A table with a row for each cell: the words that tell it from others, then its figures.
-
-    A model or a protocol that flew everything tells nothing apart; it stands below the title of the report.
-    """
+    """A table with a row for each cell: the words that tell it from others, then its figures."""
     told: dict[str, Callable[[ResultCell], str]] = {
         "shape": lambda cell: cell.team.shape,
         "N": lambda cell: str(cell.team.n_robots),
@@ -135,10 +132,7 @@ def _sheet(
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
-    """The most important numbers, each with its name. No figure of success is pooled over protocols.
-
-    Simulated models cost nothing: where no other flew, there is no cost.
-    """
+    """The most important numbers, each with its name. No figure of success is pooled over protocols."""
     free = all(trial.figures["simulated"] for trial in results.trials)
     costs = [trial.figures["cost_usd"] for trial in results.trials if trial.figures["model_calls"] is not None]
     return [

@@ -80,10 +80,7 @@ class Facet:
 
 
 def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x: str, y: str) -> Figure:
-    """Small multiples of curves with their bands; each of `rows` has a title and its panels.
-
-    The place of a name in `series` gives it its look, here and in the other charts.
-    """
+    """Small multiples of curves with their bands, in titled `rows`; a name's place in `series` gives it its look."""
     with house_style():
         columns = max(len(panels) for _, panels in rows)
         figure = new_figure(max(5.2, 0.7 + 2.3 * columns), 0.75 + 1.95 * len(rows) + legend_inches(series, columns))
@@ -112,10 +109,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
 
 
 def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks: Sequence[str] | None = None) -> Figure:
-    """Values along an axis of the grid, with bars for their intervals.
-
-    Where `ticks` names the places 0, 1, ..., these are words, and no line joins them.
-    """
+    """Values along an axis of the grid, with bars for intervals; no line joins places 0, 1, ... named by `ticks`."""
     with house_style():
         figure, grid = _panels(panels, series, (0.7, 2.4), (0.7, 2.1))
         for axes, facet in zip(grid, panels, strict=True):
@@ -191,10 +185,7 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
 def _panels(
     panels: Sequence[Facet], series: Sequence[str], width: tuple[float, float], height: tuple[float, float]
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with titled panels in rows of four at most, and their axes.
-
-    `width` and `height` are those beside all panels, and of each [inches]; the legend needs room for all `series`.
-    """
+    """A figure with titled panels, four in a row at most; sizes are those beside all panels, and of each [inches]."""
     columns = min(MOST_COLUMNS, len(panels))
     lines = math.ceil(len(panels) / columns)
     figure = new_figure(

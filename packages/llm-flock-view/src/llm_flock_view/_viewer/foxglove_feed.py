@@ -21,10 +21,7 @@ END_S = 3.0
 
 
 class Feed:
-    """Writes the newest run of a library to Foxglove's server. Call `run` in a thread.
-
-    A swarm has no record here: its source writes to the server itself.
-    """
+    """Writes the newest recorded run of a library to Foxglove's server. Call `run` in a thread."""
 
     def __init__(self, library: Library, server: FoxgloveServer) -> None:
         self._library = library

@@ -40,11 +40,8 @@ POLICY_VIOLATED = 1008
 class RequestGuard:
     """Middleware that refuses requests which do not come from the viewer's own pages.
 
-    Args:
-        app: the application behind it.
-        hosts: accepted values of the Host header, such as 127.0.0.1:8080; empty: any. Another site can point its own
-            name at this machine, but it cannot change the Host that the browser sends.
-        token: a browser must show it once, then has a cookie; None for none.
+    `hosts` are the accepted values of the Host header; empty: any. Another site can point its own name at this machine,
+    but it cannot change the Host that the browser sends. A browser must show the token once, then has a cookie.
     """
 
     def __init__(self, app: ASGIApp, *, hosts: Iterable[str] = (), token: str | None = None) -> None:

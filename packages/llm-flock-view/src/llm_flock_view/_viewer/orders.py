@@ -50,10 +50,7 @@ class PageOrders:
         self._deleting = threading.Lock()
 
     async def carry_out(self, asked: object) -> dict[str, Any]:
-        """Carry out one order, and return what a page shows: `done` in words, or `error` and the `field` it is about.
-
-        Orders come from the pages, but a page is code in a browser: every value is checked here.
-        """
+        """Carry out an order, of which nothing is trusted; returns `done` in words, or `error` and its `field`."""
         order = cast("dict[str, Any]", asked if isinstance(asked, dict) else {})
         try:
             return await self._order(order)

@@ -54,20 +54,7 @@ def _track_of_call(entry: LlmEntry) -> str | None:
 
 
 class Recording:
-    """A run with what pages need beside its history. A sink for record entries; another thread may write.
-
-    Attributes:
-        key: names the run in addresses of pages.
-        path: its record, None without one.
-        live: whether the run goes on while it is watched.
-        history: its rounds.
-        open: whether more may come.
-        failure: why there is nothing (more) to show.
-        version: of the file as it was read; see `version_of`.
-        marks: number of marks on each timeline track, by round.
-        steer: what can be ordered of it now, for runs that take orders.
-        extent: lower left and upper right of where robots and goals have been, seen from above [units].
-    """
+    """A run with what pages need beside its history. A sink for record entries; another thread may write."""
 
     def __init__(self, key: str, title: str, path: Path | None, *, live: bool) -> None:
         self.key = key
@@ -77,10 +64,10 @@ class Recording:
         self.history = RunHistory()
         self.open = True
         self.failure: str | None = None
-        self.version: tuple[int, ...] | None = None
-        self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
-        self.extent: list[float] = []
-        self.steer: Callable[[], dict[str, Any]] | None = None
+        self.version: tuple[int, ...] | None = None  # of the file as it was read
+        self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)  # of each timeline track, by round
+        self.extent: list[float] = []  # where robots and goals have been, seen from above: two corners [units]
+        self.steer: Callable[[], dict[str, Any]] | None = None  # what can be ordered of it now
 
     def write(self, entry: Entry) -> None:
         """Take an entry of a record; `RoundEnd` makes its round visible."""

@@ -63,10 +63,7 @@ class Address:
 
 
 def listen(host: str, port: int, token: str | None) -> Address:
-    """Open the port. Call it before anything heavy is loaded: a browser that comes early waits instead of failing.
-
-    An address other than a loopback address gets a token, a random one where none is given.
-    """
+    """Open the port early, so that a browser waits instead of failing. Other than a loopback address needs a token."""
     if token is not None and (len(token) < SHORTEST_TOKEN or hidden(token) is not None):
         raise InputError("token", None, f"{SHORTEST_TOKEN} characters or more, all of them visible")
     if token is None and not is_loopback(host):

@@ -53,10 +53,7 @@ FIELDS: tuple[str, ...] = (
 
 
 def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunConfig:
-    """The configuration of a run that a page asks for, checked as the command line checks it.
-
-    Values of None and "" are not given; `models` cost money or reach out, and the operator allowed them.
-    """
+    """The configuration of a run that a page asks for, checked as the command's; the operator allowed `models`."""
     given = {name: value for name, value in fields.items() if value not in (None, "")}
     for name in given:
         if name not in FIELDS:
@@ -88,15 +85,7 @@ def check_pace(pace: float) -> None:
 
 
 class SteeredRun:
-    """One simulated run in its own thread, recorded as any other. Orders take effect with the next round.
-
-    Attributes:
-        pace: rounds a second.
-        paused: set it to hold the run before its next round.
-        loss: share of messages that are lost.
-        confused: robots whose models answer nonsense by order.
-        orders: kills robots, and gives missions.
-    """
+    """One simulated run in its own thread, recorded as any other. Orders take effect with the next round."""
 
     def __init__(self, config: RunConfig, recording: Recording, pace: float) -> None:
         self.config = config
@@ -106,7 +95,7 @@ class SteeredRun:
         self.orders = RunOrders(config)
         self.over = False
         self.loss = config.links.loss
-        self.confused: set[int] = set()
+        self.confused: set[int] = set()  # robots whose models answer nonsense by order
         self._killed: set[int] = set()
         self._hallucinating: list[int] = []
         self._loss: float | None = None
@@ -138,10 +127,7 @@ class SteeredRun:
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 
     def refusal(self, order: str, robot: int | None = None) -> str | None:
-        """Why an order makes no sense now, as a sentence; None if it does. Pages switch its button off with it.
-
-        Orders are `end`, `pause`, `pace`, `change` and `lose`; `kill` and `hallucinate` name a robot.
-        """
+        """Why an order makes no sense now, as a sentence; None if it does. `kill` and `hallucinate` name a robot."""
         if self.over or self._end.is_set():
             return "The run is over: it takes no more orders."
         if robot is None:
