@@ -134,7 +134,7 @@ class _InOrder(Display):
         self._on_result = on_result
         self._early: dict[int, TrialResult] = {}
 
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
+    def finished(self, spec: TrialSpec, result: TrialResult) -> None:
         self._early[int(spec.id)] = result
         while (found := self._early.pop(len(self.results), None)) is not None:
             cell, seed = self._trials[len(self.results)]

@@ -23,10 +23,9 @@ import msgspec
 
 from llm_flock.errors import FlockError
 from llm_flock.llm import Budget, CallLane, ModelPool, Rate, SharedGate, Spent
-from llm_flock.runtime import TrialProgress
 from llm_flock_lab._experiments.grid import TrialSpec
 from llm_flock_lab._experiments.store import SpendingLog, Store
-from llm_flock_lab._experiments.trial import Earlier, KeepRecords, TrialResult, fly
+from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, fly
 
 try:
     import resource
@@ -34,7 +33,7 @@ except ImportError:  # pragma: no cover - systems without such limits
     resource = None
 
 BOOKKEEPING_S = 1.0
-"""Interval at which spending is shared with other processes [s]."""
+"""Interval at which spending is stored and shown [s]."""
 
 
 class Display:
@@ -43,14 +42,11 @@ class Display:
     def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
         """Called first, with the trials that exist already, and those to fly."""
 
-    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
-        """Called after each round of a trial; only where trials are flown in this process."""
-
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """A trial is over; not `fresh`: flown by another process. A pool's results have no `config` and no `rounds`."""
+    def finished(self, spec: TrialSpec, result: TrialResult) -> None:
+        """Called when a trial is over. The result of a pool has no `config` and no `rounds`."""
 
     def spent(self, spent: Spent, reason: str | None) -> None:
-        """Called with what all processes have spent, and with the limit of the budget that is used up."""
+        """Called with what all sessions have spent, and with the limit of the budget that is used up."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -63,44 +59,25 @@ class Session:
     budget: Budget = field(default_factory=Budget)
     rates: Mapping[str, Rate] = field(default_factory=dict[str, Rate])
     at_once: int = 256  # trials in flight in a process, of those that wait for answers
-    busy: list[TrialSpec] = field(default_factory=list[TrialSpec])  # left out, for another process flies them
     reason: str | None = None  # limit of the budget that is used up
 
-    def note(self, spec: TrialSpec, found: Found) -> None:
-        """Take note of a trial that is over or left out."""
-        if found is None:
-            self.busy.append(spec)
-        else:
-            result, fresh = found
-            self.display.finished(spec, result, fresh=fresh)
+
+Fly: TypeAlias = Callable[[TrialSpec], Awaitable[tuple[TrialResult, Path | bytes | None]]]
+"""Flies a trial; returns its result and its record."""
+
+State: TypeAlias = Callable[[], Awaitable[tuple[Spent, str | None, bool]]]
+"""Returns what this session has spent, the limit that is used up, and whether to stop."""
 
 
-Found: TypeAlias = tuple[TrialResult, bool] | None
-"""A result and whether this process has flown it; None while another process flies the trial."""
-
-Fly: TypeAlias = Callable[[TrialSpec, tuple[Earlier, ...]], Awaitable[tuple[TrialResult, Path | bytes | None]]]
-"""Flies a trial after its earlier tries; returns its result and its record."""
-
-State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
-"""Takes what other processes have spent; returns own spending, the limit that is used up, and whether to stop."""
-
-
-async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Found:
-    """Fly a trial and keep its result in the store, if any, unless another process does that or has done it."""
-    if store is None:
-        return (await fly_it(spec, ()))[0], True
-    with store.lease(spec.id) as mine:
-        if not mine:
-            return None
-        known = store.load(spec.id)
-        if known is not None and known.tries != spec.tries:
-            return known, False
-        result, record = await fly_it(spec, () if known is None else known.as_earlier())
+async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> TrialResult:
+    """Fly a trial, and keep its result in the store, if any."""
+    result, record = await fly_it(spec)
+    if store is not None:
         if record is not None:
             store.keep_record(spec.id, record)
         store.clear_scratch(spec.id)
         store.save(result)
-        return result, True
+    return result
 
 
 def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
@@ -117,40 +94,31 @@ def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
 async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
     assert session.store is not None
     store, gate, pool = session.store, SharedGate(session.budget, session.rates), ModelPool()
+    log = SpendingLog(store)
+    gate.elsewhere = log.before
 
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
-        return await fly(
-            spec,
-            lane=CallLane(gate, pool),
-            keep=session.keep,
-            scratch=store.scratch(spec.id),
-            earlier=earlier,
-            on_round=lambda now: session.display.progress(spec, now),
-        )
+    async def fly_it(spec: TrialSpec) -> tuple[TrialResult, Path | None]:
+        return await fly(spec, lane=CallLane(gate, pool), keep=session.keep, scratch=store.scratch(spec.id))
 
-    async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        gate.elsewhere = elsewhere
+    async def state() -> tuple[Spent, str | None, bool]:
         return gate.spent, gate.reason, gate.exhausted
 
     try:
-        await drive(specs, session, fly_it, state, computing=1)
+        await drive(specs, session, log, fly_it, state, computing=1)
     finally:
         await pool.aclose()
 
 
-async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:
+async def drive(
+    specs: Sequence[TrialSpec], session: Session, log: SpendingLog, fly_it: Fly, state: State, *, computing: int
+) -> None:
     """Fly trials until all are over or the budget is used up; of those that never wait, `computing` fly at once."""
-    assert session.store is not None
-    store, elsewhere = session.store, Spent()
-    log = SpendingLog(store)
 
     async def balance() -> None:
-        nonlocal elsewhere
-        elsewhere = log.others()
-        own, reason, _ = await state(elsewhere)
+        own, reason, _ = await state()
         log.write(own)
         session.reason = reason or session.reason
-        session.display.spent(own + elsewhere, reason)
+        session.display.spent(own + log.before, reason)
 
     async def balance_regularly() -> None:
         while True:
@@ -159,9 +127,9 @@ async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state
 
     async def work(queue: Iterator[TrialSpec]) -> None:
         for spec in queue:
-            if (await state(elsewhere))[2]:
+            if (await state())[2]:
                 return
-            session.note(spec, await fly_and_keep(spec, store, fly_it))
+            session.display.finished(spec, await fly_and_keep(spec, session.store, fly_it))
 
     await balance()
     waiting = [spec for spec in specs if spec.waits]
@@ -193,11 +161,11 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
         with _interrupts_held():
             running = {pool.submit(_fly_in_worker, spec, session.store, session.keep): spec for spec in specs}
         for future in as_completed(list(running)):
-            spec, found = running.pop(future), future.result()
-            if log is not None and found is not None and found[1]:
-                spent += found[0].spent
+            spec, result = running.pop(future), future.result()
+            spent += result.spent
+            if log is not None:
                 log.write(spent)
-            session.note(spec, found)
+            session.display.finished(spec, result)
             session.display.spent(spent, None)
             done += 1
         finished = True
@@ -236,9 +204,8 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> Found:
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
-        return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id), earlier=earlier)
+def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> TrialResult:
+    async def fly_it(spec: TrialSpec) -> tuple[TrialResult, Path | None]:
+        return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id))
 
-    found = asyncio.run(fly_and_keep(spec, store, fly_it))
-    return None if found is None else (msgspec.structs.replace(found[0], config={}, rounds={}), found[1])
+    return msgspec.structs.replace(asyncio.run(fly_and_keep(spec, store, fly_it)), config={}, rounds={})

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 
 from llm_flock import shapes as formations
@@ -64,15 +65,24 @@ class Cell:
         return TrialSpec(id=trial or trial_id(config), cell=self.label, axes=self.axes, config=config)
 
 
+class Earlier(msgspec.Struct, frozen=True, kw_only=True):
+    """Why an earlier try of a trial ended, and its use; the cost [US dollars] is None where no price is known."""
+
+    stopped: str
+    model_calls: int
+    tokens: int
+    cost_usd: float | None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSpec:
-    """A trial to fly; one that has been flown more than `tries` times since the sweep started is left alone."""
+    """A trial to fly, after its earlier tries."""
 
     id: str
     cell: str
     axes: Mapping[str, str]
     config: RunConfig
-    tries: int = 0
+    earlier: tuple[Earlier, ...] = ()
 
     @property
     def seed(self) -> int:

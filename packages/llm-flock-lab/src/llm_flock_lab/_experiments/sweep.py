@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,9 +21,6 @@ from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, code_version
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
-
-ELSEWHERE_S = 0.5
-"""Interval at which trials that another process flies are checked again [s]."""
 
 SWEEP_NAME = "sweep.toml"
 PLAN_NAME = "plan.json"
@@ -94,15 +90,14 @@ def fly_sweep(
             raise InputError("cluster", cluster, says=says)
     _check(sweep)
     store, display = Store(folder), display or Display()
-    _register(sweep, store)
     keep = keep or sweep.file.sweep.keep_records
     session = Session(store=store, display=display, keep=keep, budget=budget, rates=rates, at_once=at_once)
-    flown = load_flown(sweep, store)
-    pending = _pending(sweep, flown, again=again)
-    display.begin(flown.values(), pending)
-    try:
-        while pending:
-            session.busy = []
+    with store.held():
+        _register(sweep, store)
+        flown = load_flown(sweep, store)
+        pending = _pending(sweep, flown, again=again)
+        display.begin(flown.values(), pending)
+        try:
             if cluster is not None:
                 fly_on_cluster(pending, session, cluster, jobs if jobs > 1 else None)
             else:
@@ -111,35 +106,31 @@ def fly_sweep(
                 }
                 fly_in_pool([spec for spec in pending if spec.id in pooled], session, jobs)
                 fly_here([spec for spec in pending if spec.id not in pooled], session)
-            pending = session.busy
-            if pending:
-                time.sleep(ELSEWHERE_S)
-    finally:
-        tables.build_tables(folder)
-    return _status(sweep, store, session.reason)
+        finally:
+            tables.build_tables(folder)
+        return _status(sweep, store, session.reason)
 
 
 def _register(sweep: Sweep, store: Store) -> None:
     """Write into the directory which sweep it belongs to. A sweep may gain trials later, but not lose any."""
     plan = {spec.id: (spec.cell, str(spec.seed)) for spec in sweep.trials}
     path = store.folder / PLAN_NAME
-    with store.wait_for("plan"):
-        if path.exists():
-            try:
-                known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
-            except (OSError, msgspec.MsgspecError, RecursionError) as error:
-                raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
-            gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != (cell, seed)]
-            if gone:
-                shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")
-                raise InputError(
-                    "out",
-                    str(store.folder),
-                    f"a directory of this sweep: {len(gone)} of its {len(known)} trials are not in what was given, or "
-                    f"stored under another label ({shown}). A sweep may get more trials; others need another directory",
-                )
-        write_whole(path, msgspec.json.encode(plan))
-        write_whole(store.folder / SWEEP_NAME, sweep.text.encode())
+    if path.exists():
+        try:
+            known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
+        except (OSError, msgspec.MsgspecError, RecursionError) as error:
+            raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
+        gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != (cell, seed)]
+        if gone:
+            shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")
+            raise InputError(
+                "out",
+                str(store.folder),
+                f"a directory of this sweep: {len(gone)} of its {len(known)} trials are not in what was given, or "
+                f"stored under another label ({shown}). A sweep may get more trials; others need another directory",
+            )
+    write_whole(path, msgspec.json.encode(plan))
+    write_whole(store.folder / SWEEP_NAME, sweep.text.encode())
 
 
 def _check(sweep: Sweep) -> None:
@@ -162,7 +153,7 @@ def _pending(sweep: Sweep, flown: Mapping[str, TrialResult], *, again: bool) -> 
         if known is None:
             found.append(spec)
         elif known.cut or (again and known.error is not None):
-            found.append(replace(spec, tries=known.tries))
+            found.append(replace(spec, earlier=known.as_earlier()))
     return found
 
 

@@ -8,14 +8,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from llm_flock.llm import Spent
-from llm_flock.runtime import Expected, RunConfig, TrialProgress, check_planners, most_calls, priced, rehearse, stand_in
+from llm_flock.runtime import Expected, RunConfig, check_planners, most_calls, priced, rehearse, stand_in
 from llm_flock_lab._experiments.executors import Display
 from llm_flock_lab._experiments.grid import TrialSpec
 from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.trial import TrialResult
-
-NEARLY = 0.95
-"""Largest part of a whole trial that a trial in flight counts as."""
 
 
 def expect_cells(
@@ -76,7 +73,6 @@ class Tally(Display):
         self._of_cell: defaultdict[str, Spent] = defaultdict(Spent)
         self._count: Counter[str] = Counter()
         self._left: Counter[str] = Counter()
-        self._in_flight: dict[str, tuple[str, TrialProgress]] = {}
         self._flown: Counter[str] = Counter()
         self.trials = self.over = self.formed = self.broken = self.cut = 0
         self.used = Spent()
@@ -93,16 +89,10 @@ class Tally(Display):
         self._began = self._clock()
         self._on_change(True)
 
-    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
+    def finished(self, spec: TrialSpec, result: TrialResult) -> None:
         """See `Display`."""
-        self._in_flight[spec.id] = spec.cell, now
-        self._on_change(False)
-
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """See `Display`."""
-        self._in_flight.pop(spec.id, None)
         self._left[spec.cell] -= 1
-        self._flown[spec.cell] += fresh
+        self._flown[spec.cell] += 1
         self._count_in(spec.cell, result)
         self._on_change(False)
 
@@ -127,11 +117,9 @@ class Tally(Display):
 
     @property
     def eta_s(self) -> float | None:
-        """Expected time left [s]; None before the first round."""
-        flown = sum(count * self._work(cell) for cell, count in self._flown.items())
-        part = sum(self._part(cell, now) * self._work(cell) for cell, now in self._in_flight.values())
-        left = sum(count * self._work(cell) for cell, count in self._left.items()) - part
-        done = flown + part
+        """Expected time left [s], where a trial takes as long as its calls; None before the first trial is over."""
+        done = sum(count * (self._one(cell).calls or 1) for cell, count in self._flown.items())
+        left = sum(count * (self._one(cell).calls or 1) for cell, count in self._left.items())
         return left * (self._clock() - self._began) / done if done > 0 else None
 
     def _count_in(self, cell: str, result: TrialResult) -> None:
@@ -149,11 +137,3 @@ class Tally(Display):
         if not count:
             return Spent()
         return Spent(calls=used.calls // count, tokens=used.tokens // count, cost_usd=used.cost_usd / count)
-
-    def _work(self, cell: str) -> float:
-        """Amount of work in one trial: its calls, or 1 where none are known."""
-        return self._one(cell).calls or 1.0
-
-    def _part(self, cell: str, now: TrialProgress) -> float:
-        """Part of a trial in flight that is done."""
-        return min(NEARLY, max(now.model_calls / max(1.0, self._work(cell)), now.round / max(1, now.rounds)))

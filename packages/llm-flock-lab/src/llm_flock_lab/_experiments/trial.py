@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -17,23 +17,14 @@ from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, Spent, parse_model
 from llm_flock.own_code import is_cancelled, shown
 from llm_flock.record import Entry, MetricsRow, SummaryMessage
-from llm_flock.runtime import RECORD_NAME, TrialProgress, run_async
-from llm_flock_lab._experiments.grid import TrialSpec
+from llm_flock.runtime import RECORD_NAME, run_async
+from llm_flock_lab._experiments.grid import Earlier, TrialSpec
 
 KeepRecords: TypeAlias = Literal["all", "failed", "none"]
 """Trials whose record is kept."""
 
 FORMAT = 1
 """Version of the files in `trials/`."""
-
-
-class Earlier(msgspec.Struct, frozen=True, kw_only=True):
-    """Why an earlier try of a trial ended, and its use; the cost [US dollars] is None where no price is known."""
-
-    stopped: str
-    model_calls: int
-    tokens: int
-    cost_usd: float | None
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -71,11 +62,6 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
             calls=found.get("model_calls", 0), tokens=found.get("tokens", 0), cost_usd=found.get("cost_usd") or 0.0
         )
 
-    @property
-    def tries(self) -> int:
-        """How often it was flown."""
-        return len(self.earlier) + 1
-
     def as_earlier(self) -> tuple[Earlier, ...]:
         """This try and those before it, for the one that replaces it."""
         cost = 0.0 if self.summary is None else self.summary["cost_usd"]
@@ -105,8 +91,6 @@ async def fly(
     lane: CallLane | None = None,
     keep: KeepRecords = "none",
     scratch: Path | None = None,
-    earlier: tuple[Earlier, ...] = (),
-    on_round: Callable[[TrialProgress], None] | None = None,
 ) -> tuple[TrialResult, Path | None]:
     """Fly one trial; returns its result, and the path of its record in `scratch` if that is to be kept.
 
@@ -120,7 +104,7 @@ async def fly(
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
     metrics, error = _Metrics(), None
     try:
-        await run_async(config=config, sink=metrics, lane=lane, on_round=on_round, progress=False, trace=False)
+        await run_async(config=config, sink=metrics, lane=lane, progress=False, trace=False)
     except (Exception, asyncio.CancelledError) as reason:  # it is stored, counted and shown
         if (scratch is None and isinstance(reason, InputError)) or (
             isinstance(reason, asyncio.CancelledError) and is_cancelled()
@@ -144,7 +128,7 @@ async def fly(
         or bool(summary and summary["simulated"]),
         code="" if scratch is None else code_version(),
         record=None if record is None else f"records/{spec.id}.mcap",
-        earlier=earlier,
+        earlier=spec.earlier,
     )
     return result, record
 
