@@ -147,7 +147,6 @@ class Examiner:
     async def _ask_robot(
         self, question: Question, mission: Mission, robot: int, model: LanguageModel | None, round_: int
     ) -> _Asked:
-        """Ask one robot's question through its planner."""
         attempts: list[Attempt] = []
         seen: list[PlanAnswer | StepAnswer] = []
         first: PlanAnswer | StepAnswer | None = None

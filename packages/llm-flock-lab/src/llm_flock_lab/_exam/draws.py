@@ -84,7 +84,6 @@ def draw_plan(rng: np.random.Generator, mission: Mission) -> Points:
 
 
 def direction(rng: np.random.Generator, dim: int) -> Point:
-    """A random unit vector."""
     while True:
         row = rng.normal(size=dim)
         length = float(np.linalg.norm(row))

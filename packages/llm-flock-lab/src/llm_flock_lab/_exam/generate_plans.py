@@ -85,7 +85,6 @@ def plan_questions(rng: np.random.Generator) -> Iterator[Question]:
 
 
 def place_questions(rng: np.random.Generator) -> Iterator[Question]:
-    """Every robot of a team, asked for its place."""
     for shape, n in PLACE_TEAMS:
         question = _plan(rng, ("plane", shape), draw_fields(rng, shape, n))
         yield replace(question, section="place", robots=tuple(range(n)))
@@ -127,6 +126,5 @@ def _orientations(mission: Mission) -> int:
 
 
 def _plan(rng: np.random.Generator, tags: tuple[str, ...], fields: dict[str, Any]) -> Question:
-    """A question for a plan by a random robot of the team."""
     n = int(fields["n_robots"])
     return Question(id="", section="plan", n=n, tags=tags, mission=fields, robots=(int(rng.integers(n)),))

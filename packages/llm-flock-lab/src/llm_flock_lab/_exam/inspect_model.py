@@ -107,7 +107,6 @@ class FlockModel(ModelAPI):
 
     @property
     def simulated(self) -> bool:
-        """Whether its answers come from a stand-in."""
         of_others = self._own or self._replay
         return self.kind == "simulated" or (of_others is not None and of_others.simulated)
 
@@ -156,7 +155,6 @@ class FlockModel(ModelAPI):
         return Limited(self._pool.model(self.model_name, rng=rng, settings=settings, **options), self.limits)
 
     async def generate(self, input: Any, tools: Any, tool_choice: Any, config: Any) -> Any:
-        """Answer the call of the question under way, as Inspect asks for it."""
         asked = _ASKED.get(None)
         if asked is None or asked.call is None:
             raise InputError("model", f"{PREFIX}/{self.model_name}", "a model of Inspect: this one sits our exam only")
@@ -175,7 +173,6 @@ class FlockModel(ModelAPI):
         return output
 
     async def aclose(self) -> None:
-        """Close connections, recordings and engines."""
         await self._pool.aclose()
         if self._replay is not None:
             self._replay.close()

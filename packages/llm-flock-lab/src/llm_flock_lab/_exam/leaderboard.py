@@ -99,7 +99,6 @@ class Row(BaseModel):
 
     @property
     def file_name(self) -> str:
-        """Name of its file."""
         name = self.model if self.split == "public" else f"{self.model} {self.split}"
         return re.sub(r"[^A-Za-z0-9.]+", "-", name)[-LONGEST_NAME:].strip("-") + ".json"
 
@@ -165,7 +164,6 @@ def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
 
 
 def _figures(outcomes: Sequence[Outcome]) -> Figures:
-    """The figures of some questions, at least one."""
     questions = _questions(outcomes)
     errors = [o.error for o in outcomes if o.error is not None]
     error = median(errors) if errors else None
@@ -173,7 +171,6 @@ def _figures(outcomes: Sequence[Outcome]) -> Figures:
 
 
 def _questions(outcomes: Iterable[Outcome]) -> list[list[Outcome]]:
-    """The results of each question."""
     found: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
         found.setdefault(outcome.question, []).append(outcome)
@@ -247,7 +244,6 @@ def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """All rows of a folder."""
     rows: list[Row] = []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -294,7 +290,6 @@ Column = tuple[str, Callable[[Row], str]]
 
 
 def page_text(rows: Iterable[Row]) -> str:
-    """The page in Markdown."""
     ordered = sorted(rows, key=lambda row: (-row.total.value, row.model))
     models = [row for row in ordered if not row.stand_in]
     stand_ins = [row for row in ordered if row.stand_in]

@@ -72,12 +72,10 @@ class Question:
         return json.dumps(plain, sort_keys=True)
 
     def build_mission(self) -> Mission:
-        """The mission that is asked about."""
         assert self.mission is not None, "a question in words has no mission"
         return build_mission(**self.mission)
 
     def plan_question(self, mission: Mission, robot: int, round_: int) -> PlanQuestion:
-        """The question for a plan, as a robot's agent asks it."""
         return PlanQuestion(
             mission=mission,
             robot=robot,
@@ -88,7 +86,6 @@ class Question:
         )
 
     def step_question(self, mission: Mission, round_: int) -> StepQuestion:
-        """The question for a step or a path, as a robot's agent asks it."""
         assert self.position is not None, "a question for a step has a position"
         return StepQuestion(
             mission=mission,
@@ -112,7 +109,6 @@ def plain_question(question: Question) -> dict[str, Any]:
 
 
 def to_lines(questions: Iterable[Question]) -> str:
-    """Questions as JSON lines."""
     return "".join(json.dumps(plain_question(q), separators=(",", ":")) + "\n" for q in questions)
 
 

@@ -55,7 +55,6 @@ def verdict_on_step(question: StepQuestion, answer: StepAnswer) -> Verdict:
 
 
 def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Marks:
-    """The marks of a plan that could be read, right or wrong."""
     asked = question.plan_question(mission, question.robots[0], 0)
     rows = answer.plan.array
     ideal = meant(question, mission).ideal
@@ -70,7 +69,6 @@ def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Mark
 
 
 def step_marks(question: Question, mission: Mission, answer: StepAnswer) -> Marks:
-    """The marks of a step or a path that could be read, right or wrong."""
     asked = question.step_question(mission, 0)
     here, goal = asked.position, asked.goal
     best = straight_path(asked)

@@ -43,7 +43,6 @@ _TRIES = 20
 
 
 def generate(seed: int) -> list[Question]:
-    """All questions of a seed, in the order of the sections."""
     return [question for section in SECTIONS for question in _section(section, seed)]
 
 
@@ -54,7 +53,6 @@ def _section(section: str, seed: int, attempt: int = 0) -> list[Question]:
 
 @lru_cache(maxsize=1)
 def public_split() -> tuple[Question, ...]:
-    """The public split, from the file in the package."""
     text = resources.files("llm_flock_lab._exam").joinpath(PUBLIC_FILE).read_text(encoding="utf-8")
     return tuple(from_lines(text, PUBLIC_FILE))
 

@@ -42,21 +42,17 @@ class Cell:
 
     @property
     def protocol(self) -> str:
-        """Name of the preset."""
         return self.config.protocol.protocol
 
     @property
     def shape(self) -> str:
-        """The mission's shape."""
         return self.config.mission.shape
 
     @property
     def n_robots(self) -> int:
-        """Team size N."""
         return self.config.mission.n_robots
 
     def with_seed(self, seed: int) -> RunConfig:
-        """Configuration of the trial with this seed."""
         return self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
 
     def trial(self, seed: int, trial: str | None = None) -> TrialSpec:
@@ -86,12 +82,10 @@ class TrialSpec:
 
     @property
     def seed(self) -> int:
-        """Seed of the trial."""
         return self.config.trial.seed
 
     @property
     def models(self) -> tuple[str, ...]:
-        """The models in use, each once."""
         return models_of(self.config)
 
     @property

@@ -40,7 +40,6 @@ class Store:
             raise InputError("out", str(folder), f"a folder that can be written to ({error.strerror})") from None
 
     def trial_path(self, trial: str) -> Path:
-        """The file of a finished trial."""
         return self.folder / TRIALS / f"{trial}.json"
 
     def save(self, trial: TrialResult) -> None:
@@ -67,7 +66,6 @@ class Store:
 
     @contextmanager
     def held(self) -> Generator[None]:
-        """Keep other sweeps out of the directory."""
         with (self.folder / LOCK).open("wb") as file:
             if not lock_file(file.fileno()):
                 raise InputError("out", str(self.folder), "a directory on which no other sweep works now")
@@ -107,7 +105,6 @@ def trial_files(folder: Path) -> Iterator[Path]:
 
 
 def read_trial(path: Path) -> TrialResult:
-    """Read one finished trial."""
     try:
         found = msgspec.json.decode(path.read_bytes(), type=TrialResult)
     except OSError as error:

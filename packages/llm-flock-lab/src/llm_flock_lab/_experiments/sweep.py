@@ -40,7 +40,6 @@ class SweepStatus:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to be flown."""
         return self.finished == self.trials
 
 

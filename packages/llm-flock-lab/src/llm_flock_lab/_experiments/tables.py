@@ -48,7 +48,6 @@ class Column:
 
     @property
     def kind(self) -> str:
-        """The type in everyday words."""
         return KINDS[self.dtype]
 
 

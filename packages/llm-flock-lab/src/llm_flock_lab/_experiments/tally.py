@@ -78,7 +78,6 @@ class Tally(Display):
         self.used = Spent()
 
     def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
-        """See `Display`."""
         again = {spec.id for spec in pending}
         for result in flown:
             if result.id not in again:
@@ -90,14 +89,12 @@ class Tally(Display):
         self._on_change(True)
 
     def finished(self, spec: TrialSpec, result: TrialResult) -> None:
-        """See `Display`."""
         self._left[spec.cell] -= 1
         self._flown[spec.cell] += 1
         self._count_in(spec.cell, result)
         self._on_change(False)
 
     def spent(self, spent: Spent, reason: str | None) -> None:
-        """See `Display`."""
         self.used = spent
         self._on_change(False)
 

@@ -51,12 +51,10 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def stopped(self) -> str:
-        """Why it ended, as in `Summary.stopped`."""
         return "failed" if self.summary is None or self.error is not None else str(self.summary["stopped"])
 
     @property
     def spent(self) -> Spent:
-        """What this try used."""
         found = self.summary or {}
         return Spent(
             calls=found.get("model_calls", 0), tokens=found.get("tokens", 0), cost_usd=found.get("cost_usd") or 0.0

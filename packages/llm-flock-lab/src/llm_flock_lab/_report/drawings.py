@@ -110,7 +110,6 @@ def _curve(series: str, table: NDArray[np.float64]) -> Curve:
 
 
 def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
-    """The share of trials that formed, by cell."""
     return Drawing(
         name="success",
         section="success",
@@ -175,7 +174,6 @@ def _limits(estimates: Sequence[Estimate | None]) -> tuple[float, float]:
 
 
 def ratios(results: Results) -> Drawing:
-    """Rounds over the lower bound of every trial that formed."""
     panels = [
         Facet(
             title=str(team),
@@ -214,7 +212,6 @@ def ratios(results: Results) -> Drawing:
 
 
 def separations(results: Results) -> Drawing:
-    """The smallest distance of two robots in every trial."""
     panels: list[Facet] = []
     for model in results.models:
         for team in results.teams:
@@ -239,7 +236,6 @@ def separations(results: Results) -> Drawing:
 
 
 def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
-    """Calls, tokens and money."""
     kinds: tuple[tuple[str, str, str, Callable[[CellLine], Estimate | None]], ...] = (
         ("calls", "Model calls", "model calls a robot and mission", lambda line: line.calls),
         ("tokens", "Tokens", "tokens a robot and mission", lambda line: line.tokens),

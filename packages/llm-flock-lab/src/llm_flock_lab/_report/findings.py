@@ -57,7 +57,6 @@ COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
 
 
 def cell_lines(results: Results) -> list[CellLine]:
-    """A line for every cell."""
     return [_cell_line(cell, trials) for cell, trials in results.cells.items()]
 
 
@@ -90,7 +89,6 @@ def _cell_line(cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
 
 
 def known(values: Iterable[float | None]) -> list[float]:
-    """The values that are known."""
     return [float(value) for value in values if value is not None]
 
 

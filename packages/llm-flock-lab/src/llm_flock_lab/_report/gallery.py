@@ -57,7 +57,6 @@ class Failure:
 
     @property
     def name(self) -> str:
-        """Name of its files."""
         return f"failure-{self.trial.id}"
 
 

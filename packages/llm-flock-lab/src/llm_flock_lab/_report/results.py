@@ -73,12 +73,10 @@ class TrialRow:
 
     @property
     def formed(self) -> bool:
-        """Whether the formation was built."""
         return self.outcome == "formed"
 
     @property
     def too_near(self) -> bool:
-        """Whether any two robots came nearer than the safe distance."""
         separation, safe = self.figures["min_separation"], self.figures["safe_distance"]
         return separation is not None and safe is not None and separation < safe - TOLERANCE
 
@@ -128,7 +126,6 @@ class Results:
 
     @cached_property
     def trials(self) -> tuple[TrialRow, ...]:
-        """Every trial, in the order of the table."""
         rows = list(self.frame.iter_rows(named=True))
         axes = [name for name in self.frame.columns if name.startswith(tables.AXIS)]
         return tuple(
@@ -151,7 +148,6 @@ class Results:
 
     @cached_property
     def cells(self) -> dict[ResultCell, list[TrialRow]]:
-        """The trials of each cell: by team, condition, model and protocol."""
         found: defaultdict[ResultCell, list[TrialRow]] = defaultdict(list)
         for trial in self.trials:
             found[trial.cell].append(trial)
@@ -164,7 +160,6 @@ class Results:
 
     @cached_property
     def teams(self) -> tuple[Team, ...]:
-        """Every team, the smallest first."""
         return tuple(sorted({trial.cell.team for trial in self.trials}))
 
     @cached_property
@@ -197,7 +192,6 @@ class Results:
 
     @property
     def simulated(self) -> bool:
-        """Whether any language model was a simulated stand-in."""
         return any(trial.figures["simulated"] for trial in self.trials)
 
     def outcomes(self) -> dict[str, int]:

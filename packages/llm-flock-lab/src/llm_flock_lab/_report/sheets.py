@@ -29,7 +29,6 @@ class Sheet:
 
 
 def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    """How the trials of every cell ended."""
     ends = [name for name in OUTCOMES if name != "formed" and any(line.outcomes[name] for line in lines)]
     columns: dict[str, Callable[[CellLine], str]] = {
         "trials": lambda line: str(line.trials),
@@ -65,7 +64,6 @@ def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
 
 
 def spending_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    """Calls, tokens and cost."""
     columns: dict[str, Callable[[CellLine], str]] = {
         "calls a robot": lambda line: interval(line.calls, 2),
         "tokens a robot": lambda line: interval(line.tokens, 0),
@@ -165,7 +163,6 @@ def number(value: float | None, digits: int) -> str:
 
 
 def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, signed: bool = False) -> str:
-    """A value and its interval."""
     if estimate is None:
         return NOT_KNOWN
     form = f"{'+' if signed else ''},.{digits}f"

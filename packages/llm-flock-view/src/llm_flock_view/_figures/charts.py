@@ -212,7 +212,6 @@ def _finish(
     line_only: bool = False,
     solid: bool = False,
 ) -> None:
-    """Label the axes, and put a legend with the names of all series above the panels."""
     figure.supxlabel(x, size=8)
     figure.supylabel(y, size=8)
     handles: list[Line2D | Patch] = []
@@ -291,7 +290,6 @@ def _lined(
 
 
 def look_of(series: Sequence[str], name: str) -> Look:
-    """The look of one of all series: the same in all panels."""
     number = series.index(name)
     return Look(SERIES[number % len(SERIES)], LINES[number % len(LINES)], MARKERS[number % len(MARKERS)])
 
@@ -312,7 +310,6 @@ def legend_columns(series: Sequence[str], columns: int) -> int:
 
 
 def legend_inches(series: Sequence[str], columns: int) -> float:
-    """Height of the legend."""
     return 0.15 + 0.2 * math.ceil((len(series) + 1) / legend_columns(series, columns))
 
 
@@ -345,7 +342,6 @@ def shortened(text: str, most: int) -> str:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of a size [inches]."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure

@@ -190,7 +190,6 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a picture for a page."""
     file = io.BytesIO()
     with house_style():
         figure.savefig(file, format="png", dpi=DPI)
@@ -295,7 +294,6 @@ def _moment(record: RunRecord, k: int, *, with_error: bool) -> str:
 
 
 def _around(windows: Sequence[Box]) -> Box:
-    """The smallest window that holds all of these."""
     lefts, rights, bottoms, tops = zip(*windows, strict=True)
     return (min(lefts), max(rights), min(bottoms), max(tops))
 

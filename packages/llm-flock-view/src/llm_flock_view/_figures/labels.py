@@ -118,7 +118,6 @@ def _free(
 
 
 def box_at(middle: Sequence[float] | NDArray[np.float64], word: tuple[float, float]) -> Rectangle:
-    """The box of a word around its middle."""
     x, y, (width, height) = float(middle[0]), float(middle[1]), word
     return (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
 

@@ -154,7 +154,6 @@ def shapes(record: RunRecord) -> str:
 
 
 def fitted(text: str, inches: float) -> str:
-    """A title broken into lines of a width."""
     return textwrap.fill(one_line(text, MOST_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 

@@ -91,7 +91,6 @@ class FoxgloveServer:
                 self._channels[message.topic].log(message.data, log_time=now)
 
     def restart(self) -> None:
-        """Begin another run: clients forget the last one."""
         with self._lock:
             self._writer, self._kept, self._failed = ChannelWriter(), {}, False
             self._server.clear_session()

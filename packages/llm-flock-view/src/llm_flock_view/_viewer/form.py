@@ -27,7 +27,6 @@ MODELS = {
 
 
 def options(launcher: Launcher) -> dict[str, Any]:
-    """Options of the page with the form."""
     allowed = [[name, "allowed by --model"] for name in launcher.models]
     return {
         "shapes": shape_pictures(),

@@ -28,7 +28,6 @@ class Feed:
         self._server = server
 
     def run(self) -> None:
-        """Feed the server until the process ends."""
         while True:
             recording = self._library.newest
             if recording is None or recording.path is None:
@@ -58,7 +57,6 @@ class Feed:
             time.sleep(POLL_S)
 
     def _wait(self, recording: Recording, seconds: float) -> None:
-        """Wait while no other run is newer."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and self._library.newest is recording:
             time.sleep(POLL_S)

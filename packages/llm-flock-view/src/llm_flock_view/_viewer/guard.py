@@ -50,7 +50,6 @@ class RequestGuard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request, WebSocket or life span event."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return

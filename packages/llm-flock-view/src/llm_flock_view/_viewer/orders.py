@@ -118,7 +118,6 @@ class PageOrders:
 
 
 def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:
-    """Give one order to one run, and say in words what comes of it."""
     match order:
         case "kill":
             run.kill(robot := _whole("robot", asked.get("robot")))

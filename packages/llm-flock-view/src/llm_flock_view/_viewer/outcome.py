@@ -139,7 +139,6 @@ def _work(run: RunHistory) -> str:
 
 
 def stop_text(run: RunHistory) -> str:
-    """Why the run ended, in words."""
     if run.result is None:
         return "the record ends early"
     stopped = str(run.result.get("stopped", "ended"))

@@ -103,13 +103,11 @@ class Recording:
         self.extent = box([*known, *state.positions, *state.goals])
 
     def fail(self, error: Exception) -> None:
-        """Show why no more comes, and log it."""
         self.failure = printable(str(error))
         logger.warning("%s", error)
 
     @property
     def ready(self) -> bool:
-        """Whether there is anything to show."""
         return self.history.rounds >= 0 and bool(self.history.missions)
 
     @property

@@ -51,7 +51,6 @@ def write_page(record: Path, target: Path) -> int:
 
 
 def page(run: Recording) -> str:
-    """The page of a run that was read."""
     history = run.history
     size = history.n_robots * (history.rounds + 1)
     if size > MOST_ROBOT_ROUNDS:

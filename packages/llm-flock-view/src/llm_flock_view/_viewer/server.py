@@ -19,7 +19,6 @@ SHORTEST_TOKEN = 16
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is a loopback address."""
     if host == "localhost":
         return True
     try:
@@ -38,7 +37,6 @@ class Address:
 
     @property
     def port(self) -> int:
-        """The port."""
         return self.sock.getsockname()[1]
 
     @property

@@ -104,7 +104,6 @@ class SteeredRun:
         self._due = 0.0
 
     def start(self) -> None:
-        """Start the run, and the thread that reads its record."""
         threading.Thread(target=self._fly, daemon=True).start()
         threading.Thread(target=load, args=(self.recording, lambda: self.over), daemon=True).start()
 
@@ -116,7 +115,6 @@ class SteeredRun:
 
     @property
     def round(self) -> int:
-        """The round in flight."""
         return self.orders.round
 
     @property
@@ -148,12 +146,10 @@ class SteeredRun:
             raise FieldError("run" if robot is None else "robot", robot, says=says)
 
     def hold(self, paused: bool) -> None:
-        """Hold the run before its next round, or let it go on."""
         self._check("pause")
         self.paused = paused
 
     def set_pace(self, pace: float) -> None:
-        """Change the rounds a second."""
         self._check("pace")
         check_pace(pace)
         self.pace = pace
@@ -170,7 +166,6 @@ class SteeredRun:
         return self.orders.change(fields)
 
     def lose(self, share: float) -> None:
-        """Lose this share of the messages."""
         self._check("lose")
         if not 0.0 <= share <= 1.0:
             raise InputError("loss", share, "a share from 0 to 1")
