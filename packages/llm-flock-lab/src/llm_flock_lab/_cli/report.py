@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from llm_flock.cli import say
-from llm_flock.errors import InputError
 from llm_flock.extras import require
 
 Results = Annotated[
@@ -38,7 +37,6 @@ def report(
     It can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
     """
     require("sweep", "report")
-    _check_folder(folder)
     from llm_flock_lab._report.page import write_report
 
     written = write_report(
@@ -53,12 +51,6 @@ def report(
     for path in written:
         if path.suffix in (".html", ".md"):
             say(path)
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse what is no folder at once; what is in it, the tables check."""
-    if not folder.is_dir():
-        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
 
 
 def export_tables(folder: Path, out: Path) -> list[Path]:

@@ -25,7 +25,16 @@ from llm_flock.llm import (
     place_text,
 )
 from llm_flock.mission import Mission
-from llm_flock.protocol import GeometryPlanner, NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion, Verdict
+from llm_flock.protocol import (
+    GeometryPlanner,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+    Verdict,
+)
+from llm_flock.protocol import judge as judge_step
 from llm_flock_lab._exam.questions import WORDS, Question
 from llm_flock_lab._exam.score import (
     Marks,
@@ -33,7 +42,6 @@ from llm_flock_lab._exam.score import (
     plan_marks,
     shortfall,
     step_marks,
-    verdict_on_step,
     word_marks,
 )
 
@@ -165,7 +173,7 @@ class Examiner:
         def judge(given: StepQuestion, answer: StepAnswer) -> Verdict:
             if given is asked:
                 seen.append(answer)
-            return verdict_on_step(given, answer)
+            return judge_step(given, answer, shield_on=True)
 
         def note(attempt: Attempt) -> None:
             nonlocal first

@@ -24,8 +24,6 @@ from llm_flock.protocol import (
     PlanAnswer,
     PlanQuestion,
     StepAnswer,
-    StepQuestion,
-    Verdict,
     check_plan,
     check_proposal,
     judge,
@@ -47,11 +45,6 @@ class Marks:
 def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
     """Why a robot refuses the plan that its own model proposes, in words for the model; None if it does not."""
     return check_proposal(question.mission, answer.plan, question.still, question.position)
-
-
-def verdict_on_step(question: StepQuestion, answer: StepAnswer) -> Verdict:
-    """What a robot with a shield makes of a step."""
-    return judge(question, answer, shield_on=True)
 
 
 def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Marks:

@@ -125,22 +125,17 @@ OnResult = Callable[[Cell, int, TrialResult], None]
 """Called with a trial's cell, its seed and its result."""
 
 
-class _InOrder(Display):
-    """Passes results on in the order of the trials, whichever finishes first."""
-
+class _Collected(Display):
     def __init__(self, trials: Sequence[tuple[Cell, int]], on_result: OnResult | None) -> None:
         self.results: list[TrialResult] = []
         self._trials = trials
         self._on_result = on_result
-        self._early: dict[int, TrialResult] = {}
 
     def finished(self, spec: TrialSpec, result: TrialResult) -> None:
-        self._early[int(spec.id)] = result
-        while (found := self._early.pop(len(self.results), None)) is not None:
-            cell, seed = self._trials[len(self.results)]
-            self.results.append(found)
-            if self._on_result is not None:
-                self._on_result(cell, seed, found)
+        cell, seed = self._trials[len(self.results)]
+        self.results.append(result)
+        if self._on_result is not None:
+            self._on_result(cell, seed, result)
 
 
 def compare(
@@ -165,7 +160,7 @@ def compare(
         jobs = 1
     seeds = range(first_seed, first_seed + trials)
     pairs = list(itertools.product(cells, seeds))
-    display = _InOrder(pairs, on_result)
+    display = _Collected(pairs, on_result)
     specs = [cell.trial(seed, str(number)) for number, (cell, seed) in enumerate(pairs)]
     fly_in_pool(specs, Session(store=None, display=display), jobs)
     results = iter(display.results)

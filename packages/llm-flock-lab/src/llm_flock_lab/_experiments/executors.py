@@ -11,11 +11,12 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Awaitable, Callable, Collection, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import TypeAlias
 
@@ -149,19 +150,21 @@ async def drive(
 
 
 def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:
-    """Fly trials that compute in a pool of spawned processes, which share the directory, but no budget and no rate."""
+    """Fly trials that compute in a pool of spawned processes, which share the directory, but no budget and no rate.
+
+    The display hears of them in their order, whichever finishes first.
+    """
     if not specs:
         return
     others = set(multiprocessing.active_children())
     jobs = min(jobs, len(specs))
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker)
     log = None if session.store is None else SpendingLog(session.store)
     spent, done, finished = Spent(), 0, False
     try:
-        with _interrupts_held():
-            running = {pool.submit(_fly_in_worker, spec, session.store, session.keep): spec for spec in specs}
-        for future in as_completed(list(running)):
-            spec, result = running.pop(future), future.result()
+        for spec, result in zip(
+            specs, pool.map(_fly_in_worker, specs, repeat(session.store), repeat(session.keep)), strict=True
+        ):
             spent += result.spent
             if log is not None:
                 log.write(spent)
@@ -179,21 +182,9 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
         pool.shutdown(cancel_futures=True)
 
 
-@contextmanager
-def _interrupts_held() -> Generator[None]:
-    """Block Ctrl-C, which a terminal sends to all, while workers start: they inherit it, and print no traceback."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _end_with_parent() -> None:
-    """Let a worker end when its parent dies."""
+def _start_worker() -> None:
+    """Let a worker end when its parent dies, which alone handles Ctrl-C: a terminal sends it to all of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None, "runs in workers only"
 

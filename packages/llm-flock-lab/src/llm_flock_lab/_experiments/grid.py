@@ -52,12 +52,9 @@ class Cell:
     def n_robots(self) -> int:
         return self.config.mission.n_robots
 
-    def with_seed(self, seed: int) -> RunConfig:
-        return self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
-
     def trial(self, seed: int, trial: str | None = None) -> TrialSpec:
         """The trial with this seed; `trial` is its id, by default `trial_id`."""
-        config = self.with_seed(seed)
+        config = self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
         return TrialSpec(id=trial or trial_id(config), cell=self.label, axes=self.axes, config=config)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import scipy
 
-from llm_flock.errors import InputError
 from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
 
 
@@ -38,7 +37,6 @@ def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans
     The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
     meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
     """
-    _check_pairs(first, second)
     differences = [a - b for a, b in zip(first, second, strict=True)]
     mean = mean_interval(differences)
     if mean is None:
@@ -53,7 +51,6 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
     confidence intervals for the difference between binomial proportions based on paired data, Statistics in Medicine
     1998, method 10). It has a width where all or none succeeded.
     """
-    _check_pairs(first, second)
     n = len(first)
     if not n:
         return None
@@ -112,8 +109,3 @@ def _arms(share: Estimate) -> tuple[float, float]:
 
 def _combined(one: float, two: float, correlation: float) -> float:
     return math.sqrt(max(0.0, one * one - 2 * correlation * one * two + two * two))
-
-
-def _check_pairs(first: Sequence[object], second: Sequence[object]) -> None:
-    if len(first) != len(second):
-        raise InputError("pairs", (len(first), len(second)), "as many of the one as of the other")

@@ -11,8 +11,6 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from llm_flock.errors import InputError
-
 CONFIDENCE = 0.95
 
 RESAMPLES = 4000
@@ -37,10 +35,6 @@ def wilson(successes: int, trials: int) -> Estimate:
     It stays within 0 .. 1 and has a width at 0 and at all successes, where the normal interval has none (Wilson:
     Probable inference, the law of succession, and statistical inference, JASA 1927).
     """
-    if trials < 1:
-        raise InputError("trials", trials, "at least 1")
-    if not 0 <= successes <= trials:
-        raise InputError("successes", successes, f"0 .. {trials}")
     ends = scipy.stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(value=successes / trials, low=float(ends.low), high=float(ends.high))
 
