@@ -64,13 +64,6 @@ class Question:
         """Whether the question is for a plan, and not for a step or a mission."""
         return self.words is None and not self.plan
 
-    @property
-    def content(self) -> str:
-        """All but the id, as JSON: two questions with the same content are the same question."""
-        plain = plain_question(self)
-        del plain["id"]
-        return json.dumps(plain, sort_keys=True)
-
     def build_mission(self) -> Mission:
         assert self.mission is not None, "a question in words has no mission"
         return build_mission(**self.mission)

@@ -17,7 +17,7 @@ from llm_flock.printable import csv_cell
 from llm_flock.runtime import load_config
 from llm_flock_lab._experiments.executors import Display, Session, fly_in_pool
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
-from llm_flock_lab._experiments.statistics import Estimate, mean_interval, median, wilson
+from llm_flock_lab._experiments.statistics import Estimate, interval, mean_interval, median, number, wilson
 from llm_flock_lab._experiments.trial import TrialResult
 
 TOLERANCE = 1e-6
@@ -54,44 +54,26 @@ FIGURES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """The figures of one cell; field names are the keys of `--json`.
-
-    Attributes:
-        simulated: whether any language model was a simulated stand-in.
-        trials: all of them; those that broke off count as not formed.
-        formed: share of formed trials (see `Summary.formed`), with Wilson's 95 % interval.
-        by_models: share of trials that formed without help from geometry (see `Summary.formed_by_models`), likewise.
-        broken: trials that broke off.
-        rounds: median of rounds_to_formed over the formed trials; None without any.
-        ratio: median of rounds_to_formed / lower_bound_rounds over the formed trials, a bound of 0 counted as 1.
-        min_separation: smallest separation in any trial, along segments too [units]; None for teams of one.
-        violations: trials in which two robots were nearer than safe_distance by more than `TOLERANCE`.
-        unsafe_starts: trials in which two robots were nearer than safe_distance at the start.
-        min_separation_after_start: as min_separation, but these pairs counted only once they had come apart [units].
-        calls: model calls per robot and trial: mean with Student's 95 % interval, cut at 0; None if all broke off.
-        waypoints: waypoints flown in all trials, by origin.
-        failed_seeds: seeds of the trials that are not in `formed`.
-        errors: what broke trials off, the first of each kind, with its seed.
-    """
+    """The figures of one cell; field names are the keys of `--json`."""
 
     protocol: str
     shape: str
     n_robots: int
     simulated: bool
     trials: int
-    formed: Estimate
-    by_models: Estimate
+    formed: Estimate  # share, broken trials too, with Wilson's 95 % interval
+    by_models: Estimate  # share formed without help from geometry, likewise
     broken: int
-    rounds: float | None
-    ratio: float | None
-    min_separation: float | None
-    violations: int
-    unsafe_starts: int
-    min_separation_after_start: float | None
-    calls: Estimate | None
-    waypoints: dict[str, int]
-    failed_seeds: tuple[int, ...]
-    errors: tuple[str, ...]
+    rounds: float | None  # median of rounds_to_formed over the formed trials
+    ratio: float | None  # median of rounds_to_formed / lower_bound_rounds over these, a bound of 0 counted as 1
+    min_separation: float | None  # in any trial, along segments too [units]; None for teams of one
+    violations: int  # trials with a separation below safe_distance - `TOLERANCE`
+    unsafe_starts: int  # trials with a start nearer than safe_distance
+    min_separation_after_start: float | None  # these pairs counted once they had come apart
+    calls: Estimate | None  # a robot and trial: mean with Student's 95 % interval; None if all broke off
+    waypoints: dict[str, int]  # flown in all trials, by origin
+    failed_seeds: tuple[int, ...]  # of the trials not in `formed`
+    errors: tuple[str, ...]  # the first of each kind, with its seed
 
 
 def build_cells(
@@ -207,13 +189,13 @@ COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (
     ("protocol", lambda row: row.protocol),
     ("shape", lambda row: row.shape),
     ("N", lambda row: str(row.n_robots)),
-    ("formed % [95 %]", lambda row: _interval(row.formed, 1, factor=100.0)),
+    ("formed % [95 %]", lambda row: interval(row.formed, 1, 100.0)),
     ("by models %", lambda row: f"{100.0 * row.by_models.value:.1f}"),
-    ("rounds", lambda row: _number(row.rounds, "g")),
-    ("ratio", lambda row: _number(row.ratio, ".2f")),
-    ("min sep.", lambda row: _number(row.min_separation, ".6f")),
+    ("rounds", lambda row: number(row.rounds, 1)),
+    ("ratio", lambda row: number(row.ratio, 2)),
+    ("min sep.", lambda row: number(row.min_separation, 6)),
     ("violations", lambda row: str(row.violations)),
-    ("calls/robot [95 %]", lambda row: _interval(row.calls, 2)),
+    ("calls/robot [95 %]", lambda row: interval(row.calls, 2)),
     ("waypoints %", lambda row: _shares(row.waypoints)),
 )
 
@@ -233,19 +215,6 @@ def notes(rows: Sequence[Comparison]) -> list[str]:
     return [*simulated, *(note for row in rows for note in _notes(row))]
 
 
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _interval(estimate: Estimate | None, digits: int, factor: float = 1.0) -> str:
-    if estimate is None:
-        return "-"
-    value = f"{factor * estimate.value:.{digits}f}"
-    if estimate.low is None or estimate.high is None:
-        return value
-    return f"{value} [{factor * estimate.low:.{digits}f}, {factor * estimate.high:.{digits}f}]"
-
-
 def _shares(counts: dict[str, int]) -> str:
     total = sum(counts.values())
     return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items() if count) or "-"
@@ -255,7 +224,7 @@ def _notes(row: Comparison) -> list[str]:
     name = f"{row.protocol} {row.shape} {row.n_robots}"
     lines: list[str] = []
     if row.unsafe_starts:
-        later = _number(row.min_separation_after_start, ".6f")
+        later = number(row.min_separation_after_start, 6)
         lines += ["", f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"]
         lines[-1] += f" smallest separation once they had come apart: {later}"
     if not row.failed_seeds:

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 CONFIDENCE = 0.95
 
+NOT_KNOWN = "-"
+MINUS = "\N{MINUS SIGN}"
+
 RESAMPLES = 4000
 """Draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed."""
 
@@ -84,3 +87,22 @@ def bootstrap_interval(values: Sequence[float]) -> Estimate:
 def median(values: Sequence[float]) -> float | None:
     """The middle value, or the mean of the two in the middle; None without values."""
     return statistics.median(values) if values else None
+
+
+def number(value: float | None, digits: int) -> str:
+    """A number with the given decimals; trailing zeros of whole numbers are left out."""
+    if value is None:
+        return NOT_KNOWN
+    return f"{value:,.0f}" if digits <= 1 and value == int(value) else f"{value:,.{digits}f}"
+
+
+def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, signed: bool = False) -> str:
+    if estimate is None:
+        return NOT_KNOWN
+    form = f"{'+' if signed else ''},.{digits}f"
+    # Rounding first and adding zero removes the minus sign of a zero.
+    value, *ends = (
+        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
+        for x in (estimate.value, estimate.low, estimate.high)
+    )
+    return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"

@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from llm_flock_lab._experiments.paired import PairedMeans, PairedShares
-from llm_flock_lab._experiments.statistics import Estimate, median
+from llm_flock_lab._experiments.statistics import NOT_KNOWN, interval, median, number
 from llm_flock_lab._report.findings import COMPARED, INTERVAL, CellLine, PairLine, known
 from llm_flock_lab._report.results import OUTCOMES, ResultCell, Results
 
 T = TypeVar("T")
-
-NOT_KNOWN = "-"
-MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,25 +150,6 @@ def _success(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str
         (f"{sum(line.too_near for line in lines):,}", "with robots too near"),
         (number(median(known(trial.ratio for trial in results.trials)), 2), "rounds over the bound (median)"),
     ]
-
-
-def number(value: float | None, digits: int) -> str:
-    """A number with the given decimals; trailing zeros of whole numbers are left out."""
-    if value is None:
-        return NOT_KNOWN
-    return f"{value:,.0f}" if digits <= 1 and value == int(value) else f"{value:,.{digits}f}"
-
-
-def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, signed: bool = False) -> str:
-    if estimate is None:
-        return NOT_KNOWN
-    form = f"{'+' if signed else ''},.{digits}f"
-    # Rounding first and adding zero removes the minus sign of a zero.
-    value, *ends = (
-        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
-        for x in (estimate.value, estimate.low, estimate.high)
-    )
-    return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
 def _compact(value: float) -> str:
