@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -34,9 +34,6 @@ Action: TypeAlias = Any
 
 NOTHING, PLAN, STEP = range(3)
 """What a robot asks its policy."""
-
-FORMED_REWARD = 10.0
-TOO_NEAR_REWARD = -1.0
 
 
 class FlockEnv(ParallelEnv[str, Observation, Action]):
@@ -230,7 +227,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
             if goal is not None:
                 gained = math.dist(before[robot], goal) - math.dist(after[robot], goal)
                 rewards[agent] += gained / self.mission.max_step
-            rewards[agent] += TOO_NEAR_REWARD * (robot in near) + FORMED_REWARD * (trial.stopped == "formed")
+            rewards[agent] += 10.0 * (trial.stopped == "formed") - 1.0 * (robot in near)
             infos[agent] = {"round": trial.round, "origin": None if move is None else move.origin.value}
         ended = ended or trial.round >= trial.rounds
         self._plans, self._steps = {}, {}
@@ -373,4 +370,5 @@ def _too_near(before: NDArray[np.float64], after: NDArray[np.float64], safe_dist
     if segment_separation(before, after) >= limit:
         return set()
     pairs = combinations(range(len(before)), 2)
-    return set().union(*(p for p in pairs if segment_separation(before[[*p]], after[[*p]]) < limit))
+    near = [pair for pair in pairs if segment_separation(before[[*pair]], after[[*pair]]) < limit]
+    return {*chain.from_iterable(near)}

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from llm_flock.cli import say
+from llm_flock.errors import InputError
 from llm_flock.extras import require
 
 Results = Annotated[
@@ -37,6 +38,8 @@ def report(
     It can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
     """
     require("sweep", "report")
+    if not folder.is_dir():  # at once, before anything heavy is loaded
+        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
     from llm_flock_lab._report.page import write_report
 
     written = write_report(

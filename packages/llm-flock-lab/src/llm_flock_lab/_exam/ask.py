@@ -50,13 +50,10 @@ SCRIPT = "exam:script"
 
 SAID = "I have worked it out."
 
-ROUNDS = 1_000_000
-"""Numbers of questions before those of the first repeat."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of one question, once; `readable` to `separation` and `reason` are those of its first answer."""
+    """The result of one question, once; `readable`, `flyable`, `error` and `reason` are those of its first answer."""
 
     question: str
     section: str
@@ -68,8 +65,6 @@ class Outcome:
     readable: bool
     flyable: bool  # clipped if need be; for words: whether no wrong mission would be shown
     error: float | None = None
-    degrees: float | None = None
-    separation: bool | None = None
     calls: int
     tokens_input: int
     tokens_output: int
@@ -108,7 +103,7 @@ def round_of(question: Question, repeat: int) -> int:
     """The number of a question's calls in any selection: recordings find them by it, stand-ins draw chance from it."""
     section, _, number = question.id.rpartition("-")
     place = int.from_bytes(hashlib.blake2b(section.encode(), digest_size=1).digest()) * 1000 + int(number)
-    return repeat * ROUNDS + place
+    return repeat * 1_000_000 + place
 
 
 class Examiner:
@@ -311,8 +306,6 @@ def _scored(
         readable=marks is not None,
         flyable=marks is not None and marks.flyable,
         error=None if marks is None or marks.error is None else round(marks.error, 4),
-        degrees=None if marks is None or marks.degrees is None else round(marks.degrees, 2),
-        separation=None if marks is None else marks.separation,
         calls=len(attempts),
         tokens_input=sum(reply.usage.input for reply in replies),
         tokens_output=sum(reply.usage.output for reply in replies),

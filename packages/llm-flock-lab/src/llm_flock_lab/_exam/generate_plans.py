@@ -35,9 +35,6 @@ POINT_TEAMS = ((2, (4, 8, 15)), (3, (4, 8, 14, 30)))
 AMONG_OBSTACLES = (("line", 5), ("circle", 8), ("grid", 9), ("wedge", 5))
 """Teams whose plans have to keep clear of discs."""
 
-LEAST_ORIENTATIONS = 12
-"""Orientations, of `ORIENTATIONS`, that obstacles have to leave, so that a search through some of them finds one."""
-
 PLACE_TEAMS = (("circle", 5), ("wedge", 5), ("triangle", 6), ("line", 7), ("square", 8), ("grid", 8))
 """Teams of which every robot is asked for its place. Small ones would agree by chance too often."""
 
@@ -112,7 +109,8 @@ def among_obstacles(rng: np.random.Generator, fields: dict[str, Any]) -> dict[st
         ]
         found = {**fields, "obstacles": tuple(discs)}
         mission = try_mission(found)
-        if mission is not None and _orientations(mission) >= LEAST_ORIENTATIONS:
+        # So many that a search through some of them finds one.
+        if mission is not None and _orientations(mission) >= 12:
             return found
 
 

@@ -22,9 +22,6 @@ RETRIES_EACH = 5
 
 AGREEMENTS = 20
 
-APART_DEG = 40.0
-"""Smallest angle between the ways to the own place of the team's plan and of the own one [degrees]."""
-
 UNREADABLE = (
     "I would go towards my place, but it depends on the others.",
     "Somewhere in the middle should be fine.",
@@ -74,7 +71,8 @@ def agreement_questions(rng: np.random.Generator) -> Iterator[Question]:
         found = replace(question, section="agreement", own={"plan": own, "slot": slot})
         asked = found.step_question(mission, 0)
         objection = check_proposal(mission, Plan.of(own), (), asked.position)
-        if objection is None and _angle_deg(asked.position, asked.goal, own[slot]) > APART_DEG:
+        # The ways to the own place by the team's plan and by the own one are clearly apart.
+        if objection is None and _angle_deg(asked.position, asked.goal, own[slot]) > 40.0:
             made += 1
             yield found
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -23,9 +24,6 @@ PAGE = "index.md"
 
 MARK = "<!-- Written by `llm-flock exam"
 """Stands in every page that this module writes."""
-
-LONGEST_NAME = 100
-"""Longest part of a file's name that stands for a model, which may be a path: its end counts [characters]."""
 
 SIZES: tuple[tuple[str, float], ...] = (
     ("3 to 5 places", 5),
@@ -99,8 +97,9 @@ class Row(BaseModel):
 
     @property
     def file_name(self) -> str:
+        # The model may be a path: its end counts.
         name = self.model if self.split == "public" else f"{self.model} {self.split}"
-        return re.sub(r"[^A-Za-z0-9.]+", "-", name)[-LONGEST_NAME:].strip("-") + ".json"
+        return re.sub(r"[^A-Za-z0-9.]+", "-", name)[-100:].strip("-") + ".json"
 
 
 def read_log(path: Path | str) -> Row:
@@ -109,7 +108,8 @@ def read_log(path: Path | str) -> Row:
     samples: list[Any] = log.samples or []
     if log.status != "success" or not samples or any(sample.error is not None for sample in samples):
         raise InputError("log", str(path), "a log whose questions all have an answer: go on with the same command")
-    outcomes = [Outcome(**sample.scores["by_our_checks"].metadata) for sample in samples]
+    # Older logs have more fields.
+    outcomes = [msgspec.convert(sample.scores["by_our_checks"].metadata, Outcome) for sample in samples]
     own = log.eval.model.startswith("flock/")
     model: str = log.eval.model.removeprefix("flock/")
     answered_by = ", ".join(sorted({o.answered_by for o in outcomes if o.answered_by is not None})) or model

@@ -38,8 +38,6 @@ class Marks:
 
     flyable: bool  # clipped if need be
     error: float | None = None  # from the best answer [step limits]; of a plan, mean distance from the shape [spacings]
-    degrees: float | None = None  # between the step and the way to the goal
-    separation: bool | None = None  # whether it keeps the safe distance to robots in the question, or between places
 
 
 def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
@@ -54,31 +52,16 @@ def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Mark
     error = None
     if ideal is not None and len(ideal) == len(rows):
         error = metrics.ShapeTarget(np.array(ideal)).error(rows).mean / mission.spacing
-    apart = np.linalg.norm(rows[:, None] - rows[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    # Rounded coordinates may take this much where the spacing is the safe distance.
-    kept = float(apart.min()) >= min(mission.safe_distance, (1 - ROUNDING) * mission.spacing)
-    return Marks(flyable=objection_to_plan(asked, answer) is None, error=error, separation=kept)
+    return Marks(flyable=objection_to_plan(asked, answer) is None, error=error)
 
 
 def step_marks(question: Question, mission: Mission, answer: StepAnswer) -> Marks:
     asked = question.step_question(mission, 0)
-    here, goal = asked.position, asked.goal
     best = straight_path(asked)
     end = (answer.waypoint, *answer.path)[-1]
     wanted = (best.waypoint, *best.path)[-1]
-    moved, way = math.dist(here, answer.waypoint), math.dist(here, goal)
-    degrees = None
-    if moved > 0 and way > 0:
-        along = sum((p - x) * (g - x) for x, p, g in zip(here, answer.waypoint, goal, strict=True)) / (moved * way)
-        degrees = math.degrees(math.acos(max(-1.0, min(1.0, along))))
-    kept = all(math.dist(answer.waypoint, other) >= mission.safe_distance for other in question.neighbors)
-    return Marks(
-        flyable=judge(asked, answer, shield_on=True).fit is not None,
-        error=math.dist(end, wanted) / mission.max_step,
-        degrees=degrees,
-        separation=kept if question.neighbors else None,
-    )
+    flyable = judge(asked, answer, shield_on=True).fit is not None
+    return Marks(flyable=flyable, error=math.dist(end, wanted) / mission.max_step)
 
 
 def meant(question: Question, mission: Mission) -> Mission:

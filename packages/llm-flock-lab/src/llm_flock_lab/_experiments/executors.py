@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import multiprocessing
 import os
+import shutil
 import signal
 import threading
 from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
@@ -32,9 +33,6 @@ try:
     import resource
 except ImportError:  # pragma: no cover - systems without such limits
     resource = None
-
-BOOKKEEPING_S = 1.0
-"""Interval at which spending is stored and shown [s]."""
 
 
 class Display:
@@ -76,7 +74,7 @@ async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Tri
     if store is not None:
         if record is not None:
             store.keep_record(spec.id, record)
-        store.clear_scratch(spec.id)
+        shutil.rmtree(store.scratch(spec.id), ignore_errors=True)
         store.save(result)
     return result
 
@@ -123,7 +121,7 @@ async def drive(
 
     async def balance_regularly() -> None:
         while True:
-            await asyncio.sleep(BOOKKEEPING_S)
+            await asyncio.sleep(1.0)
             await balance()
 
     async def work(queue: Iterator[TrialSpec]) -> None:

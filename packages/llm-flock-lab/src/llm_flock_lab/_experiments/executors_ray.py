@@ -27,9 +27,6 @@ from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, code_vers
 TRIES = 3
 """How often a trial is flown before the sweep gives up, if its worker is lost each time."""
 
-CALLS_AT_ONCE = 100_000
-"""Calls that may wait at the gate."""
-
 
 def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, jobs: int | None) -> None:
     """Fly trials on a Ray cluster, with a worker for each of its processors unless `jobs` says how many."""
@@ -53,7 +50,7 @@ async def _fly(ray: Any, specs: Sequence[TrialSpec], session: Session, jobs: int
     count = min(jobs or max(1, int(ray.cluster_resources().get("CPU", 1))), len(specs))
     assert session.store is not None
     log = SpendingLog(session.store)
-    make_gate = ray.remote(max_concurrency=CALLS_AT_ONCE, num_cpus=0)(_GateActor)
+    make_gate = ray.remote(max_concurrency=100_000, num_cpus=0)(_GateActor)  # calls that may wait there
     gate = make_gate.remote(session.budget, session.rates, log.before)
     make = ray.remote(num_cpus=1, max_concurrency=session.at_once)(_Worker)
     names = itertools.count()

@@ -29,8 +29,6 @@ PLACES = {"trial": {"out"}, "model": {"record_llm"}}
 UNDISTURBED: Mapping[str, Any] = {"kill": "", "join": "", "kill_random": 0, "join_random": 0, "changes": ()}
 """Settings of a run in which nothing happens to robots or mission in flight."""
 
-ID_LENGTH = 20
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
@@ -107,7 +105,7 @@ def trial_id(config: RunConfig) -> str:
             files.append(_digest(Path(name.model)))
         files.extend(model_digests(model).values())
     text = json.dumps([sections, files], sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def _digest(path: Path) -> str:

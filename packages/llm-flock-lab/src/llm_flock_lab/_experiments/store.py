@@ -12,11 +12,11 @@ DIR/*.parquet          tables, built from the trials
 from __future__ import annotations
 
 import os
-import shutil
 import uuid
 from collections.abc import Generator, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 
@@ -24,6 +24,8 @@ from llm_flock.errors import InputError, RecordError
 from llm_flock.file_lock import lock_file
 from llm_flock.llm import Spent
 from llm_flock_lab._experiments.trial import FORMAT, TrialResult
+
+T = TypeVar("T")
 
 TRIALS, RECORDS, SPENT, LOCK = "trials", "records", "spent", "lock"
 
@@ -59,11 +61,6 @@ class Store:
         """Folder for the record of a trial in flight."""
         return self.folder / RECORDS / f".{trial}"
 
-    def clear_scratch(self, trial: str) -> None:
-        """Delete what a trial left in its scratch folder: a record that is not kept."""
-        with suppress(FileNotFoundError):
-            shutil.rmtree(self.scratch(trial))
-
     @contextmanager
     def held(self) -> Generator[None]:
         with (self.folder / LOCK).open("wb") as file:
@@ -77,7 +74,8 @@ class SpendingLog:
 
     def __init__(self, store: Store) -> None:
         folder = store.folder / SPENT
-        self.before = sum(map(_read_spent, folder.glob("[!.]*.json")), Spent())
+        paths = folder.glob("[!.]*.json")
+        self.before = sum((read_json(path, Spent, "what a session has spent") for path in paths), Spent())
         self._own = folder / f"{uuid.uuid4().hex}.json"
         self._written = Spent()
 
@@ -88,29 +86,23 @@ class SpendingLog:
             self._written = spent
 
 
-def _read_spent(path: Path) -> Spent:
+def read_json(path: Path, kind: type[T], what: str) -> T:
+    """What a JSON file holds; errors name what it should be."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=Spent)
+        return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
     except (msgspec.MsgspecError, RecursionError) as error:
-        raise RecordError(f"{path}: not what a process has spent ({error})") from None
+        raise RecordError(f"{path}: not {what} ({error})") from None
 
 
 def trial_files(folder: Path) -> Iterator[Path]:
     """The files of all finished trials, in no order; incomplete files are skipped."""
-    for entry in os.scandir(folder / TRIALS):
-        if entry.name.endswith(".json") and not entry.name.startswith("."):
-            yield Path(entry.path)
+    return (folder / TRIALS).glob("[!.]*.json")
 
 
 def read_trial(path: Path) -> TrialResult:
-    try:
-        found = msgspec.json.decode(path.read_bytes(), type=TrialResult)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from None
-    except (msgspec.MsgspecError, RecursionError) as error:
-        raise RecordError(f"{path}: not a trial ({error})") from None
+    found = read_json(path, TrialResult, "a trial")
     if found.id != path.stem:  # names of figures and records are made of it
         raise RecordError(f"{path}: the trial of another file, {found.id}")
     if found.format != FORMAT:
@@ -118,8 +110,8 @@ def read_trial(path: Path) -> TrialResult:
     return found
 
 
-def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None:
-    """Write a file so that it holds all of `data` or, after a crash, what it held before; `dated_ns` since 1970."""
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file so that it holds all of `data` or, after a crash, what it held before."""
     # A unique name, because other processes may write the same file at the same time.
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.partial")
     try:
@@ -127,8 +119,6 @@ def write_whole(path: Path, data: bytes, *, dated_ns: int | None = None) -> None
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
-        if dated_ns is not None:
-            os.utime(partial, ns=(dated_ns, dated_ns))
         partial.replace(path)
         _sync(path.parent)
     except OSError as error:

@@ -9,14 +9,14 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from llm_flock.errors import InputError, RecordError
+from llm_flock.errors import InputError
 from llm_flock.llm import Budget, Rate, check_priced, parse_base_urls
 from llm_flock.runtime import check_planners
 from llm_flock_lab._experiments import tables
 from llm_flock_lab._experiments.executors import Display, Session, fly_here, fly_in_pool
 from llm_flock_lab._experiments.executors_ray import fly_on_cluster
 from llm_flock_lab._experiments.grid import TrialSpec
-from llm_flock_lab._experiments.store import Store, read_trial, trial_files, write_whole
+from llm_flock_lab._experiments.store import Store, read_json, read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, code_version
 
@@ -115,10 +115,7 @@ def _register(sweep: Sweep, store: Store) -> None:
     plan = {spec.id: (spec.cell, str(spec.seed)) for spec in sweep.trials}
     path = store.folder / PLAN_NAME
     if path.exists():
-        try:
-            known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
-        except (OSError, msgspec.MsgspecError, RecursionError) as error:
-            raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
+        known = read_json(path, dict[str, tuple[str, str]], "the trials of a sweep")
         gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != (cell, seed)]
         if gone:
             shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")

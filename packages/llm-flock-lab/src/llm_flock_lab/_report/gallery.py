@@ -24,9 +24,6 @@ from llm_flock_lab._experiments.store import TRIALS, read_trial
 from llm_flock_lab._report.results import OUTCOMES, Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
 
-MOST_FLOWN_AGAIN = 100
-"""Largest team that is flown again for the gallery; more robots would take minutes."""
-
 LONGEST = 6000
 """Letters of a message that are shown at most."""
 
@@ -171,7 +168,7 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         return read_record(results.folder / kept), f"From its record, {kept}."
     if not trial.figures["simulated"]:
         return None, "No record was kept (see --keep-records of llm-flock sweep), so there are no pictures."
-    if folder is None or trial.cell.team.n_robots > MOST_FLOWN_AGAIN:
+    if folder is None or trial.cell.team.n_robots > 100:  # more robots would take minutes
         return None, "No record was kept, and the trial was not flown again."
     config = RunConfig.build(read_trial(results.folder / TRIALS / f"{trial.id}.json").config)
     if (foreign := _foreign(config)) is not None:

@@ -29,8 +29,6 @@ from llm_flock_view._figures.figures import save
 from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
 
 FORMATS = ("svg", "pdf", "png")
-PICTURE_DPI = 130
-"""Resolution of the snapshots on the page; the files have more."""
 
 SECTIONS = {
     "success": "Success",
@@ -181,7 +179,7 @@ def _data_address(figure: Figure) -> str:
     """A figure as a PNG image in a data: URL."""
     image = io.BytesIO()
     with house_style():
-        figure.savefig(image, format="png", dpi=PICTURE_DPI)
+        figure.savefig(image, format="png", dpi=130)
     return f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
 
 

@@ -33,9 +33,6 @@ OUTCOMES: Mapping[str, str] = {
 }
 """Outcomes of trials; each trial has exactly one."""
 
-ENDINGS = {"budget": "budget", "no_plan": "no plan", "no_answers": "no answers", "interrupted": "interrupted"}
-"""Outcome of a trial that did not form, by why it stopped; otherwise it is `not formed`."""
-
 
 @dataclass(frozen=True, slots=True, order=True)
 class Team:
@@ -231,7 +228,8 @@ def _outcome(row: Mapping[str, Any]) -> str:
         return "broke off"
     if row["formed"]:
         return "formed"
-    return ENDINGS.get(row["stopped"], "not formed")
+    stopped = str(row["stopped"]).replace("_", " ")
+    return stopped if stopped in OUTCOMES.keys() - {"formed"} else "not formed"
 
 
 def as_number(text: str) -> float | None:
