@@ -11,13 +11,9 @@ from llm_flock.cli import say
 from llm_flock.errors import InputError
 from llm_flock.extras import require
 
-Results = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it", show_default=False)
-]
-
 
 def report(
-    folder: Results,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it")],
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
     reference: Annotated[
         str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)

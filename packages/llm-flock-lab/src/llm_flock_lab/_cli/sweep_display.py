@@ -22,10 +22,6 @@ from llm_flock_lab._experiments.sweep import SweepStatus
 from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.tally import Tally
 
-REDRAW_S = 0.2
-PLAIN_S = 10.0
-"""Interval of lines where the output is no terminal [s]."""
-
 
 @contextmanager
 def sweep_line(name: str, *, enabled: bool) -> Generator[Tally]:
@@ -37,7 +33,7 @@ def sweep_line(name: str, *, enabled: bool) -> Generator[Tally]:
     def show(force: bool) -> None:
         nonlocal shown
         now = time.monotonic()
-        if not force and now - shown < (REDRAW_S if redraw else PLAIN_S):
+        if not force and now - shown < (0.2 if redraw else 10.0):
             return
         shown = now
         text = progress_text(tally)

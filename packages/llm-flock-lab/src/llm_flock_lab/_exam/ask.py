@@ -93,7 +93,6 @@ class Scripted:
         self._texts = list(texts)
 
     async def ask(self, call: Call) -> Reply:
-        """The next fixed answer, or the model's own."""
         if self._texts:
             return Reply(text=self._texts.pop(0), model=SCRIPT, cost_usd=0.0)
         return await self._model.ask(call)
@@ -261,7 +260,6 @@ async def _by_geometry(
 
 
 def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repeat: int) -> Outcome:
-    """The score of a question for a plan or a step."""
     usable = [one.answer for one in asked if not isinstance(one.answer, NoAnswer)]
     failed = [one.answer for one in asked if isinstance(one.answer, NoAnswer)]
     cause = next((answer.cause for answer in failed if answer.cause != "answer"), None)

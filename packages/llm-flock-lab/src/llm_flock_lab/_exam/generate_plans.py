@@ -29,12 +29,6 @@ PLAN_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
 )
 """Shapes in the plane and their sizes; `points` are added in the plane and in space."""
 
-POINT_TEAMS = ((2, (4, 8, 15)), (3, (4, 8, 14, 30)))
-"""Dimensions and sizes of shapes that are given by their points."""
-
-AMONG_OBSTACLES = (("line", 5), ("circle", 8), ("grid", 9), ("wedge", 5))
-"""Teams whose plans have to keep clear of discs."""
-
 PLACE_TEAMS = (("circle", 5), ("wedge", 5), ("triangle", 6), ("line", 7), ("square", 8), ("grid", 8))
 """Teams of which every robot is asked for its place. Small ones would agree by chance too often."""
 
@@ -73,11 +67,11 @@ def plan_questions(rng: np.random.Generator) -> Iterator[Question]:
         small = number % 4 == 3
         tags = ("plane", shape.partition(":")[0], *(("small",) if small else ()))
         yield _plan(rng, tags, draw_fields(rng, shape, n, small=small))
-    for dim, sizes in POINT_TEAMS:
+    for dim, sizes in ((2, (4, 8, 15)), (3, (4, 8, 14, 30))):
         for n in sizes:
             fields = draw_fields(rng, "points", n, points=lattice(rng, n, dim), dim=dim)
             yield _plan(rng, ("plane" if dim == 2 else "space", "points"), fields)
-    for shape, n in AMONG_OBSTACLES:
+    for shape, n in (("line", 5), ("circle", 8), ("grid", 9), ("wedge", 5)):
         yield _plan(rng, ("plane", shape, "obstacles"), among_obstacles(rng, draw_fields(rng, shape, n)))
 
 

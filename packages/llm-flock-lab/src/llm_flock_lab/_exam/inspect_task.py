@@ -26,7 +26,6 @@ _model: Any = import_module("inspect_ai.model")
 _scorer: Any = import_module("inspect_ai.scorer")
 _solver: Any = import_module("inspect_ai.solver")
 
-
 OUTCOME = "outcome"
 QUESTION = "question"
 

@@ -25,22 +25,6 @@ PAGE = "index.md"
 MARK = "<!-- Written by `llm-flock exam"
 """Stands in every page that this module writes."""
 
-SIZES: tuple[tuple[str, float], ...] = (
-    ("3 to 5 places", 5),
-    ("6 to 10 places", 10),
-    ("11 to 20 places", 20),
-    ("21 to 30 places", 30),
-)
-"""Bands of the number of places of a plan, each with its largest."""
-
-DISTANCES: tuple[tuple[str, float], ...] = (
-    ("up to 0.5 step limits", 0.5),
-    ("0.5 to 1 step limits", 1.0),
-    ("1 to 3 step limits", 3.0),
-    ("more than 3 step limits", float("inf")),
-)
-"""Bands of the distance of a step's goal."""
-
 # Six decimals, so that files do not differ by the last digit of a machine.
 Number = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False), AfterValidator(lambda number: round(number, 6))]
 
@@ -83,7 +67,7 @@ class Row(BaseModel):
     total: Share  # mean of the sections' shares right at first ask; `total_two`: after two reasons
     total_two: Share
     sections: Mapping[str, Figures]
-    bands: Mapping[str, Mapping[str, Figures]]  # by section, and number of places or distance
+    bands: Any = Field(default=None, exclude=True)  # older rows have the sections by size, too
     calls: int
     tokens: int
     seconds: Number  # for a question, median
@@ -92,7 +76,6 @@ class Row(BaseModel):
 
     @property
     def stand_in(self) -> bool:
-        """Whether no language model answered."""
         return self.simulated or self.model == "geometry"
 
     @property
@@ -133,7 +116,6 @@ def read_log(path: Path | str) -> Row:
 
 
 def _command(spec: Any, repeats: int) -> str:
-    """The command that asks the same questions of the same model."""
     given: dict[str, Any] = dict(spec.task_args_passed)
     settings = spec.model_generate_config
     if not spec.model.startswith("flock/"):
@@ -155,7 +137,6 @@ def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
         "total": _total(sections.values(), 0),
         "total_two": _total(sections.values(), 2),
         "sections": {name: _figures(found) for name, found in sections.items()},
-        "bands": {name: _bands(found) for name, found in sections.items() if name != "mission"},
         "calls": sum(o.calls for o in ordered),
         "tokens": sum(o.tokens_input + o.tokens_output for o in ordered),
         "seconds": median(o.seconds for o in ordered),
@@ -203,15 +184,6 @@ def _total(sections: Iterable[Sequence[Outcome]], reasons: int) -> Share:
         draws = draws + shares @ rates
     ends = np.quantile(draws / len(values), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return Share(value=fmean(values), low=float(ends[0]), high=float(ends[1]))
-
-
-def _bands(outcomes: Sequence[Outcome]) -> dict[str, Figures]:
-    """The figures of a section by size, or by distance where the question has one."""
-    found: dict[str, list[Outcome]] = {name: [] for name, _ in (*SIZES, *DISTANCES)}
-    for o in outcomes:
-        bands, value = (SIZES, o.n) if o.distance is None else (DISTANCES, o.distance)
-        found[next(name for name, most in bands if value <= most)].append(o)
-    return {name: _figures(some) for name, some in found.items() if some}
 
 
 def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
@@ -284,8 +256,6 @@ the shield, so that robots in the way (`others`) are beyond them. The command of
 but the seconds.
 """
 
-TAUGHT = "*Taught*: share of the questions whose prompt was in the training set of the documented recipe.\n"
-
 Column = tuple[str, Callable[[Row], str]]
 
 
@@ -295,8 +265,8 @@ def page_text(rows: Iterable[Row]) -> str:
     stand_ins = [row for row in ordered if row.stand_in]
     parts = [HEAD, _table(models, SCORES) if models else "No model has sat the exam yet.\n"]
     if models:
-        parts += ["### Where it gets hard\n", _difficulty(models), "### How they were asked\n"]
-        parts += [_table(models, [*ASKED, ("Taught", _taught)]), TAUGHT]
+        parts += ["### How they were asked\n", _table(models, [*ASKED, ("Taught", _taught)])]
+        parts += ["*Taught*: share of the questions whose prompt was in the training set of the documented recipe.\n"]
     parts += [STAND_INS, _table(stand_ins, SCORES), "### How they were asked, stand-ins\n", _table(stand_ins, ASKED)]
     return "\n".join(parts)
 
@@ -310,17 +280,6 @@ def _lines(rows: Sequence[Sequence[str]]) -> str:
     # Names come from providers: none of them may end a cell or a row.
     lines = [f"| {' | '.join(one_line(cell).replace('|', '&#124;') for cell in row)} |" for row in rows]
     return "\n".join([lines[0], f"| {' | '.join(['---'] * len(rows[0]))} |", *lines[1:]]) + "\n"
-
-
-def _difficulty(rows: Sequence[Row]) -> str:
-    """Shares by size and distance, for every model."""
-    lines = [["Model", "Section", "Size or distance", "Questions", "First ask", "Median error"]]
-    for row in rows:
-        for section, bands in row.bands.items():
-            for band, found in bands.items():
-                error = "-" if found.error is None else f"{found.error:.2f}"
-                lines.append([f"`{row.model}`", section, band, str(found.questions), _interval(found.first), error])
-    return _lines(lines) + "\nThe error of a plan is in spacings, that of a step or a path in step limits.\n"
 
 
 def _section_cell(section: str) -> Callable[[Row], str]:

@@ -93,16 +93,11 @@ class Question:
         )
 
 
-_DEFAULTS = {field.name: field.default for field in fields(Question)}
-
-
-def plain_question(question: Question) -> dict[str, Any]:
-    """A question as JSON values, without fields that have their default."""
-    return {name: value for name, value in asdict(question).items() if value != _DEFAULTS[name]}
-
-
 def to_lines(questions: Iterable[Question]) -> str:
-    return "".join(json.dumps(plain_question(q), separators=(",", ":")) + "\n" for q in questions)
+    """JSON lines, without fields that have their default."""
+    defaults = {field.name: field.default for field in fields(Question)}
+    plain = ({name: value for name, value in asdict(q).items() if value != defaults[name]} for q in questions)
+    return "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in plain)
 
 
 def from_lines(text: str, source: str) -> list[Question]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -22,9 +22,6 @@ from llm_flock_lab._experiments.trial import TrialResult
 
 TOLERANCE = 1e-6
 """Robots nearer than the safe distance by more than this are a violation [units]."""
-
-SHOWN_SEEDS = 20
-"""Most failed seeds that are listed for a row; JSON has all of them."""
 
 FIGURES = (
     "formed",
@@ -211,8 +208,9 @@ def markdown(rows: Sequence[Comparison]) -> str:
 
 def notes(rows: Sequence[Comparison]) -> list[str]:
     """The lines below a table of these rows: failed seeds, unsafe starts, and whether models were simulated."""
-    simulated = ["", "simulated language models"] if any(row.simulated for row in rows) else []
-    return [*simulated, *(note for row in rows for note in _notes(row))]
+    simulated = ["simulated language models"] if any(row.simulated for row in rows) else []
+    found = [*simulated, *itertools.chain.from_iterable(map(_notes, rows))]
+    return [line for note in found for line in ("", note)]
 
 
 def _shares(counts: dict[str, int]) -> str:
@@ -220,22 +218,20 @@ def _shares(counts: dict[str, int]) -> str:
     return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items() if count) or "-"
 
 
-def _notes(row: Comparison) -> list[str]:
+def _notes(row: Comparison) -> Iterator[str]:
     name = f"{row.protocol} {row.shape} {row.n_robots}"
-    lines: list[str] = []
     if row.unsafe_starts:
         later = number(row.min_separation_after_start, 6)
-        lines += ["", f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"]
-        lines[-1] += f" smallest separation once they had come apart: {later}"
-    if not row.failed_seeds:
-        return lines
-    seeds = ", ".join(map(str, row.failed_seeds[:SHOWN_SEEDS]))
-    more = len(row.failed_seeds) - SHOWN_SEEDS
-    lines += ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
-    lines[-1] += f", and {more} more" if more > 0 else ""
+        yield (
+            f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"
+            f" smallest separation once they had come apart: {later}"
+        )
+    if row.failed_seeds:
+        seeds, more = ", ".join(map(str, row.failed_seeds[:20])), len(row.failed_seeds) - 20
+        others = f", and {more} more" if more > 0 else ""
+        yield f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}{others}"
     if row.broken:
-        lines += ["", f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"]
-    return lines
+        yield f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"
 
 
 @contextmanager

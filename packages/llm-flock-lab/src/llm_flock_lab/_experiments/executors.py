@@ -69,7 +69,6 @@ State: TypeAlias = Callable[[], Awaitable[tuple[Spent, str | None, bool]]]
 
 
 async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> TrialResult:
-    """Fly a trial, and keep its result in the store, if any."""
     result, record = await fly_it(spec)
     if store is not None:
         if record is not None:

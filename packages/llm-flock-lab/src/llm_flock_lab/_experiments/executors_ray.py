@@ -103,7 +103,6 @@ class _Worker:
         return code_version()
 
     async def fly(self, spec: TrialSpec) -> tuple[bytes, bytes | None]:
-        """Fly one trial; returns its result, and its record if that is to be kept."""
         with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder:
             lane, scratch = CallLane(self._gate, self._pool), Path(folder) / "record"
             result, record = await fly(spec, lane=lane, keep=self._keep, scratch=scratch)

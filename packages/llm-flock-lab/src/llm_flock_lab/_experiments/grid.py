@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -22,12 +22,6 @@ from llm_flock.llm import PACKAGED, model_digests, parse_model, parse_models, wa
 from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime import RunConfig, points_file
 from llm_flock.shapes import load_points
-
-PLACES = {"trial": {"out"}, "model": {"record_llm"}}
-"""Fields that say where files go. They do not change what happens in a trial."""
-
-UNDISTURBED: Mapping[str, Any] = {"kill": "", "join": "", "kill_random": 0, "join_random": 0, "changes": ()}
-"""Settings of a run in which nothing happens to robots or mission in flight."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +90,8 @@ def models_of(config: RunConfig) -> tuple[str, ...]:
 
 def trial_id(config: RunConfig) -> str:
     """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
-    sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    # Without fields that say where files go.
+    sections = config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}})
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
     for model in models_of(config):
@@ -151,7 +146,8 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
     if places is not None and (type(places) is not int or not 1 <= places <= MAX_ROBOTS):
         raise InputError("places", places, f"a number from 1 to {MAX_ROBOTS}")
     # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
-    team = load(**{**fields, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
+    alone = {"shape": "text:anything", "n_robots": 1, "kill": "", "join": "", "kill_random": 0, "join_random": 0}
+    team = load(**{**fields, **alone, "changes": ()}).mission
     points = load_points(points_file(shape), "shape") if shape.startswith("points:") else None
     return fitted_arena(team, shape if points is None else "points", n_robots, points)
 

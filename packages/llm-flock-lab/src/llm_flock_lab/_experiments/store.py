@@ -80,7 +80,6 @@ class SpendingLog:
         self._written = Spent()
 
     def write(self, spent: Spent) -> None:
-        """Set the total that this session has spent so far."""
         if spent != self._written:
             write_whole(self._own, msgspec.json.encode(spent))
             self._written = spent

@@ -22,7 +22,6 @@ COLUMNS = 4
 _FORMED = "formed [% of all trials]"
 
 Found: TypeAlias = Sequence[tuple[ResultCell, Estimate | None]]
-"""A figure of cells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

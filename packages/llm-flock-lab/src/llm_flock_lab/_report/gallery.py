@@ -29,8 +29,6 @@ LONGEST = 6000
 
 SEVERITY = ("broke off", "no answers", "no plan", "interrupted", "budget", "not formed", "formed")
 """Outcomes, the worst first."""
-REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
-"""Figures that are the same when the same code flies the same trial again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,6 +180,7 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         if not (folder / RECORD_NAME).exists():
             raise FlockError(f"flown again, it broke off at once: {error}") from None
         summary = {}
-    same = all(summary.get(name) == trial.figures[name] for name in REPEATED)
+    repeated = ("stopped", "rounds", "model_calls", "procrustes_mean")
+    same = all(summary.get(name) == trial.figures[name] for name in repeated)
     odd = "" if same else " It came out differently this time: other code or another machine flew it."
     return read_record(folder / RECORD_NAME), f"No record was kept; flown again from its configuration.{odd}"

@@ -176,7 +176,6 @@ def _svg(drawing: Drawing) -> Markup:
 
 
 def _data_address(figure: Figure) -> str:
-    """A figure as a PNG image in a data: URL."""
     image = io.BytesIO()
     with house_style():
         figure.savefig(image, format="png", dpi=130)

@@ -44,7 +44,6 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
 
 
 def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    """How fast the trials formed, and their error."""
     columns: dict[str, Callable[[CellLine], str]] = {
         "formed": lambda line: str(line.outcomes["formed"]),
         "rounds (median)": lambda line: number(line.rounds, 1),
