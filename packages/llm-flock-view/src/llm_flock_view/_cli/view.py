@@ -13,8 +13,6 @@ from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing, require
 from llm_flock_view._foxglove.options import Foxglove, FoxglovePort, port_of
 
-DEFAULT_PORT = 8765
-
 
 def view(
     records: Annotated[
@@ -55,7 +53,7 @@ def view(
     host: Annotated[str, typer.Option(help="Address to listen at; any but this machine's own needs a token")] = (
         "127.0.0.1"
     ),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = DEFAULT_PORT,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = 8765,
     token: Annotated[
         str | None,
         typer.Option(

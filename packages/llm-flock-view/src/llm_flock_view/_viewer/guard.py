@@ -33,8 +33,6 @@ HEADERS = (
     (b"referrer-policy", b"no-referrer"),
 )
 COOKIE = "flock_token"
-POLICY_VIOLATED = 1008
-"""WebSocket close code of RFC 6455, section 7.4.1."""
 
 
 class RequestGuard:
@@ -58,7 +56,7 @@ class RequestGuard:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await receive()
-            await send({"type": "websocket.close", "code": POLICY_VIOLATED})
+            await send({"type": "websocket.close", "code": 1008})  # policy violated (RFC 6455, section 7.4.1)
         else:
             await refused(scope, receive, _with_headers(send))
 

@@ -71,7 +71,7 @@ class PageOrders:
             return await asyncio.to_thread(self._delete, str(asked.get("run")))
         keys = _keys(asked.get("runs"))
         if order == "change" and self.swarm is not None and keys == [self.swarm.recording.key]:
-            taker = await self.swarm.change(_mission_fields(asked.get("fields"), spacing=False))
+            taker = await self.swarm.team.give(_mission_fields(asked.get("fields"), spacing=False))
             return {"done": GIVEN.format(taker)}
         return await asyncio.to_thread(self._steer, str(order), keys, asked)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
@@ -22,17 +21,10 @@ ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "la
 
 
 def close_pairs(positions: Sequence[Sequence[float]], safe: float) -> int:
-    """Number of pairs nearer than the safe distance [units]; boxes of that width make a thousand robots quick."""
-    rounding = 1e-6
-    boxes: defaultdict[tuple[int, int], list[Sequence[float]]] = defaultdict(list)
-    found = 0
-    for row in positions:
-        column, line = math.floor(row[0] / safe), math.floor(row[1] / safe)
-        for i in (column - 1, column, column + 1):
-            for j in (line - 1, line, line + 1):
-                found += sum(math.dist(row, other) < safe - rounding for other in boxes.get((i, j), ()))
-        boxes[column, line].append(row)
-    return found
+    """Number of pairs nearer than the safe distance [units]."""
+    from scipy.spatial import KDTree  # slow to load, and seldom needed
+
+    return len(KDTree(positions).query_pairs(safe - 1e-6))
 
 
 def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
@@ -40,6 +32,14 @@ def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
     seen = [row for row in rows if row is not None]
     columns, lines = [row[0] for row in seen], [row[1] for row in seen]
     return [min(columns), min(lines), max(columns), max(lines)]
+
+
+def in_unit_square(rows: Sequence[Sequence[float]]) -> list[list[float]]:
+    """Points seen from above, in the middle of a picture whose sides are 1 and whose second axis points down."""
+    left, bottom, right, top = box(rows)
+    size = max(right - left, top - bottom, 1e-9)
+    middle, centre = (left + right) / 2, (bottom + top) / 2
+    return [[round((x - middle) / size + 0.5, 3), round(0.5 - (y - centre) / size, 3)] for x, y, *_ in rows]
 
 
 def version_of(found: os.stat_result) -> tuple[int, ...]:
