@@ -1,7 +1,5 @@
 """Sweeps from their file to their tables: each trial once, wherever it is flown and whatever comes in between."""
 
-import json
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,7 @@ from sweeps import results, small, small_file
 from llm_flock.errors import InputError
 from llm_flock.record._reader import read_record
 from llm_flock_lab._experiments import tables
-from llm_flock_lab._experiments.store import trial_files
+from llm_flock_lab._experiments.store import Store, trial_files
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.tally import expect_cells
 from llm_flock_lab._experiments.trial import TrialResult
@@ -98,17 +96,11 @@ def test_a_budget_ends_a_sweep_and_a_larger_one_goes_on(tmp_path: Path) -> None:
         fly_sweep(small(tmp_path, budget={"max_calls": 60}), out, executor="pool")
 
 
-def test_two_sweeps_on_one_directory_share_its_trials(tmp_path: Path) -> None:
-    sweep, out = small(tmp_path, seeds=6, model="simulated:slow@0.01"), tmp_path / "out"
-    both = [threading.Thread(target=fly_sweep, args=(sweep, out), kwargs={"at_once": 2}) for _ in range(2)]
-    for thread in both:
-        thread.start()
-    for thread in both:
-        thread.join()
-    found = tables.read_trials(out)
-    assert found.height == 12 and found["earlier_tries"].sum() == 0
-    spent = [json.loads(path.read_bytes())["calls"] for path in (out / "spent").iterdir()]
-    assert len(spent) == 2 and min(spent) > 0 and sum(spent) == found["model_calls"].sum(), "none was flown twice"
+def test_a_directory_takes_one_sweep_at_a_time(tmp_path: Path) -> None:
+    sweep, out = small(tmp_path, seeds=1), tmp_path / "out"
+    with Store(out).held(), pytest.raises(InputError, match="no other sweep works"):
+        fly_sweep(sweep, out, executor="one")
+    assert fly_sweep(sweep, out, executor="one").complete
 
 
 def test_many_trials_wait_for_one_server_at_once_within_the_rates(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 from command_line import flock
 from zenoh_router import listener, router
 
+from llm_flock.errors import InputError
 from llm_flock_swarm._network.swarm import free_port
 from llm_flock_swarm._ros2.graph import Graph
 from llm_flock_swarm._ros2.types import TEXT
@@ -69,8 +70,13 @@ def test_a_token_is_escaped_in_the_address() -> None:
         url = address.url
         assert url.isascii() and " " not in url and dict(parse_qsl(urlsplit(url).query)) == {"token": token}
     finally:
-        address.startup.stop()
         address.sock.close()
+
+
+def test_a_port_that_is_taken_is_named_with_a_way_out() -> None:
+    first = listen("127.0.0.1", 0, None)
+    with closing(first.sock), pytest.raises(InputError, match=rf"^port {first.port} is taken; try --port 0"):
+        listen("127.0.0.1", first.port, None)
 
 
 def test_the_viewer_shows_no_address_where_the_port_of_foxglove_is_taken(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A directory of results: whole files only, one flyer for each trial, tables that drop nothing."""
+"""A directory of results: whole files only, one sweep at a time, tables that drop nothing."""
 
 import re
 from concurrent.futures import ThreadPoolExecutor
@@ -13,8 +13,9 @@ from llm_flock.llm._limits import Spent
 from llm_flock.runtime._config import build_config
 from llm_flock.runtime._result import Summary
 from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.grid import Earlier
 from llm_flock_lab._experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
-from llm_flock_lab._experiments.trial import Earlier, TrialResult
+from llm_flock_lab._experiments.trial import TrialResult
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -39,8 +40,8 @@ def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
     store = Store(tmp_path)
     trial = stored("a", earlier=(Earlier(stopped="budget", model_calls=3, tokens=9, cost_usd=None),))
     store.save(trial)
-    assert store.load("a") == trial and store.load("b") is None
-    assert trial.tries == 2 and not trial.formed and trial.stopped == "failed"
+    assert read_trial(store.trial_path("a")) == trial
+    assert not trial.formed and trial.stopped == "failed"
     assert trial.as_earlier()[1] == Earlier(stopped="failed", model_calls=0, tokens=0, cost_usd=0.0)
 
 
@@ -77,29 +78,21 @@ def test_damaged_and_newer_files_are_named(tmp_path: Path, text: str | None, rea
         read_trial(store.trial_path("a"))
 
 
-def test_a_trial_has_one_flyer_at_a_time(tmp_path: Path) -> None:
+def test_a_directory_has_one_sweep_at_a_time_and_is_free_when_its_owner_was_killed(tmp_path: Path) -> None:
     store = Store(tmp_path)
-    with store.lease("a") as first, store.lease("a") as second, store.lease("b") as other:
-        assert (first, second, other) == (True, False, True)
-    with store.wait_for("a"), store.lease("a") as late:
-        assert not late
-    assert list((tmp_path / "claims").iterdir()) == []
+    (tmp_path / "lock").touch()
+    with store.held(), pytest.raises(InputError, match="no other sweep"), Store(tmp_path).held():
+        pass
+    with store.held():
+        pass
 
 
-def test_a_lease_whose_owner_was_killed_is_free(tmp_path: Path) -> None:
-    (tmp_path / "claims").mkdir()
-    (tmp_path / "claims" / "a").touch()
-    with Store(tmp_path).lease("a") as mine:
-        assert mine
-
-
-def test_processes_see_what_others_have_spent(tmp_path: Path) -> None:
+def test_a_session_knows_what_those_before_it_have_spent(tmp_path: Path) -> None:
     store = Store(tmp_path)
     one, two = SpendingLog(store), SpendingLog(store)
     one.write(Spent(calls=2, tokens=10, cost_usd=0.5))
     two.write(Spent(calls=1, tokens=1))
-    assert one.others() == Spent(calls=1, tokens=1)
-    assert SpendingLog(store).others() == Spent(calls=3, tokens=11, cost_usd=0.5)
+    assert one.before == Spent() and SpendingLog(store).before == Spent(calls=3, tokens=11, cost_usd=0.5)
 
 
 def test_tables_hold_every_trial_in_the_order_of_cells_and_seeds(tmp_path: Path) -> None:
@@ -149,8 +142,8 @@ def test_many_may_write_one_file_at_once(tmp_path: Path) -> None:
 
 
 def test_damaged_spending_is_named(tmp_path: Path) -> None:
-    log = SpendingLog(Store(tmp_path))
+    store = Store(tmp_path)
     for data in (b'{"calls":"x"}', b"[" * 100_000, b"\xff"):
         (tmp_path / "spent" / "x.json").write_bytes(data)
         with pytest.raises(RecordError, match=r"x\.json"):
-            log.others()
+            SpendingLog(store)

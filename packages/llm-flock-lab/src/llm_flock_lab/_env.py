@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain, combinations
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -19,8 +20,7 @@ except ImportError as error:
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.events import MoveTo
-from llm_flock.metrics import ROUNDING
+from llm_flock.metrics import ROUNDING, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion, geometric_plan
@@ -34,9 +34,6 @@ Action: TypeAlias = Any
 
 NOTHING, PLAN, STEP = range(3)
 """What a robot asks its policy."""
-
-FORMED_REWARD = 10.0
-TOO_NEAR_REWARD = -1.0
 
 
 class FlockEnv(ParallelEnv[str, Observation, Action]):
@@ -150,20 +147,20 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         infos: dict[str, dict[str, Any]] = {agent: {} for agent in acting}
         ended = False
         if self._plans:
-            answers = {robot: self._plan_answer(robot, actions[_name(robot)]) for robot in self._plans}
+            answers = {k: self._plan_answer(k, actions[self.possible_agents[k]]) for k in self._plans}
             self._plans = {}
             trial.take_plans(answers)
             self._steps = trial.step_questions()
         else:
-            answers = {robot: self._step_answer(robot, actions[_name(robot)]) for robot in self._steps}
+            answers = {k: self._step_answer(k, actions[self.possible_agents[k]]) for k in self._steps}
             ended = self._end_round(trial, answers, rewards, infos)
         if self.control == "questions":
             while not (ended or self._plans or self._steps):
                 ended = self._end_round(trial, {}, rewards, infos)
-        awake = set(trial.roster.awake)
+        awake = {self.possible_agents[robot] for robot in trial.roster.awake}
         over = trial.round >= trial.rounds
         formed = trial.stopped == "formed"
-        terminations = {agent: (ended and not over) or formed or _robot(agent) not in awake for agent in acting}
+        terminations = {agent: (ended and not over) or formed or agent not in awake for agent in acting}
         truncations = {agent: over and not terminations[agent] for agent in acting}
         observations = self._observe()
         self.agents = [agent for agent in acting if not (terminations[agent] or truncations[agent])]
@@ -225,13 +222,13 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         near = _too_near(before, after, self.mission.safe_distance)
         ended = trial.find_end()
         for agent in rewards:
-            robot = _robot(agent)
-            goal = goals.get(robot)
+            robot = self.possible_agents.index(agent)
+            goal, move = goals.get(robot), moves.get(robot)
             if goal is not None:
                 gained = math.dist(before[robot], goal) - math.dist(after[robot], goal)
                 rewards[agent] += gained / self.mission.max_step
-            rewards[agent] += TOO_NEAR_REWARD * (robot in near) + FORMED_REWARD * (trial.stopped == "formed")
-            infos[agent] = self._info(robot, moves)
+            rewards[agent] += 10.0 * (trial.stopped == "formed") - 1.0 * (robot in near)
+            infos[agent] = {"round": trial.round, "origin": None if move is None else move.origin.value}
         ended = ended or trial.round >= trial.rounds
         self._plans, self._steps = {}, {}
         if ended:
@@ -240,11 +237,6 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         else:
             self._advance()
         return ended
-
-    def _info(self, robot: int, moves: Mapping[int, MoveTo]) -> dict[str, Any]:
-        assert self._trial is not None
-        move = moves.get(robot)
-        return {"round": self._trial.round, "origin": None if move is None else move.origin.value}
 
     def _plan_answer(self, robot: int, action: Action) -> PlanAnswer | NoAnswer:
         points = _numbers(action, "plan", (self.mission.n_places, self.mission.dim))
@@ -269,7 +261,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
 
     def _observe(self) -> dict[str, Observation]:
         assert self._trial is not None
-        return {agent: self._observation(self._trial, _robot(agent)) for agent in self.agents}
+        return {agent: self._observation(self._trial, self.possible_agents.index(agent)) for agent in self.agents}
 
     def _observation(self, trial: Trial, robot: int) -> Observation:
         mission, mind = self.mission, trial.roster.agents[robot]
@@ -360,14 +352,6 @@ def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedRea
     return trial, readings
 
 
-def _name(robot: int) -> str:
-    return f"robot_{robot}"
-
-
-def _robot(agent: str) -> int:
-    return int(agent.removeprefix("robot_"))
-
-
 def _numbers(action: Action, part: str | None, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """A part of an action, as numbers of this shape."""
     field = "action" if part is None else f"action[{part!r}]"
@@ -381,11 +365,10 @@ def _numbers(action: Action, part: str | None, shape: tuple[int, ...]) -> NDArra
 
 
 def _too_near(before: NDArray[np.float64], after: NDArray[np.float64], safe_distance: float) -> set[int]:
-    """Robots that were nearer to another than the safe distance while they moved: `metrics.segment_separation`."""
-    one, two = np.triu_indices(len(before), 1)
-    offset = before[one] - before[two]
-    change = after[one] - after[two] - offset
-    squared = (change * change).sum(axis=1)
-    share = np.clip(-(offset * change).sum(axis=1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
-    near = np.linalg.norm(offset + share[:, None] * change, axis=1) < safe_distance - ROUNDING
-    return {*one[near].tolist(), *two[near].tolist()}
+    """Robots that were nearer to another than the safe distance while they moved."""
+    limit = safe_distance - ROUNDING
+    if segment_separation(before, after) >= limit:
+        return set()
+    pairs = combinations(range(len(before)), 2)
+    near = [pair for pair in pairs if segment_separation(before[[*pair]], after[[*pair]]) < limit]
+    return {*chain.from_iterable(near)}

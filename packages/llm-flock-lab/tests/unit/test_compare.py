@@ -12,7 +12,7 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.runtime._config import build_config
 from llm_flock.runtime._result import Summary
-from llm_flock_lab._experiments.compare import SHOWN_SEEDS, build_cells, compare, markdown, row, trial_file
+from llm_flock_lab._experiments.compare import build_cells, compare, markdown, row, trial_file
 from llm_flock_lab._experiments.grid import Cell, fitted_arena, parse_teams
 from llm_flock_lab._experiments.trial import TrialResult
 
@@ -104,7 +104,7 @@ def test_cells_are_teams_by_protocols_and_share_every_option() -> None:
     ]
     assert {(c.config.links.loss, c.config.trial.rounds) for c in cells} == {(0.3, 40)}
     assert cells[0].config.protocol.consensus == "provenance" and cells[1].config.protocol.consensus == "influence"
-    assert cells[0].with_seed(7) == build_config(shape="triangle", n_robots=3, loss=0.3, rounds=40, seed=7)
+    assert cells[0].trial(7).config == build_config(shape="triangle", n_robots=3, loss=0.3, rounds=40, seed=7)
 
 
 def test_a_file_is_read_and_flags_win(tmp_path: Path) -> None:
@@ -211,7 +211,7 @@ def test_a_row_of_broken_trials_has_no_figures() -> None:
 
 
 def test_the_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
-    bad = {seed: good(formed=False) for seed in range(SHOWN_SEEDS + 5)}
+    bad = {seed: good(formed=False) for seed in range(25)}
     text = markdown([row(CELL, {99: good()}), row(CELL, {**bad, 77: broken("Oops: x")})])
     lines = text.splitlines()
     assert len({len(line) for line in lines[:4]}) == 1 and lines[1].startswith("|---")
@@ -259,7 +259,7 @@ def test_what_happens_in_flight_is_the_same_for_all_cells_and_drawn_from_each_se
     cells = build_cells([("circle", 10)], ["flock", "baseline"], file=file, fit_arena=True, kill_random=1, places=40)
     first, second = cells
     assert first.config.mission.n_places == 40 and first.config.mission.arena[0] < (-10, -10)
-    drawn = [first.with_seed(seed).schedule() for seed in range(8)]
-    assert drawn == [second.with_seed(seed).schedule() for seed in range(8)]
+    drawn = [first.trial(seed).config.schedule() for seed in range(8)]
+    assert drawn == [second.trial(seed).config.schedule() for seed in range(8)]
     assert all(4 in found.kills[9] and 9 in found.missions for found in drawn)
     assert len({str(found.kills) for found in drawn}) > 1

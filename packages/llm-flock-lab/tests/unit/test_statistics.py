@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from llm_flock.errors import InputError
 from llm_flock_lab._experiments.paired import paired_means, paired_shares
 from llm_flock_lab._experiments.statistics import bootstrap_interval, mean_bands, mean_interval, median, wilson
 
@@ -46,15 +45,6 @@ def test_median() -> None:
     assert median([]) is None
     assert median([5.0, 1.0, 2.0]) == 2.0
     assert median([4.0, 1.0, 2.0, 3.0]) == 2.5
-
-
-@pytest.mark.parametrize(
-    ("successes", "trials", "field"), [(0, 0, "trials"), (-1, 5, "successes"), (6, 5, "successes")]
-)
-def test_impossible_counts_are_refused(successes: int, trials: int, field: str) -> None:
-    with pytest.raises(InputError) as caught:
-        wilson(successes, trials)
-    assert caught.value.field == field
 
 
 def test_a_bootstrap_interval_is_scipys() -> None:
@@ -141,7 +131,7 @@ def test_pairs_without_spread_or_too_few_have_no_effect_size() -> None:
     assert equal is not None and equal.effect is None and equal.difference.value == pytest.approx(1.1)
     two = paired_means([2.0, 5.0], [1.0, 2.0])
     assert two is not None and two.effect is None
-    with pytest.raises(InputError):
+    with pytest.raises(ValueError, match="shorter"):
         paired_means([1.0], [])
 
 

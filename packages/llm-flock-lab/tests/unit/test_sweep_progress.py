@@ -7,8 +7,7 @@ from sweeps import small
 
 from llm_flock.cli._expected import short
 from llm_flock.llm._limits import Spent
-from llm_flock.runtime._trial import TrialProgress
-from llm_flock_lab._cli.sweep_display import duration, progress_text
+from llm_flock_lab._cli.sweep_display import progress_text
 from llm_flock_lab._experiments.grid import TrialSpec
 from llm_flock_lab._experiments.tally import Tally
 from llm_flock_lab._experiments.trial import TrialResult
@@ -19,14 +18,7 @@ def finish(
 ) -> None:
     summary = {"formed": formed, "model_calls": calls, "tokens": 10 * calls, "cost_usd": calls / 100}
     plain = {"id": spec.id, "cell": spec.cell, "axes": {}, "config": {}, "rounds": {}, "code": ""}
-    tally.finished(spec, TrialResult(**plain, summary=summary, error=error, cut=cut, simulated=True), fresh=True)
-
-
-def progress(round_number: int, calls: int) -> TrialProgress:
-    return TrialProgress(
-        round=round_number, rounds=15, at_goal=0, n_robots=3, plans_in_use=1, distinct_goals=3, error=None,
-        model_calls=calls, tokens=0, cost_usd=0.0,
-    )  # fmt: skip
+    tally.finished(spec, TrialResult(**plain, summary=summary, error=error, cut=cut, simulated=True))
 
 
 def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
@@ -46,23 +38,6 @@ def test_the_eta_weighs_trials_by_what_their_cell_uses(tmp_path: Path) -> None:
     assert tally.eta_s == 0 and (tally.over, tally.formed, tally.broken, tally.cut) == (4, 2, 1, 1)
 
 
-def test_trials_under_way_count_in_part(tmp_path: Path) -> None:
-    now = [0.0]
-    specs = small(tmp_path, seeds=2).trials
-    tally = Tally(clock=lambda: now[0])
-    tally.begin((), specs)
-    assert tally.eta_s is None
-    finish(tally, specs[0], 100)
-    finish(tally, specs[1], 100)
-    assert tally.forecast == Spent(calls=400, tokens=4000, cost_usd=4.0)
-    now[0] = 10.0
-    for spec in specs[2:]:
-        tally.progress(spec, progress(1, 25))
-    assert tally.eta_s == pytest.approx(10.0 * 150 / 250)
-    tally.progress(specs[2], progress(15, 1000))
-    assert tally.eta_s == pytest.approx(10.0 * 80 / 320), "never more than nearly done before it has landed"
-
-
 def test_the_line_says_what_is_spent_and_what_is_expected(tmp_path: Path) -> None:
     specs = small(tmp_path, seeds=1).trials
     tally = Tally()
@@ -72,11 +47,6 @@ def test_the_line_says_what_is_spent_and_what_is_expected(tmp_path: Path) -> Non
     tally.spent(Spent(calls=120, tokens=1200, cost_usd=1.2), None)
     text = progress_text(tally)
     assert "1 broken off" in text and "calls 120 of ~200" in text and "1.20 of ~2.00 USD" in text
-
-
-@pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (75, "1 min 15 s"), (3700, "1 h 01 min")])
-def test_durations_are_short(seconds: float, text: str) -> None:
-    assert duration(seconds) == text
 
 
 def test_large_counts_are_short() -> None:

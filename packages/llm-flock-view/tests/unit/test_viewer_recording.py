@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sample_records import FakeRun, llm_entry, make_record
@@ -12,7 +14,7 @@ from llm_flock.record._schema import BodySample, FlightEvent, ProtocolEvent, Rou
 from llm_flock.record._stream import RecordStream
 from llm_flock.record._words import understood, verdict, work_text
 from llm_flock.record._writer import RecordWriter
-from llm_flock_view._viewer.data import frames, news
+from llm_flock_view._viewer.data import answer, frames, news
 from llm_flock_view._viewer.events import in_words
 from llm_flock_view._viewer.library import Library, load
 from llm_flock_view._viewer.mind import breakers, claims_heard
@@ -86,6 +88,28 @@ def test_records_are_found_where_they_are_named(tmp_path: Path) -> None:
         newest_in(tmp_path / "one")
     with pytest.raises(InputError, match="a folder with"):
         records_in([tmp_path / "three"])
+
+
+def test_a_page_gets_its_run_by_its_key(tmp_path: Path) -> None:
+    library = Library()
+    load(library.add("one", make_record(tmp_path / "run.mcap", n=4, rounds=3), live=False))
+
+    def asked(path: str, **query: str) -> Any:
+        found = answer(library, path, query)
+        return None if found is None else json.loads(found)
+
+    about = asked("/data/1/about")
+    assert about["robots"] == 4 and about["live"] is False
+    news = asked("/data/1/news", rounds="0", plans="0", missions="0")
+    assert news["last"] == 3 and len(news["figures"]["procrustes_mean"]) == 4
+    assert [frame["r"] for frame in asked("/data/1/frames", first="1", count="2")] == [1, 2]
+    mind = asked("/data/1/mind", robot="2", round="1")
+    assert mind["calls"][0]["verdict"] == "used: next waypoint (1, 2)"
+    assert asked("/data/1/mind", robot="9", round="1") is None
+    assert asked("/data/1/events", round="1")["total"] == 4
+    assert isinstance(asked("/data/1/frames", first="x", count="-3"), list)
+    for nothing in ("/data/2/about", "/data/1/secret", "/data/../run.mcap", "/run.mcap"):
+        assert answer(library, nothing, {}) is None, nothing
 
 
 def test_keys_are_all_that_a_page_can_name() -> None:

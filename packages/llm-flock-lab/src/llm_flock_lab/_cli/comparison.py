@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from llm_flock_lab._experiments.trial import TrialResult
 
 
-SET_BY_COMPARE = ("protocol", "shape", "n_robots", "seed", "out", "record_llm")
-"""Fields that differ between cells or trials, or are files of a single run."""
-
-
-@with_config_flags(shown=("model", "base_url", "max_cost", "rounds", "kill_random", "loss"), without=SET_BY_COMPARE)
+@with_config_flags(
+    shown=("model", "base_url", "max_cost", "rounds", "kill_random", "loss"),
+    # These differ between cells or trials, or are files of a single run.
+    without=("protocol", "shape", "n_robots", "seed", "out", "record_llm"),
+)
 def compare(
     cells: Annotated[
         str, typer.Option(help="Shapes and team sizes: SHAPE/N with commas between them", metavar="SHAPE/N,...")

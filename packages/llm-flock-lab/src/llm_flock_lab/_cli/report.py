@@ -11,13 +11,9 @@ from llm_flock.cli import say
 from llm_flock.errors import InputError
 from llm_flock.extras import require
 
-Results = Annotated[
-    Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it", show_default=False)
-]
-
 
 def report(
-    folder: Results,
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it")],
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
     reference: Annotated[
         str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
@@ -38,7 +34,8 @@ def report(
     It can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
     """
     require("sweep", "report")
-    _check_folder(folder)
+    if not folder.is_dir():  # at once, before anything heavy is loaded
+        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
     from llm_flock_lab._report.page import write_report
 
     written = write_report(
@@ -53,12 +50,6 @@ def report(
     for path in written:
         if path.suffix in (".html", ".md"):
             say(path)
-
-
-def _check_folder(folder: Path) -> None:
-    """Refuse what is no folder at once; what is in it, the tables check."""
-    if not folder.is_dir():
-        raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
 
 
 def export_tables(folder: Path, out: Path) -> list[Path]:

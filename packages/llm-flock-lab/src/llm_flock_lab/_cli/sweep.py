@@ -14,11 +14,9 @@ from llm_flock.cli import EXIT_FAILED, EXIT_INTERRUPTED, Screen, say, with_confi
 from llm_flock.errors import InputError
 from llm_flock.extras import require
 
-SET_BY_SWEEP = ("protocol", "shape", "n_robots", "seed", "out", "record_llm")
-"""Axes of a grid, and files of a single run."""
 
-
-@with_config_flags(shown=("model", "base_url"), without=SET_BY_SWEEP)
+# Without axes of a grid and files of a single run.
+@with_config_flags(shown=("model", "base_url"), without=("protocol", "shape", "n_robots", "seed", "out", "record_llm"))
 def sweep(
     file: Annotated[Path, typer.Argument(help="The sweep (TOML)", show_default=False)],
     out: Annotated[
@@ -76,17 +74,15 @@ def sweep(
     from llm_flock_lab._experiments.tally import expect_cells
 
     folder = out or Path("runs") / found.file.sweep.name
-    if not dry_run:
-        Store(folder)  # says now, and not after the rehearsal, that results cannot be kept there
-    elif folder.exists() and not folder.is_dir():
-        raise InputError("out", str(folder), "a folder")
-    flown = load_flown(found, Store(folder)) if (folder / "trials").is_dir() else {}
-    left = Counter(spec.cell for spec in found.trials if spec.id not in flown or flown[spec.id].cut)
-    cells: defaultdict[str, list[Any]] = defaultdict(list)
-    for trial in flown.values():
-        cells[trial.cell].append(trial)
     show = not quiet and not json_output
     if dry_run:
+        if folder.exists() and not folder.is_dir():
+            raise InputError("out", str(folder), "a folder")
+        flown = load_flown(found, Store(folder)) if (folder / "trials").is_dir() else {}
+        left = Counter(spec.cell for spec in found.trials if spec.id not in flown or flown[spec.id].cut)
+        cells: defaultdict[str, list[Any]] = defaultdict(list)
+        for trial in flown.values():
+            cells[trial.cell].append(trial)
         console = Screen(stderr=True)
 
         def note(cell: str) -> None:

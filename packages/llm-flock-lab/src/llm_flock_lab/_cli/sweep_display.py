@@ -7,6 +7,7 @@ import time
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
+from datetime import timedelta
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -21,10 +22,6 @@ from llm_flock_lab._experiments.sweep import SweepStatus
 from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.tally import Tally
 
-REDRAW_S = 0.2
-PLAIN_S = 10.0
-"""Interval of lines where the output is no terminal [s]."""
-
 
 @contextmanager
 def sweep_line(name: str, *, enabled: bool) -> Generator[Tally]:
@@ -36,7 +33,7 @@ def sweep_line(name: str, *, enabled: bool) -> Generator[Tally]:
     def show(force: bool) -> None:
         nonlocal shown
         now = time.monotonic()
-        if not force and now - shown < (REDRAW_S if redraw else PLAIN_S):
+        if not force and now - shown < (0.2 if redraw else 10.0):
             return
         shown = now
         text = progress_text(tally)
@@ -68,20 +65,11 @@ def progress_text(tally: Tally) -> str:
     parts += [f"{tally.broken} broken off"] if tally.broken else []
     parts += [f"{tally.cut} cut by the budget"] if tally.cut else []
     if tally.over < tally.trials:
-        parts += ["ETA " + ("?" if eta is None else duration(eta))]
+        parts += [f"ETA {'?' if eta is None else timedelta(seconds=round(eta))}"]
     parts += [f"calls {spent.calls:,} of ~{forecast.calls:,}", f"tokens {spent.tokens:,} of ~{forecast.tokens:,}"]
     if forecast.cost_usd:
         parts += [f"{spent.cost_usd:.2f} of ~{forecast.cost_usd:.2f} USD"]
     return " · ".join(parts)
-
-
-def duration(seconds: float) -> str:
-    """Hours, minutes and seconds, the largest two that matter."""
-    whole = round(seconds)
-    hours, minutes, rest = whole // 3600, whole % 3600 // 60, whole % 60
-    if hours:
-        return f"{hours} h {minutes:02} min"
-    return f"{minutes} min {rest:02} s" if minutes else f"{rest} s"
 
 
 def show_expected(sweep: Sweep, expected: Mapping[str, Expected], left: Mapping[str, int], *, as_json: bool) -> None:

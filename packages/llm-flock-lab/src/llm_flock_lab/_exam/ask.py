@@ -25,7 +25,16 @@ from llm_flock.llm import (
     place_text,
 )
 from llm_flock.mission import Mission
-from llm_flock.protocol import GeometryPlanner, NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion, Verdict
+from llm_flock.protocol import (
+    GeometryPlanner,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+    Verdict,
+)
+from llm_flock.protocol import judge as judge_step
 from llm_flock_lab._exam.questions import WORDS, Question
 from llm_flock_lab._exam.score import (
     Marks,
@@ -33,7 +42,6 @@ from llm_flock_lab._exam.score import (
     plan_marks,
     shortfall,
     step_marks,
-    verdict_on_step,
     word_marks,
 )
 
@@ -42,30 +50,10 @@ SCRIPT = "exam:script"
 
 SAID = "I have worked it out."
 
-ROUNDS = 1_000_000
-"""Numbers of questions before those of the first repeat."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """The result of one question, once.
-
-    Attributes:
-        question: its id.
-        repeat: 0 for the first time that it was asked.
-        tries: reasons that the model was given before its answer was right, 0 for none; None if it never was.
-        readable: whether the first answer could be read.
-        flyable: whether a robot would fly the first answer, clipped if need be; for words, whether nobody would be
-            shown a wrong mission.
-        error: of the first answer, as in `Marks`.
-        degrees: of the first answer, as in `Marks`.
-        separation: of the first answer, as in `Marks`.
-        seconds: from asking to the last answer, waits for faults of the provider included [s].
-        cost_usd: [US dollars]; None where the price is not known.
-        answered_by: name by which the model that gave the first answer calls itself; None without a call.
-        cause: kind of the fault where no answer came (`timeout`, ...), None otherwise.
-        reason: what was wrong with the first answer, None if nothing was.
-    """
+    """The result of one question, once; `readable`, `flyable`, `error` and `reason` are those of its first answer."""
 
     question: str
     section: str
@@ -73,31 +61,23 @@ class Outcome:
     n: int
     distance: float | None
     repeat: int
-    tries: int | None
+    tries: int | None  # reasons given before the answer was right; None if it never was
     readable: bool
-    flyable: bool
+    flyable: bool  # clipped if need be; for words: whether no wrong mission would be shown
     error: float | None = None
-    degrees: float | None = None
-    separation: bool | None = None
     calls: int
     tokens_input: int
     tokens_output: int
-    seconds: float
-    cost_usd: float | None
+    seconds: float  # waits for faults of the provider included
+    cost_usd: float | None  # None where the price is not known
     answered_by: str | None = None
-    cause: str | None = None
+    cause: str | None = None  # kind of the fault where no answer came
     reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Asked:
-    """What came back from one robot.
-
-    Attributes:
-        answer: the accepted answer, or why there is none.
-        attempts: calls of the model, without those that were scripted.
-        first: the answer at first ask, if it could be read.
-    """
+    """What came back from one robot: its accepted answer, its calls without scripted ones, and its first answer."""
 
     answer: PlanAnswer | StepAnswer | NoAnswer
     attempts: Sequence[Attempt] = ()
@@ -113,30 +93,20 @@ class Scripted:
         self._texts = list(texts)
 
     async def ask(self, call: Call) -> Reply:
-        """The next fixed answer, or the model's own."""
         if self._texts:
             return Reply(text=self._texts.pop(0), model=SCRIPT, cost_usd=0.0)
         return await self._model.ask(call)
 
 
 def round_of(question: Question, repeat: int) -> int:
-    """The number of a question's calls, by which a recording finds them and stand-ins draw their chance.
-
-    It is the same for every selection of questions.
-    """
+    """The number of a question's calls in any selection: recordings find them by it, stand-ins draw chance from it."""
     section, _, number = question.id.rpartition("-")
     place = int.from_bytes(hashlib.blake2b(section.encode(), digest_size=1).digest()) * 1000 + int(number)
-    return repeat * ROUNDS + place
+    return repeat * 1_000_000 + place
 
 
 class Examiner:
-    """Asks questions with one set of prompts.
-
-    Args:
-        prompts: renders the questions.
-        frame: coordinates of the prompts.
-        max_retries: rejected answers that are sent back with the reason.
-    """
+    """Asks questions with one set of prompts, in the coordinates of a frame; a refused answer is sent back with why."""
 
     def __init__(self, prompts: PromptSet, frame: FrameName, *, max_retries: int = 2) -> None:
         self._prompts = prompts
@@ -167,16 +137,7 @@ class Examiner:
         return found.hexdigest()
 
     async def ask(self, question: Question, model: LanguageModel | None, repeat: int = 0) -> Outcome:
-        """Ask a question, and score what comes back.
-
-        Args:
-            question: the question.
-            model: who is asked; None asks geometry.
-            repeat: how often it was asked before.
-
-        Raises:
-            ReplayDrift: a recording holds another question.
-        """
+        """Ask a question for the `repeat`-th time, and score what comes back; without a model, geometry answers."""
         round_ = round_of(question, repeat)
         if question.section == WORDS:
             assert model is not None, "geometry cannot read"
@@ -188,7 +149,6 @@ class Examiner:
     async def _ask_robot(
         self, question: Question, mission: Mission, robot: int, model: LanguageModel | None, round_: int
     ) -> _Asked:
-        """Ask one robot's question through its planner."""
         attempts: list[Attempt] = []
         seen: list[PlanAnswer | StepAnswer] = []
         first: PlanAnswer | StepAnswer | None = None
@@ -207,7 +167,7 @@ class Examiner:
         def judge(given: StepQuestion, answer: StepAnswer) -> Verdict:
             if given is asked:
                 seen.append(answer)
-            return verdict_on_step(given, answer)
+            return judge_step(given, answer, shield_on=True)
 
         def note(attempt: Attempt) -> None:
             nonlocal first
@@ -300,7 +260,6 @@ async def _by_geometry(
 
 
 def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repeat: int) -> Outcome:
-    """The score of a question for a plan or a step."""
     usable = [one.answer for one in asked if not isinstance(one.answer, NoAnswer)]
     failed = [one.answer for one in asked if isinstance(one.answer, NoAnswer)]
     cause = next((answer.cause for answer in failed if answer.cause != "answer"), None)
@@ -345,8 +304,6 @@ def _scored(
         readable=marks is not None,
         flyable=marks is not None and marks.flyable,
         error=None if marks is None or marks.error is None else round(marks.error, 4),
-        degrees=None if marks is None or marks.degrees is None else round(marks.degrees, 2),
-        separation=None if marks is None else marks.separation,
         calls=len(attempts),
         tokens_input=sum(reply.usage.input for reply in replies),
         tokens_output=sum(reply.usage.output for reply in replies),

@@ -39,16 +39,9 @@ def draw_fields(
     small: bool = False,
     tight: bool = False,
 ) -> dict[str, Any]:
-    """Fields of a mission with a random centre, spacing and limits.
+    """Fields of a mission with a random centre, spacing and limits; `points` are those of the shape, in spacings.
 
-    Args:
-        rng: chance.
-        shape: specification of the shape.
-        n: number of robots and places.
-        dim: dimension of space.
-        points: of the shape `points`, in spacings.
-        small: lengths of about a metre, as for real drones, and not of about ten units.
-        tight: walls close to the formation.
+    `small` gives lengths of about a metre, as for real drones, and `tight` walls close to the formation.
     """
     decimals, unit = (2, 0.1) if small else (1, 1.0)
     spacing = round(float(rng.uniform(5.0, 15.0)) * unit, decimals)
@@ -91,7 +84,6 @@ def draw_plan(rng: np.random.Generator, mission: Mission) -> Points:
 
 
 def direction(rng: np.random.Generator, dim: int) -> Point:
-    """A random unit vector."""
     while True:
         row = rng.normal(size=dim)
         length = float(np.linalg.norm(row))

@@ -29,15 +29,6 @@ PLAN_TEAMS: tuple[tuple[str, tuple[int, ...]], ...] = (
 )
 """Shapes in the plane and their sizes; `points` are added in the plane and in space."""
 
-POINT_TEAMS = ((2, (4, 8, 15)), (3, (4, 8, 14, 30)))
-"""Dimensions and sizes of shapes that are given by their points."""
-
-AMONG_OBSTACLES = (("line", 5), ("circle", 8), ("grid", 9), ("wedge", 5))
-"""Teams whose plans have to keep clear of discs."""
-
-LEAST_ORIENTATIONS = 12
-"""Orientations, of `ORIENTATIONS`, that obstacles have to leave, so that a search through some of them finds one."""
-
 PLACE_TEAMS = (("circle", 5), ("wedge", 5), ("triangle", 6), ("line", 7), ("square", 8), ("grid", 8))
 """Teams of which every robot is asked for its place. Small ones would agree by chance too often."""
 
@@ -76,16 +67,15 @@ def plan_questions(rng: np.random.Generator) -> Iterator[Question]:
         small = number % 4 == 3
         tags = ("plane", shape.partition(":")[0], *(("small",) if small else ()))
         yield _plan(rng, tags, draw_fields(rng, shape, n, small=small))
-    for dim, sizes in POINT_TEAMS:
+    for dim, sizes in ((2, (4, 8, 15)), (3, (4, 8, 14, 30))):
         for n in sizes:
             fields = draw_fields(rng, "points", n, points=lattice(rng, n, dim), dim=dim)
             yield _plan(rng, ("plane" if dim == 2 else "space", "points"), fields)
-    for shape, n in AMONG_OBSTACLES:
+    for shape, n in (("line", 5), ("circle", 8), ("grid", 9), ("wedge", 5)):
         yield _plan(rng, ("plane", shape, "obstacles"), among_obstacles(rng, draw_fields(rng, shape, n)))
 
 
 def place_questions(rng: np.random.Generator) -> Iterator[Question]:
-    """Every robot of a team, asked for its place."""
     for shape, n in PLACE_TEAMS:
         question = _plan(rng, ("plane", shape), draw_fields(rng, shape, n))
         yield replace(question, section="place", robots=tuple(range(n)))
@@ -113,7 +103,8 @@ def among_obstacles(rng: np.random.Generator, fields: dict[str, Any]) -> dict[st
         ]
         found = {**fields, "obstacles": tuple(discs)}
         mission = try_mission(found)
-        if mission is not None and _orientations(mission) >= LEAST_ORIENTATIONS:
+        # So many that a search through some of them finds one.
+        if mission is not None and _orientations(mission) >= 12:
             return found
 
 
@@ -127,6 +118,5 @@ def _orientations(mission: Mission) -> int:
 
 
 def _plan(rng: np.random.Generator, tags: tuple[str, ...], fields: dict[str, Any]) -> Question:
-    """A question for a plan by a random robot of the team."""
     n = int(fields["n_robots"])
     return Question(id="", section="plan", n=n, tags=tags, mission=fields, robots=(int(rng.integers(n)),))

@@ -179,10 +179,7 @@ def _is_as_said(question: Question, mission: Mission, kind: str) -> bool:
 
 
 def sidestep(question: Question, mission: Mission) -> StepAnswer | None:
-    """A step that the checks accept and that gets nearer to the goal, straight or turned aside; None if none is found.
-
-    It shows that a question can be answered.
-    """
+    """A step to show that a question can be answered: accepted and nearer to the goal, straight or aside; else None."""
     asked = question.step_question(mission, 0)
     here, goal = asked.position, asked.goal
     angle = math.atan2(goal[1] - here[1], goal[0] - here[0])

@@ -20,11 +20,6 @@ from llm_flock_lab._exam.questions import Question
 RETRIES_EACH = 5
 """Questions for each kind of refused answer."""
 
-AGREEMENTS = 20
-
-APART_DEG = 40.0
-"""Smallest angle between the ways to the own place of the team's plan and of the own one [degrees]."""
-
 UNREADABLE = (
     "I would go towards my place, but it depends on the others.",
     "Somewhere in the middle should be fine.",
@@ -65,7 +60,7 @@ def retry_questions(rng: np.random.Generator) -> Iterator[Question]:
 def agreement_questions(rng: np.random.Generator) -> Iterator[Question]:
     """Steps by the plan of the team, by a robot that has proposed another orientation of the same shape."""
     made = 0
-    while made < AGREEMENTS:
+    while made < 20:
         distance = float(rng.uniform(0.3, 0.9)) if made % 2 else float(rng.uniform(1.2, 5.0))
         question = draw_step(rng, "near" if made % 2 else "far", STEP_TEAMS[made % len(STEP_TEAMS)], distance)
         mission = question.build_mission()
@@ -74,7 +69,8 @@ def agreement_questions(rng: np.random.Generator) -> Iterator[Question]:
         found = replace(question, section="agreement", own={"plan": own, "slot": slot})
         asked = found.step_question(mission, 0)
         objection = check_proposal(mission, Plan.of(own), (), asked.position)
-        if objection is None and _angle_deg(asked.position, asked.goal, own[slot]) > APART_DEG:
+        # The ways to the own place by the team's plan and by the own one are clearly apart.
+        if objection is None and _angle_deg(asked.position, asked.goal, own[slot]) > 40.0:
             made += 1
             yield found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import numpy as np
@@ -65,14 +65,14 @@ ASIDES = (
 """Text that is no part of the task."""
 
 
-def mission_questions(rng: np.random.Generator) -> Iterator[Question]:
-    """`MISSIONS` texts, no two alike."""
+def mission_questions(rng: np.random.Generator, known: Collection[str | None]) -> Iterator[Question]:
+    """`MISSIONS` texts, no two alike, and none that is known."""
     said: set[str] = set()
     while len(said) < MISSIONS:
         number = len(said)
         question = _impossible(rng) if number % 5 == 4 else _possible(rng, aside=number % 8 == 3)
         assert question.words is not None
-        if question.words not in said:
+        if question.words not in said and question.words not in known:
             said.add(question.words)
             yield question
 

@@ -44,16 +44,7 @@ PREFIX = "flock"
 
 
 class AskedByInspect:
-    """A `LanguageModel` that asks through Inspect, which logs and counts; one for each question.
-
-    Attributes:
-        name: of the model, as Inspect knows it.
-        robot: the first robot that is asked.
-        round: number of the question's calls.
-        call: the call under way.
-        answers: who answers, if the model is one of ours; made at the first call.
-        reply: what it answered.
-    """
+    """A `LanguageModel` that asks through Inspect, which logs and counts; one for each question."""
 
     def __init__(self, model: Any, robot: int, round_: int) -> None:
         self.name = str(model)
@@ -100,15 +91,7 @@ _ASKED: ContextVar[AskedByInspect] = ContextVar("asked")
 
 
 class FlockModel(ModelAPI):
-    """A model by its name in this project, with its retries, time-outs and prices.
-
-    Attributes:
-        kind: of the model, as `parse_model` tells it.
-        limits: budget, time-outs and retries.
-
-    Raises:
-        InputError: there is no such model.
-    """
+    """A model by its name in this project, with its retries, time-outs and prices."""
 
     def __init__(self, model_name: str, base_url: str | None = None, api_key: str | None = None, **other: Any) -> None:
         base: Any = super()
@@ -125,7 +108,6 @@ class FlockModel(ModelAPI):
 
     @property
     def simulated(self) -> bool:
-        """Whether its answers come from a stand-in."""
         of_others = self._own or self._replay
         return habits_of(self._name.text).simulated or (of_others is not None and of_others.simulated)
 
@@ -140,17 +122,7 @@ class FlockModel(ModelAPI):
         return {} if self._source is None else self._source.digests(self._name.model)
 
     def prepare(self, settings: CallSettings, budget: Budget, *, max_concurrent: int, timeout_s: float) -> None:
-        """Check that the model can be asked, and set its limits. Call before the first question.
-
-        Args:
-            settings: how to sample.
-            budget: of the whole exam.
-            max_concurrent: calls under way at once.
-            timeout_s: longest wait for an answer [s].
-
-        Raises:
-            InputError: its key, address, file, profile or price is missing, or it does not take these settings.
-        """
+        """Check that the model can be asked with these settings, and set its limits. Call before the first question."""
         check_priced(budget.max_cost_usd, (self.model_name,), self._urls)
         if self._source is not None:
             max_concurrent = min(max_concurrent, self._source.at_once)
@@ -184,12 +156,6 @@ class FlockModel(ModelAPI):
         return Limited(self._pool.model(self.model_name, rng=rng, settings=settings, **options), self.limits)
 
     async def generate(self, input: Any, tools: Any, tool_choice: Any, config: Any) -> Any:
-        """Answer the call of the question under way, as Inspect asks for it.
-
-        Raises:
-            ModelError: there is no answer.
-            ReplayDrift: a recording holds another question.
-        """
         asked = _ASKED.get(None)
         if asked is None or asked.call is None:
             raise InputError("model", f"{PREFIX}/{self.model_name}", "a model of Inspect: this one sits our exam only")
@@ -208,7 +174,6 @@ class FlockModel(ModelAPI):
         return output
 
     async def aclose(self) -> None:
-        """Close connections, recordings and engines."""
         await self._pool.aclose()
         if self._replay is not None:
             self._replay.close()

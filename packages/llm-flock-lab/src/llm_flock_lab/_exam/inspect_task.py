@@ -26,7 +26,6 @@ _model: Any = import_module("inspect_ai.model")
 _scorer: Any = import_module("inspect_ai.scorer")
 _solver: Any = import_module("inspect_ai.solver")
 
-
 OUTCOME = "outcome"
 QUESTION = "question"
 
@@ -45,9 +44,6 @@ def exam(
     """The exam, as `llm-flock exam` takes it; epochs of Inspect are repeats.
 
     Prompts and frame that are None are those of the model that is evaluated, as in `llm-flock run`.
-
-    Raises:
-        InputError: a value is not allowed.
     """
     api = _api()
     name = api.model_name if api is not None else ""

@@ -9,6 +9,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Annotated, Any, NamedTuple
 
+import msgspec
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
@@ -23,25 +24,6 @@ PAGE = "index.md"
 
 MARK = "<!-- Written by `llm-flock exam"
 """Stands in every page that this module writes."""
-
-LONGEST_NAME = 100
-"""Longest part of a file's name that stands for a model, which may be a path: its end counts [characters]."""
-
-SIZES: tuple[tuple[str, float], ...] = (
-    ("3 to 5 places", 5),
-    ("6 to 10 places", 10),
-    ("11 to 20 places", 20),
-    ("21 to 30 places", 30),
-)
-"""Bands of the number of places of a plan, each with its largest."""
-
-DISTANCES: tuple[tuple[str, float], ...] = (
-    ("up to 0.5 step limits", 0.5),
-    ("0.5 to 1 step limits", 1.0),
-    ("1 to 3 step limits", 3.0),
-    ("more than 3 step limits", float("inf")),
-)
-"""Bands of the distance of a step's goal."""
 
 # Six decimals, so that files do not differ by the last digit of a machine.
 Number = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False), AfterValidator(lambda number: round(number, 6))]
@@ -66,27 +48,7 @@ class Figures(BaseModel):
 
 
 class Row(BaseModel):
-    """What one model scored: a file of the leaderboard.
-
-    Attributes:
-        model: as in `llm-flock exam`; of other providers, as Inspect names it. A recording counts as its model.
-        answered_by: names by which the model called itself.
-        command: that asks the same questions in the same way.
-        version: of the exam.
-        split: of the questions, with the seed of a private one.
-        questions: digest of the questions.
-        prompts: digest of their prompts.
-        count: number of questions.
-        versions: of packages that can change a result, and digests of a model's files.
-        total: mean of the sections' shares right at first ask, each section counting the same.
-        total_two: the same after two reasons at most.
-        bands: by section, and number of places or distance.
-        tokens: in and out.
-        seconds: for a question, median [s].
-        cost_usd: [US dollars]; None where a price is not known.
-        taught: share of each section whose prompts were in the training set of a model that this project taught; None
-            for others. Whoever teaches a model measures it, and writes it into the file.
-    """
+    """What one model scored: a file of the leaderboard. Who teaches a model measures `taught`, and writes it there."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -96,45 +58,41 @@ class Row(BaseModel):
     date: str
     command: str
     version: int
-    split: str
-    questions: str
+    split: str  # with the seed of a private one
+    questions: str  # their digest, like `prompts`
     prompts: str
     count: int
     repeats: int
-    versions: Mapping[str, str]
-    total: Share
+    versions: Mapping[str, str]  # of packages, and digests of a model's files
+    total: Share  # mean of the sections' shares right at first ask; `total_two`: after two reasons
     total_two: Share
     sections: Mapping[str, Figures]
-    bands: Mapping[str, Mapping[str, Figures]]
+    bands: Any = Field(default=None, exclude=True)  # older rows have the sections by size, too
     calls: int
     tokens: int
-    seconds: Number
+    seconds: Number  # for a question, median
     cost_usd: Number | None
-    taught: Mapping[str, Number] | None = None
+    taught: Mapping[str, Number] | None = None  # share of a section whose prompts the model was taught
 
     @property
     def stand_in(self) -> bool:
-        """Whether no language model answered."""
         return self.simulated or self.model == "geometry"
 
     @property
     def file_name(self) -> str:
-        """Name of its file."""
+        # The model may be a path: its end counts.
         name = self.model if self.split == "public" else f"{self.model} {self.split}"
-        return re.sub(r"[^A-Za-z0-9.]+", "-", name)[-LONGEST_NAME:].strip("-") + ".json"
+        return re.sub(r"[^A-Za-z0-9.]+", "-", name)[-100:].strip("-") + ".json"
 
 
 def read_log(path: Path | str) -> Row:
-    """The row of a finished log of the exam's task.
-
-    Raises:
-        InputError: for field `log`: it is no such log, or questions in it have no answer.
-    """
+    """The row of a finished log of the exam's task."""
     log = import_module("inspect_ai.log").read_eval_log(str(path))
     samples: list[Any] = log.samples or []
     if log.status != "success" or not samples or any(sample.error is not None for sample in samples):
         raise InputError("log", str(path), "a log whose questions all have an answer: go on with the same command")
-    outcomes = [Outcome(**sample.scores["by_our_checks"].metadata) for sample in samples]
+    # Older logs have more fields.
+    outcomes = [msgspec.convert(sample.scores["by_our_checks"].metadata, Outcome) for sample in samples]
     own = log.eval.model.startswith("flock/")
     model: str = log.eval.model.removeprefix("flock/")
     answered_by = ", ".join(sorted({o.answered_by for o in outcomes if o.answered_by is not None})) or model
@@ -158,7 +116,6 @@ def read_log(path: Path | str) -> Row:
 
 
 def _command(spec: Any, repeats: int) -> str:
-    """The command that asks the same questions of the same model."""
     given: dict[str, Any] = dict(spec.task_args_passed)
     settings = spec.model_generate_config
     if not spec.model.startswith("flock/"):
@@ -180,7 +137,6 @@ def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
         "total": _total(sections.values(), 0),
         "total_two": _total(sections.values(), 2),
         "sections": {name: _figures(found) for name, found in sections.items()},
-        "bands": {name: _bands(found) for name, found in sections.items() if name != "mission"},
         "calls": sum(o.calls for o in ordered),
         "tokens": sum(o.tokens_input + o.tokens_output for o in ordered),
         "seconds": median(o.seconds for o in ordered),
@@ -189,7 +145,6 @@ def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
 
 
 def _figures(outcomes: Sequence[Outcome]) -> Figures:
-    """The figures of some questions, at least one."""
     questions = _questions(outcomes)
     errors = [o.error for o in outcomes if o.error is not None]
     error = median(errors) if errors else None
@@ -197,7 +152,6 @@ def _figures(outcomes: Sequence[Outcome]) -> Figures:
 
 
 def _questions(outcomes: Iterable[Outcome]) -> list[list[Outcome]]:
-    """The results of each question."""
     found: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
         found.setdefault(outcome.question, []).append(outcome)
@@ -232,23 +186,8 @@ def _total(sections: Iterable[Sequence[Outcome]], reasons: int) -> Share:
     return Share(value=fmean(values), low=float(ends[0]), high=float(ends[1]))
 
 
-def _bands(outcomes: Sequence[Outcome]) -> dict[str, Figures]:
-    """The figures of a section by size, or by distance where the question has one."""
-    found: dict[str, list[Outcome]] = {name: [] for name, _ in (*SIZES, *DISTANCES)}
-    for o in outcomes:
-        bands, value = (SIZES, o.n) if o.distance is None else (DISTANCES, o.distance)
-        found[next(name for name, most in bands if value <= most)].append(o)
-    return {name: _figures(some) for name, some in found.items() if some}
-
-
 def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
-    """Write rows into the folder, and the page of all rows there; returns what was written.
-
-    Raises:
-        InputError: for field `page`: it is no folder, holds a file that is no row or a page of somebody else, or a row
-            with more questions.
-        RecordError: a file cannot be written.
-    """
+    """Write rows into the folder, and the page of all rows there; returns what was written."""
     page = folder / PAGE
     if not rows and not folder.is_dir():
         raise InputError("page", str(folder), "a folder that is there, with the rows of a leaderboard")
@@ -277,11 +216,6 @@ def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """All rows of a folder.
-
-    Raises:
-        InputError: for field `page`: a file in it is no row.
-    """
     rows: list[Row] = []
     for path in sorted(folder.glob("*.json")):
         try:
@@ -322,20 +256,17 @@ the shield, so that robots in the way (`others`) are beyond them. The command of
 but the seconds.
 """
 
-TAUGHT = "*Taught*: share of the questions whose prompt was in the training set of the documented recipe.\n"
-
 Column = tuple[str, Callable[[Row], str]]
 
 
 def page_text(rows: Iterable[Row]) -> str:
-    """The page in Markdown."""
     ordered = sorted(rows, key=lambda row: (-row.total.value, row.model))
     models = [row for row in ordered if not row.stand_in]
     stand_ins = [row for row in ordered if row.stand_in]
     parts = [HEAD, _table(models, SCORES) if models else "No model has sat the exam yet.\n"]
     if models:
-        parts += ["### Where it gets hard\n", _difficulty(models), "### How they were asked\n"]
-        parts += [_table(models, [*ASKED, ("Taught", _taught)]), TAUGHT]
+        parts += ["### How they were asked\n", _table(models, [*ASKED, ("Taught", _taught)])]
+        parts += ["*Taught*: share of the questions whose prompt was in the training set of the documented recipe.\n"]
     parts += [STAND_INS, _table(stand_ins, SCORES), "### How they were asked, stand-ins\n", _table(stand_ins, ASKED)]
     return "\n".join(parts)
 
@@ -349,17 +280,6 @@ def _lines(rows: Sequence[Sequence[str]]) -> str:
     # Names come from providers: none of them may end a cell or a row.
     lines = [f"| {' | '.join(one_line(cell).replace('|', '&#124;') for cell in row)} |" for row in rows]
     return "\n".join([lines[0], f"| {' | '.join(['---'] * len(rows[0]))} |", *lines[1:]]) + "\n"
-
-
-def _difficulty(rows: Sequence[Row]) -> str:
-    """Shares by size and distance, for every model."""
-    lines = [["Model", "Section", "Size or distance", "Questions", "First ask", "Median error"]]
-    for row in rows:
-        for section, bands in row.bands.items():
-            for band, found in bands.items():
-                error = "-" if found.error is None else f"{found.error:.2f}"
-                lines.append([f"`{row.model}`", section, band, str(found.questions), _interval(found.first), error])
-    return _lines(lines) + "\nThe error of a plan is in spacings, that of a step or a path in step limits.\n"
 
 
 def _section_cell(section: str) -> Callable[[Row], str]:

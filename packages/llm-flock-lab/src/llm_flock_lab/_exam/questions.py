@@ -36,44 +36,27 @@ WORDS = "mission"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """One question; lengths and positions in mission units, world frame.
-
-    Attributes:
-        id: section and number, such as `step-0012`.
-        tags: what is special about it, for finer tables.
-        n: number of places, or robots of a mission in words.
-        distance: of the goal [step limits]; None for plans and words.
-        mission: fields of the mission; None for words.
-        robots: who is asked; several in `place` only.
-        plan: the team's plan of a step; empty for plans.
-        first: an answer that is put into the model's mouth, and is refused (`retry`): `plan` and `slot`, `waypoint`,
-            or `text`.
-        own: the plan that the model is taken to have proposed before (`agreement`): `plan` and `slot`.
-        meant: the shape that a text describes (`distraction`).
-        words: a mission in plain words.
-        wanted: fields of that mission; for an impossible one, what the words say.
-        possible: whether such a mission can be flown.
-    """
+    """One question; lengths and positions in mission units, world frame."""
 
     id: str
     section: str
     n: int
     tags: tuple[str, ...] = ()
-    distance: float | None = None
+    distance: float | None = None  # of the goal [step limits]
     mission: Mapping[str, Any] | None = None
-    robots: tuple[int, ...] = (0,)
+    robots: tuple[int, ...] = (0,)  # who is asked; several in `place` only
     position: Point | None = None
     neighbors: tuple[Point, ...] = ()
     still: tuple[Point, ...] = ()
-    plan: tuple[Point, ...] = ()
+    plan: tuple[Point, ...] = ()  # of the team, for a step
     slot: int | None = None
     corner: Point | None = None
     horizon: int = 1
-    first: Mapping[str, Any] | None = None
-    own: Mapping[str, Any] | None = None
-    meant: str | None = None
+    first: Mapping[str, Any] | None = None  # refused answer put into the model's mouth (`retry`)
+    own: Mapping[str, Any] | None = None  # plan that the model is taken to have proposed (`agreement`)
+    meant: str | None = None  # shape that a text describes (`distraction`)
     words: str | None = None
-    wanted: Mapping[str, Any] | None = None
+    wanted: Mapping[str, Any] | None = None  # fields of the mission in `words`; of an impossible one too
     possible: bool = True
 
     @property
@@ -81,20 +64,11 @@ class Question:
         """Whether the question is for a plan, and not for a step or a mission."""
         return self.words is None and not self.plan
 
-    @property
-    def content(self) -> str:
-        """All but the id, as JSON: two questions with the same content are the same question."""
-        plain = plain_question(self)
-        del plain["id"]
-        return json.dumps(plain, sort_keys=True)
-
     def build_mission(self) -> Mission:
-        """The mission that is asked about."""
         assert self.mission is not None, "a question in words has no mission"
         return build_mission(**self.mission)
 
     def plan_question(self, mission: Mission, robot: int, round_: int) -> PlanQuestion:
-        """The question for a plan, as a robot's agent asks it."""
         return PlanQuestion(
             mission=mission,
             robot=robot,
@@ -105,7 +79,6 @@ class Question:
         )
 
     def step_question(self, mission: Mission, round_: int) -> StepQuestion:
-        """The question for a step or a path, as a robot's agent asks it."""
         assert self.position is not None, "a question for a step has a position"
         return StepQuestion(
             mission=mission,
@@ -120,25 +93,15 @@ class Question:
         )
 
 
-_DEFAULTS = {field.name: field.default for field in fields(Question)}
-
-
-def plain_question(question: Question) -> dict[str, Any]:
-    """A question as JSON values, without fields that have their default."""
-    return {name: value for name, value in asdict(question).items() if value != _DEFAULTS[name]}
-
-
 def to_lines(questions: Iterable[Question]) -> str:
-    """Questions as JSON lines."""
-    return "".join(json.dumps(plain_question(q), separators=(",", ":")) + "\n" for q in questions)
+    """JSON lines, without fields that have their default."""
+    defaults = {field.name: field.default for field in fields(Question)}
+    plain = ({name: value for name, value in asdict(q).items() if value != defaults[name]} for q in questions)
+    return "".join(json.dumps(one, separators=(",", ":")) + "\n" for one in plain)
 
 
 def from_lines(text: str, source: str) -> list[Question]:
-    """Questions from JSON lines; `source` names them in errors.
-
-    Raises:
-        InputError: for field `questions`: a line is not a question.
-    """
+    """Questions from JSON lines; `source` names them in errors."""
     found: list[Question] = []
     for number, line in enumerate(text.splitlines(), start=1):
         try:

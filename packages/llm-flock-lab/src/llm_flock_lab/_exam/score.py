@@ -24,8 +24,6 @@ from llm_flock.protocol import (
     PlanAnswer,
     PlanQuestion,
     StepAnswer,
-    StepQuestion,
-    Verdict,
     check_plan,
     check_proposal,
     judge,
@@ -36,19 +34,10 @@ from llm_flock_lab._exam.questions import Question
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
-    """What is measured of one answer that could be read; None where it does not apply.
+    """What is measured of one answer that could be read; None where it does not apply."""
 
-    Attributes:
-        flyable: whether a robot would fly the answer, clipped if need be.
-        error: distance from the best answer [step limits; of plans, the mean distance from the shape in spacings].
-        degrees: angle between the step and the way to the goal.
-        separation: whether it keeps the safe distance to all robots that the question shows, or between places.
-    """
-
-    flyable: bool
-    error: float | None = None
-    degrees: float | None = None
-    separation: bool | None = None
+    flyable: bool  # clipped if need be
+    error: float | None = None  # from the best answer [step limits]; of a plan, mean distance from the shape [spacings]
 
 
 def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
@@ -56,45 +45,23 @@ def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
     return check_proposal(question.mission, answer.plan, question.still, question.position)
 
 
-def verdict_on_step(question: StepQuestion, answer: StepAnswer) -> Verdict:
-    """What a robot with a shield makes of a step."""
-    return judge(question, answer, shield_on=True)
-
-
 def plan_marks(question: Question, mission: Mission, answer: PlanAnswer) -> Marks:
-    """The marks of a plan that could be read, right or wrong."""
     asked = question.plan_question(mission, question.robots[0], 0)
     rows = answer.plan.array
     ideal = meant(question, mission).ideal
     error = None
     if ideal is not None and len(ideal) == len(rows):
         error = metrics.ShapeTarget(np.array(ideal)).error(rows).mean / mission.spacing
-    apart = np.linalg.norm(rows[:, None] - rows[None], axis=2)
-    np.fill_diagonal(apart, np.inf)
-    # Rounded coordinates may take this much where the spacing is the safe distance.
-    kept = float(apart.min()) >= min(mission.safe_distance, (1 - ROUNDING) * mission.spacing)
-    return Marks(flyable=objection_to_plan(asked, answer) is None, error=error, separation=kept)
+    return Marks(flyable=objection_to_plan(asked, answer) is None, error=error)
 
 
 def step_marks(question: Question, mission: Mission, answer: StepAnswer) -> Marks:
-    """The marks of a step or a path that could be read, right or wrong."""
     asked = question.step_question(mission, 0)
-    here, goal = asked.position, asked.goal
     best = straight_path(asked)
     end = (answer.waypoint, *answer.path)[-1]
     wanted = (best.waypoint, *best.path)[-1]
-    moved, way = math.dist(here, answer.waypoint), math.dist(here, goal)
-    degrees = None
-    if moved > 0 and way > 0:
-        along = sum((p - x) * (g - x) for x, p, g in zip(here, answer.waypoint, goal, strict=True)) / (moved * way)
-        degrees = math.degrees(math.acos(max(-1.0, min(1.0, along))))
-    kept = all(math.dist(answer.waypoint, other) >= mission.safe_distance for other in question.neighbors)
-    return Marks(
-        flyable=judge(asked, answer, shield_on=True).fit is not None,
-        error=math.dist(end, wanted) / mission.max_step,
-        degrees=degrees,
-        separation=kept if question.neighbors else None,
-    )
+    flyable = judge(asked, answer, shield_on=True).fit is not None
+    return Marks(flyable=flyable, error=math.dist(end, wanted) / mission.max_step)
 
 
 def meant(question: Question, mission: Mission) -> Mission:
@@ -103,13 +70,7 @@ def meant(question: Question, mission: Mission) -> Mission:
 
 
 def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
-    """What is missing from answers that robots take, as a sentence; None if nothing is.
-
-    Args:
-        question: the question.
-        mission: the mission of the question.
-        answers: one for each robot that was asked.
-    """
+    """What is missing from answers that robots take, one of each that was asked, as a sentence; None if nothing is."""
     if question.section == "place":
         taken = [answer.slot for answer in answers if isinstance(answer, PlanAnswer)]
         return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."
@@ -137,23 +98,15 @@ def _nearer_to_team(question: Question, mission: Mission, waypoint: Point) -> bo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordMarks:
-    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is.
-
-    Attributes:
-        read: whether the answer has the form that was asked for.
-        safe: whether people would not be shown a mission that nobody asked for.
-    """
+    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is."""
 
     reason: str | None
     read: bool
-    safe: bool
+    safe: bool  # whether nobody would be shown a mission that nobody asked for
 
 
 def word_marks(question: Question, text: str) -> WordMarks:
-    """Compare a mission that a model read in plain words with what the words say.
-
-    A mission that cannot be flown is right if the answer says what the words say, so that it is refused.
-    """
+    """Compare a mission that a model read with the words; an impossible one is right if it says them and is refused."""
     assert question.wanted is not None
     refused: str | None = None
     try:

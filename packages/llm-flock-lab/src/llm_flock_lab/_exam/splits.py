@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
@@ -15,7 +15,7 @@ from llm_flock_lab._exam.generate_plans import distraction_questions, place_ques
 from llm_flock_lab._exam.generate_steps import others_questions, path_questions, step_questions
 from llm_flock_lab._exam.generate_talks import agreement_questions, retry_questions
 from llm_flock_lab._exam.generate_words import mission_questions
-from llm_flock_lab._exam.questions import SECTIONS, Question, from_lines
+from llm_flock_lab._exam.questions import SECTIONS, WORDS, Question, from_lines
 
 VERSION = 1
 """Version of the exam. It changes with the questions, their scoring or the kinds of questions; prompts have their own
@@ -34,78 +34,39 @@ _MAKERS: Mapping[str, Callable[[np.random.Generator], Iterator[Question]]] = {
     "path": path_questions,
     "retry": retry_questions,
     "agreement": agreement_questions,
-    "mission": mission_questions,
     "distraction": distraction_questions,
 }
 
-_TRIES = 20
-"""Drawings of a section before a text that stays the same as a public one is given up."""
 
-
-def generate(seed: int) -> list[Question]:
-    """All questions of a seed, in the order of the sections."""
-    return [question for section in SECTIONS for question in _section(section, seed)]
-
-
-def _section(section: str, seed: int, attempt: int = 0) -> list[Question]:
-    rng = np.random.default_rng([VERSION, seed, list(SECTIONS).index(section), attempt])
-    return [replace(q, id=f"{section}-{k:04d}") for k, q in enumerate(_MAKERS[section](rng))]
+def generate(seed: int, known: Collection[str | None] = ()) -> list[Question]:
+    """All questions of a seed, in the order of the sections; none has words that are known."""
+    found: list[Question] = []
+    for number, section in enumerate(SECTIONS):
+        rng = np.random.default_rng([VERSION, seed, number, 0])
+        made = mission_questions(rng, known) if section == WORDS else _MAKERS[section](rng)
+        found += [replace(question, id=f"{section}-{k:04d}") for k, question in enumerate(made)]
+    return found
 
 
 @lru_cache(maxsize=1)
 def public_split() -> tuple[Question, ...]:
-    """The public split, from the file in the package."""
     text = resources.files("llm_flock_lab._exam").joinpath(PUBLIC_FILE).read_text(encoding="utf-8")
     return tuple(from_lines(text, PUBLIC_FILE))
 
 
 @lru_cache(maxsize=4)
 def private_split(seed: int) -> tuple[Question, ...]:
-    """The split of another seed: the same kinds and numbers of questions, none of them public.
-
-    Raises:
-        InputError: for field `seed`: it is that of the public split.
-    """
+    """The split of another seed: the same kinds and numbers of questions, none of them public."""
     if seed == PUBLIC_SEED:
         raise InputError("seed", seed, "another seed than that of the public split")
-    known = {question.content for question in public_split()}
-    found: list[Question] = []
-    for section in SECTIONS:
-        drawn = _section(section, seed)
-        for attempt in range(1, _TRIES):
-            # Numbers are never drawn twice, but a short text can be: the other drawing has one in its place.
-            again = [k for k, question in enumerate(drawn) if question.content in known]
-            if not again:
-                break
-            others = [q for q in _section(section, seed, attempt) if q.content not in known]
-            present = {question.content for question in drawn}
-            fresh = (q for q in others if q.content not in present)
-            for k in again:
-                drawn[k] = replace(_alike(drawn[k], fresh), id=drawn[k].id)
-        found += drawn
-    return tuple(found)
-
-
-def _alike(question: Question, fresh: Iterator[Question]) -> Question:
-    """The next question that is as possible as this one; the question itself if there is none."""
-    return next((q for q in fresh if q.possible == question.possible), question)
+    # Numbers are never drawn twice, but a short text can be.
+    return tuple(generate(seed, {question.words for question in public_split()}))
 
 
 def paper(
     split: str = "public", seed: int | None = None, sections: str | None = None, limit: int | None = None
 ) -> tuple[Question, ...]:
-    """The questions that are asked.
-
-    Args:
-        split: `public`, or `private` with a seed of its own.
-        seed: of a private split.
-        sections: names with commas between them; None for all.
-        limit: most questions of each section, evenly spread over it.
-
-    Raises:
-        InputError: there is no such split or section, a private one has no seed of its own, or a number is not
-            allowed.
-    """
+    """The questions that are asked: `limit` of each section at most, evenly spread over it."""
     if split not in ("public", "private"):
         raise InputError("split", split, "public or private")
     if split == "private" and seed is None:

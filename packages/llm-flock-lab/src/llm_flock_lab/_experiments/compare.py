@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import itertools
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -17,14 +17,11 @@ from llm_flock.printable import csv_cell
 from llm_flock.runtime import load_config
 from llm_flock_lab._experiments.executors import Display, Session, fly_in_pool
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
-from llm_flock_lab._experiments.statistics import Estimate, mean_interval, median, wilson
+from llm_flock_lab._experiments.statistics import Estimate, interval, mean_interval, median, number, wilson
 from llm_flock_lab._experiments.trial import TrialResult
 
 TOLERANCE = 1e-6
 """Robots nearer than the safe distance by more than this are a violation [units]."""
-
-SHOWN_SEEDS = 20
-"""Most failed seeds that are listed for a row; JSON has all of them."""
 
 FIGURES = (
     "formed",
@@ -54,44 +51,26 @@ FIGURES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """The figures of one cell; field names are the keys of `--json`.
-
-    Attributes:
-        simulated: whether any language model was a simulated stand-in.
-        trials: all of them; those that broke off count as not formed.
-        formed: share of formed trials (see `Summary.formed`), with Wilson's 95 % interval.
-        by_models: share of trials that formed without help from geometry (see `Summary.formed_by_models`), likewise.
-        broken: trials that broke off.
-        rounds: median of rounds_to_formed over the formed trials; None without any.
-        ratio: median of rounds_to_formed / lower_bound_rounds over the formed trials, a bound of 0 counted as 1.
-        min_separation: smallest separation in any trial, along segments too [units]; None for teams of one.
-        violations: trials in which two robots were nearer than safe_distance by more than `TOLERANCE`.
-        unsafe_starts: trials in which two robots were nearer than safe_distance at the start.
-        min_separation_after_start: as min_separation, but these pairs counted only once they had come apart [units].
-        calls: model calls per robot and trial: mean with Student's 95 % interval, cut at 0; None if all broke off.
-        waypoints: waypoints flown in all trials, by origin.
-        failed_seeds: seeds of the trials that are not in `formed`.
-        errors: what broke trials off, the first of each kind, with its seed.
-    """
+    """The figures of one cell; field names are the keys of `--json`."""
 
     protocol: str
     shape: str
     n_robots: int
     simulated: bool
     trials: int
-    formed: Estimate
-    by_models: Estimate
+    formed: Estimate  # share, broken trials too, with Wilson's 95 % interval
+    by_models: Estimate  # share formed without help from geometry, likewise
     broken: int
-    rounds: float | None
-    ratio: float | None
-    min_separation: float | None
-    violations: int
-    unsafe_starts: int
-    min_separation_after_start: float | None
-    calls: Estimate | None
-    waypoints: dict[str, int]
-    failed_seeds: tuple[int, ...]
-    errors: tuple[str, ...]
+    rounds: float | None  # median of rounds_to_formed over the formed trials
+    ratio: float | None  # median of rounds_to_formed / lower_bound_rounds over these, a bound of 0 counted as 1
+    min_separation: float | None  # in any trial, along segments too [units]; None for teams of one
+    violations: int  # trials with a separation below safe_distance - `TOLERANCE`
+    unsafe_starts: int  # trials with a start nearer than safe_distance
+    min_separation_after_start: float | None  # these pairs counted once they had come apart
+    calls: Estimate | None  # a robot and trial: mean with Student's 95 % interval; None if all broke off
+    waypoints: dict[str, int]  # flown in all trials, by origin
+    failed_seeds: tuple[int, ...]  # of the trials not in `formed`
+    errors: tuple[str, ...]  # the first of each kind, with its seed
 
 
 def build_cells(
@@ -125,22 +104,17 @@ OnResult = Callable[[Cell, int, TrialResult], None]
 """Called with a trial's cell, its seed and its result."""
 
 
-class _InOrder(Display):
-    """Passes results on in the order of the trials, whichever finishes first."""
-
+class _Collected(Display):
     def __init__(self, trials: Sequence[tuple[Cell, int]], on_result: OnResult | None) -> None:
         self.results: list[TrialResult] = []
         self._trials = trials
         self._on_result = on_result
-        self._early: dict[int, TrialResult] = {}
 
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        self._early[int(spec.id)] = result
-        while (found := self._early.pop(len(self.results), None)) is not None:
-            cell, seed = self._trials[len(self.results)]
-            self.results.append(found)
-            if self._on_result is not None:
-                self._on_result(cell, seed, found)
+    def finished(self, spec: TrialSpec, result: TrialResult) -> None:
+        cell, seed = self._trials[len(self.results)]
+        self.results.append(result)
+        if self._on_result is not None:
+            self._on_result(cell, seed, result)
 
 
 def compare(
@@ -165,7 +139,7 @@ def compare(
         jobs = 1
     seeds = range(first_seed, first_seed + trials)
     pairs = list(itertools.product(cells, seeds))
-    display = _InOrder(pairs, on_result)
+    display = _Collected(pairs, on_result)
     specs = [cell.trial(seed, str(number)) for number, (cell, seed) in enumerate(pairs)]
     fly_in_pool(specs, Session(store=None, display=display), jobs)
     results = iter(display.results)
@@ -212,13 +186,13 @@ COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (
     ("protocol", lambda row: row.protocol),
     ("shape", lambda row: row.shape),
     ("N", lambda row: str(row.n_robots)),
-    ("formed % [95 %]", lambda row: _interval(row.formed, 1, factor=100.0)),
+    ("formed % [95 %]", lambda row: interval(row.formed, 1, 100.0)),
     ("by models %", lambda row: f"{100.0 * row.by_models.value:.1f}"),
-    ("rounds", lambda row: _number(row.rounds, "g")),
-    ("ratio", lambda row: _number(row.ratio, ".2f")),
-    ("min sep.", lambda row: _number(row.min_separation, ".6f")),
+    ("rounds", lambda row: number(row.rounds, 1)),
+    ("ratio", lambda row: number(row.ratio, 2)),
+    ("min sep.", lambda row: number(row.min_separation, 6)),
     ("violations", lambda row: str(row.violations)),
-    ("calls/robot [95 %]", lambda row: _interval(row.calls, 2)),
+    ("calls/robot [95 %]", lambda row: interval(row.calls, 2)),
     ("waypoints %", lambda row: _shares(row.waypoints)),
 )
 
@@ -234,21 +208,9 @@ def markdown(rows: Sequence[Comparison]) -> str:
 
 def notes(rows: Sequence[Comparison]) -> list[str]:
     """The lines below a table of these rows: failed seeds, unsafe starts, and whether models were simulated."""
-    simulated = ["", "simulated language models"] if any(row.simulated for row in rows) else []
-    return [*simulated, *(note for row in rows for note in _notes(row))]
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
-
-
-def _interval(estimate: Estimate | None, digits: int, factor: float = 1.0) -> str:
-    if estimate is None:
-        return "-"
-    value = f"{factor * estimate.value:.{digits}f}"
-    if estimate.low is None or estimate.high is None:
-        return value
-    return f"{value} [{factor * estimate.low:.{digits}f}, {factor * estimate.high:.{digits}f}]"
+    simulated = ["simulated language models"] if any(row.simulated for row in rows) else []
+    found = [*simulated, *itertools.chain.from_iterable(map(_notes, rows))]
+    return [line for note in found for line in ("", note)]
 
 
 def _shares(counts: dict[str, int]) -> str:
@@ -256,34 +218,25 @@ def _shares(counts: dict[str, int]) -> str:
     return ", ".join(f"{who} {100 * count / total:.2f}" for who, count in counts.items() if count) or "-"
 
 
-def _notes(row: Comparison) -> list[str]:
+def _notes(row: Comparison) -> Iterator[str]:
     name = f"{row.protocol} {row.shape} {row.n_robots}"
-    lines: list[str] = []
     if row.unsafe_starts:
-        later = _number(row.min_separation_after_start, ".6f")
-        lines += ["", f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"]
-        lines[-1] += f" smallest separation once they had come apart: {later}"
-    if not row.failed_seeds:
-        return lines
-    seeds = ", ".join(map(str, row.failed_seeds[:SHOWN_SEEDS]))
-    more = len(row.failed_seeds) - SHOWN_SEEDS
-    lines += ["", f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}"]
-    lines[-1] += f", and {more} more" if more > 0 else ""
+        later = number(row.min_separation_after_start, 6)
+        yield (
+            f"{name}: {row.unsafe_starts} of {row.trials} began with two robots too near each other;"
+            f" smallest separation once they had come apart: {later}"
+        )
+    if row.failed_seeds:
+        seeds, more = ", ".join(map(str, row.failed_seeds[:20])), len(row.failed_seeds) - 20
+        others = f", and {more} more" if more > 0 else ""
+        yield f"{name}: {len(row.failed_seeds)} of {row.trials} not formed, seeds {seeds}{others}"
     if row.broken:
-        lines += ["", f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"]
-    return lines
+        yield f"{name}: {row.broken} of these broke off: {'; '.join(row.errors)}"
 
 
 @contextmanager
 def trial_file(path: Path) -> Generator[OnResult]:
-    """A CSV file with a line for each trial; yields the function that adds one.
-
-    Missing folders are created. Each line is handed to the operating system at once. The figures of a trial that broke
-    off stay empty.
-
-    Raises:
-        InputError: the file exists, or cannot be created.
-    """
+    """A new CSV file; yields what adds a trial's line, and hands it to the system. Broken trials have no figures."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("x", newline="", encoding="utf-8")

@@ -9,13 +9,15 @@ from __future__ import annotations
 import asyncio
 import multiprocessing
 import os
+import shutil
 import signal
 import threading
-from collections.abc import Awaitable, Callable, Collection, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Awaitable, Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import TypeAlias
 
@@ -23,109 +25,61 @@ import msgspec
 
 from llm_flock.errors import FlockError
 from llm_flock.llm import Budget, CallLane, ModelPool, Rate, SharedGate, Spent
-from llm_flock.runtime import TrialProgress
 from llm_flock_lab._experiments.grid import TrialSpec
 from llm_flock_lab._experiments.store import SpendingLog, Store
-from llm_flock_lab._experiments.trial import Earlier, KeepRecords, TrialResult, fly
+from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, fly
 
 try:
     import resource
 except ImportError:  # pragma: no cover - systems without such limits
     resource = None
 
-BOOKKEEPING_S = 1.0
-"""Interval at which spending is shared with other processes [s]."""
-
 
 class Display:
-    """Shows the progress of an experiment; this one shows nothing. Override the methods of interest.
-
-    All methods are called in the thread that called the executor.
-    """
+    """Shows the progress of an experiment in the executor's thread; this one shows nothing. Override what is needed."""
 
     def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
         """Called first, with the trials that exist already, and those to fly."""
 
-    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
-        """Called after each round of a trial; only where trials are flown in this process."""
-
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """Called when a trial is over; not `fresh` if another process has flown it since the sweep started.
-
-        After a flight in a pool, `config` and `rounds` of the result are empty.
-        """
+    def finished(self, spec: TrialSpec, result: TrialResult) -> None:
+        """Called when a trial is over. The result of a pool has no `config` and no `rounds`."""
 
     def spent(self, spent: Spent, reason: str | None) -> None:
-        """Called with what all processes have spent, and with the limit of the budget that is used up."""
+        """Called with what all sessions have spent, and with the limit of the budget that is used up."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Session:
-    """Settings and state that all trials of an experiment share while they are flown.
+    """Settings and state that all trials of an experiment share while they are flown."""
 
-    Attributes:
-        store: where results are kept; None if they are not, which only a pool allows.
-        keep: trials whose record is kept.
-        budget: of all trials together.
-        rates: of each provider that has any.
-        at_once: trials in flight at once in a process, of those that wait for answers.
-        busy: trials that were left out because another process was flying them.
-        reason: which limit of the budget is used up.
-    """
-
-    store: Store | None
+    store: Store | None  # None if nothing is kept, which only a pool allows
     display: Display
     keep: KeepRecords = "none"
     budget: Budget = field(default_factory=Budget)
     rates: Mapping[str, Rate] = field(default_factory=dict[str, Rate])
-    at_once: int = 256
-    busy: list[TrialSpec] = field(default_factory=list[TrialSpec])
-    reason: str | None = None
-
-    def note(self, spec: TrialSpec, found: Found) -> None:
-        """Take note of a trial that is over or left out."""
-        if found is None:
-            self.busy.append(spec)
-        else:
-            result, fresh = found
-            self.display.finished(spec, result, fresh=fresh)
+    at_once: int = 256  # trials in flight in a process, of those that wait for answers
+    reason: str | None = None  # limit of the budget that is used up
 
 
-Found: TypeAlias = tuple[TrialResult, bool] | None
-"""A result and whether this process has flown it; None while another process flies the trial."""
+Fly: TypeAlias = Callable[[TrialSpec], Awaitable[tuple[TrialResult, Path | bytes | None]]]
+"""Flies a trial; returns its result and its record."""
 
-Fly: TypeAlias = Callable[[TrialSpec, tuple[Earlier, ...]], Awaitable[tuple[TrialResult, Path | bytes | None]]]
-"""Flies a trial after its earlier tries; returns its result and its record."""
-
-State: TypeAlias = Callable[[Spent], Awaitable[tuple[Spent, str | None, bool]]]
-"""Takes what other processes have spent; returns own spending, the limit that is used up, and whether to stop."""
+State: TypeAlias = Callable[[], Awaitable[tuple[Spent, str | None, bool]]]
+"""Returns what this session has spent, the limit that is used up, and whether to stop."""
 
 
-async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> Found:
-    """Fly a trial and keep its result in the store, if any, unless another process does that or has done it."""
-    if store is None:
-        return (await fly_it(spec, ()))[0], True
-    with store.lease(spec.id) as mine:
-        if not mine:
-            return None
-        known = store.load(spec.id)
-        if known is not None and known.tries != spec.tries:
-            return known, False
-        result, record = await fly_it(spec, () if known is None else known.as_earlier())
+async def fly_and_keep(spec: TrialSpec, store: Store | None, fly_it: Fly) -> TrialResult:
+    result, record = await fly_it(spec)
+    if store is not None:
         if record is not None:
             store.keep_record(spec.id, record)
-        store.clear_scratch(spec.id)
+        shutil.rmtree(store.scratch(spec.id), ignore_errors=True)
         store.save(result)
-        return result, True
+    return result
 
 
 def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
-    """Fly trials in this process: those that wait for answers at once, the others one after another.
-
-    Raises:
-        FlockError: results cannot be kept.
-        KeyboardInterrupt: after all records were brought to a readable end.
-    """
+    """Fly trials in this process: those that wait for answers at once, the others one after another."""
     if not specs:
         return
     if resource is not None:  # each call holds a connection: allow as many open files as the system lets us
@@ -138,54 +92,42 @@ def fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
 async def _fly_here(specs: Sequence[TrialSpec], session: Session) -> None:
     assert session.store is not None
     store, gate, pool = session.store, SharedGate(session.budget, session.rates), ModelPool()
+    log = SpendingLog(store)
+    gate.elsewhere = log.before
 
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
-        return await fly(
-            spec,
-            lane=CallLane(gate, pool),
-            keep=session.keep,
-            scratch=store.scratch(spec.id),
-            earlier=earlier,
-            on_round=lambda now: session.display.progress(spec, now),
-        )
+    async def fly_it(spec: TrialSpec) -> tuple[TrialResult, Path | None]:
+        return await fly(spec, lane=CallLane(gate, pool), keep=session.keep, scratch=store.scratch(spec.id))
 
-    async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        gate.elsewhere = elsewhere
+    async def state() -> tuple[Spent, str | None, bool]:
         return gate.spent, gate.reason, gate.exhausted
 
     try:
-        await drive(specs, session, fly_it, state, computing=1)
+        await drive(specs, session, log, fly_it, state, computing=1)
     finally:
         await pool.aclose()
 
 
-async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state: State, *, computing: int) -> None:
-    """Fly trials on this event loop until all are over or the budget is used up.
-
-    Of the trials that never wait, `computing` are in flight at once.
-    """
-    assert session.store is not None
-    store, elsewhere = session.store, Spent()
-    log = SpendingLog(store)
+async def drive(
+    specs: Sequence[TrialSpec], session: Session, log: SpendingLog, fly_it: Fly, state: State, *, computing: int
+) -> None:
+    """Fly trials until all are over or the budget is used up; of those that never wait, `computing` fly at once."""
 
     async def balance() -> None:
-        nonlocal elsewhere
-        elsewhere = log.others()
-        own, reason, _ = await state(elsewhere)
+        own, reason, _ = await state()
         log.write(own)
         session.reason = reason or session.reason
-        session.display.spent(own + elsewhere, reason)
+        session.display.spent(own + log.before, reason)
 
     async def balance_regularly() -> None:
         while True:
-            await asyncio.sleep(BOOKKEEPING_S)
+            await asyncio.sleep(1.0)
             await balance()
 
     async def work(queue: Iterator[TrialSpec]) -> None:
         for spec in queue:
-            if (await state(elsewhere))[2]:
+            if (await state())[2]:
                 return
-            session.note(spec, await fly_and_keep(spec, store, fly_it))
+            session.display.finished(spec, await fly_and_keep(spec, session.store, fly_it))
 
     await balance()
     waiting = [spec for spec in specs if spec.waits]
@@ -205,33 +147,25 @@ async def drive(specs: Sequence[TrialSpec], session: Session, fly_it: Fly, state
 
 
 def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None:
-    """Fly trials that compute and do not wait in a pool of processes.
+    """Fly trials that compute in a pool of spawned processes, which share the directory, but no budget and no rate.
 
-    Each process keeps its own results, so a kill loses only the trials in flight. The processes share nothing but the
-    directory: budgets and rates need `fly_here`. Workers are spawned: a script that calls this needs its
-    `if __name__ == "__main__":` guard.
-
-    Raises:
-        InputError: a value is not allowed; only without a store.
-        FlockError: a worker was killed, or results cannot be kept.
-        KeyboardInterrupt: after all workers were stopped.
+    The display hears of them in their order, whichever finishes first.
     """
     if not specs:
         return
     others = set(multiprocessing.active_children())
     jobs = min(jobs, len(specs))
-    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker)
     log = None if session.store is None else SpendingLog(session.store)
     spent, done, finished = Spent(), 0, False
     try:
-        with _interrupts_held():
-            running = {pool.submit(_fly_in_worker, spec, session.store, session.keep): spec for spec in specs}
-        for future in as_completed(list(running)):
-            spec, found = running.pop(future), future.result()
-            if log is not None and found is not None and found[1]:
-                spent += found[0].spent
+        for spec, result in zip(
+            specs, pool.map(_fly_in_worker, specs, repeat(session.store), repeat(session.keep)), strict=True
+        ):
+            spent += result.spent
+            if log is not None:
                 log.write(spent)
-            session.note(spec, found)
+            session.display.finished(spec, result)
             session.display.spent(spent, None)
             done += 1
         finished = True
@@ -245,24 +179,9 @@ def fly_in_pool(specs: Sequence[TrialSpec], session: Session, jobs: int) -> None
         pool.shutdown(cancel_futures=True)
 
 
-@contextmanager
-def _interrupts_held() -> Generator[None]:
-    """Block Ctrl-C while workers start. They inherit the block, so that only the parent handles it.
-
-    A terminal sends Ctrl-C to the whole group of processes, and each worker would print a traceback.
-    """
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _end_with_parent() -> None:
-    """Let a worker end when its parent dies."""
+def _start_worker() -> None:
+    """Let a worker end when its parent dies, which alone handles Ctrl-C: a terminal sends it to all of them."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     assert parent is not None, "runs in workers only"
 
@@ -273,9 +192,8 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, daemon=True).start()
 
 
-def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> Found:
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, Path | None]:
-        return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id), earlier=earlier)
+def _fly_in_worker(spec: TrialSpec, store: Store | None, keep: KeepRecords) -> TrialResult:
+    async def fly_it(spec: TrialSpec) -> tuple[TrialResult, Path | None]:
+        return await fly(spec, keep=keep, scratch=None if store is None else store.scratch(spec.id))
 
-    found = asyncio.run(fly_and_keep(spec, store, fly_it))
-    return None if found is None else (msgspec.structs.replace(found[0], config={}, rounds={}), found[1])
+    return msgspec.structs.replace(asyncio.run(fly_and_keep(spec, store, fly_it)), config={}, rounds={})

@@ -21,25 +21,15 @@ from llm_flock.extras import require
 from llm_flock.llm import Budget, CallLane, ModelPool, Rate, SharedGate, Spent, Usage
 from llm_flock_lab._experiments.executors import Session, drive
 from llm_flock_lab._experiments.grid import TrialSpec
-from llm_flock_lab._experiments.trial import Earlier, KeepRecords, TrialResult, code_version, fly
+from llm_flock_lab._experiments.store import SpendingLog
+from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, code_version, fly
 
 TRIES = 3
 """How often a trial is flown before the sweep gives up, if its worker is lost each time."""
 
-CALLS_AT_ONCE = 100_000
-"""Calls that may wait at the gate."""
-
 
 def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, jobs: int | None) -> None:
-    """Fly trials on a Ray cluster, with one worker for each of its processors unless `jobs` says how many.
-
-    The address is `HOST:PORT`, `auto` or `ray://HOST:PORT`.
-
-    Raises:
-        InputError: Ray is not installed, the cluster cannot be reached, or it runs another version of this package.
-        FlockError: a trial lost its worker `TRIES` times, or results cannot be kept.
-        KeyboardInterrupt: after the workers were stopped.
-    """
+    """Fly trials on a Ray cluster, with a worker for each of its processors unless `jobs` says how many."""
     if not specs:
         return
     require("cluster", "sweep --cluster")
@@ -58,7 +48,10 @@ def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, j
 
 async def _fly(ray: Any, specs: Sequence[TrialSpec], session: Session, jobs: int | None) -> None:
     count = min(jobs or max(1, int(ray.cluster_resources().get("CPU", 1))), len(specs))
-    gate = ray.remote(max_concurrency=CALLS_AT_ONCE, num_cpus=0)(_GateActor).remote(session.budget, session.rates)
+    assert session.store is not None
+    log = SpendingLog(session.store)
+    make_gate = ray.remote(max_concurrency=100_000, num_cpus=0)(_GateActor)  # calls that may wait there
+    gate = make_gate.remote(session.budget, session.rates, log.before)
     make = ray.remote(num_cpus=1, max_concurrency=session.at_once)(_Worker)
     names = itertools.count()
 
@@ -77,12 +70,12 @@ async def _fly(ray: Any, specs: Sequence[TrialSpec], session: Session, jobs: int
         for place in range(count):
             free.put_nowait(place)
 
-    async def fly_it(spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[TrialResult, bytes | None]:
+    async def fly_it(spec: TrialSpec) -> tuple[TrialResult, bytes | None]:
         for _ in range(TRIES):
             place = await free.get()
             name, actor = workers[place]
             try:
-                data, record = await actor.fly.remote(spec, earlier)
+                data, record = await actor.fly.remote(spec)
                 return msgspec.json.decode(data, type=TrialResult), record
             except ray.exceptions.RayActorError:
                 if workers[place][0] == name:  # no other trial has noticed yet
@@ -92,10 +85,10 @@ async def _fly(ray: Any, specs: Sequence[TrialSpec], session: Session, jobs: int
                 free.put_nowait(place)
         raise FlockError(f"workers of the cluster were lost {TRIES} times with {spec.cell}")
 
-    async def state(elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        return await gate.state.remote(elsewhere)
+    async def state() -> tuple[Spent, str | None, bool]:
+        return await gate.state.remote()
 
-    await drive(specs, session, fly_it, state, computing=count)
+    await drive(specs, session, log, fly_it, state, computing=count)
 
 
 class _Worker:
@@ -109,19 +102,19 @@ class _Worker:
     async def version(self) -> str:
         return code_version()
 
-    async def fly(self, spec: TrialSpec, earlier: tuple[Earlier, ...]) -> tuple[bytes, bytes | None]:
-        """Fly one trial; returns its result, and its record if that is to be kept."""
+    async def fly(self, spec: TrialSpec) -> tuple[bytes, bytes | None]:
         with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder:
             lane, scratch = CallLane(self._gate, self._pool), Path(folder) / "record"
-            result, record = await fly(spec, lane=lane, keep=self._keep, scratch=scratch, earlier=earlier)
+            result, record = await fly(spec, lane=lane, keep=self._keep, scratch=scratch)
             return msgspec.json.encode(result), None if record is None else record.read_bytes()
 
 
 class _GateActor:
     """The gate of all workers. It returns refusals instead of raising them, as the cluster is not at fault."""
 
-    def __init__(self, budget: Budget, rates: Mapping[str, Rate]) -> None:
+    def __init__(self, budget: Budget, rates: Mapping[str, Rate], spent_before: Spent) -> None:
         self._gate = SharedGate(budget, rates)
+        self._gate.elsewhere = spent_before
         self._tickets: dict[int, int] = {}
 
     async def enter(self, worker: int, model: str, chars: int, again: bool) -> int | str:
@@ -142,8 +135,7 @@ class _GateActor:
         for ticket in [ticket for ticket, owner in self._tickets.items() if owner == worker]:
             await self.leave(ticket, None, None)
 
-    async def state(self, elsewhere: Spent) -> tuple[Spent, str | None, bool]:
-        self._gate.elsewhere = elsewhere
+    async def state(self) -> tuple[Spent, str | None, bool]:
         return self._gate.spent, self._gate.reason, self._gate.exhausted
 
 

@@ -9,8 +9,9 @@ from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from llm_flock import shapes as formations
@@ -22,23 +23,10 @@ from llm_flock.mission import Mission, start_volume
 from llm_flock.runtime import RunConfig, points_file
 from llm_flock.shapes import load_points
 
-PLACES = {"trial": {"out"}, "model": {"record_llm"}}
-"""Fields that say where files go. They do not change what happens in a trial."""
-
-UNDISTURBED: Mapping[str, Any] = {"kill": "", "join": "", "kill_random": 0, "join_random": 0, "changes": ()}
-"""Settings of a run in which nothing happens to robots or mission in flight."""
-
-ID_LENGTH = 20
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
-    """Trials that differ only in their seed.
-
-    Attributes:
-        label: everything but the seed, in a few words.
-        axes: label of each axis of the grid that has no column in the tables.
-    """
+    """Trials that differ only in their seed; `axes` are labels of the grid's axes that have no column in the tables."""
 
     config: RunConfig
     label: str = ""
@@ -46,54 +34,47 @@ class Cell:
 
     @property
     def protocol(self) -> str:
-        """Name of the preset."""
         return self.config.protocol.protocol
 
     @property
     def shape(self) -> str:
-        """The mission's shape."""
         return self.config.mission.shape
 
     @property
     def n_robots(self) -> int:
-        """Team size N."""
         return self.config.mission.n_robots
-
-    def with_seed(self, seed: int) -> RunConfig:
-        """Configuration of the trial with this seed."""
-        return self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
 
     def trial(self, seed: int, trial: str | None = None) -> TrialSpec:
         """The trial with this seed; `trial` is its id, by default `trial_id`."""
-        config = self.with_seed(seed)
+        config = self.config.model_copy(update={"trial": self.config.trial.model_copy(update={"seed": seed})})
         return TrialSpec(id=trial or trial_id(config), cell=self.label, axes=self.axes, config=config)
+
+
+class Earlier(msgspec.Struct, frozen=True, kw_only=True):
+    """Why an earlier try of a trial ended, and its use; the cost [US dollars] is None where no price is known."""
+
+    stopped: str
+    model_calls: int
+    tokens: int
+    cost_usd: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialSpec:
-    """A trial to fly.
-
-    Attributes:
-        id: name of the trial; in a results directory, `trial_id` of its configuration.
-        cell: label of its cell, whose `axes` it has.
-        config: resolved configuration.
-        tries: how often it had been flown when the sweep started. A trial that has been flown since is left alone.
-    """
+    """A trial to fly, after its earlier tries."""
 
     id: str
     cell: str
     axes: Mapping[str, str]
     config: RunConfig
-    tries: int = 0
+    earlier: tuple[Earlier, ...] = ()
 
     @property
     def seed(self) -> int:
-        """Seed of the trial."""
         return self.config.trial.seed
 
     @property
     def models(self) -> tuple[str, ...]:
-        """The models in use, each once."""
         return models_of(self.config)
 
     @property
@@ -109,7 +90,8 @@ def models_of(config: RunConfig) -> tuple[str, ...]:
 
 def trial_id(config: RunConfig) -> str:
     """Hash of a resolved configuration and of the files that it names: prompts, cassettes, weights."""
-    sections = config.model_dump(mode="json", exclude=cast("Any", PLACES))
+    # Without fields that say where files go.
+    sections = config.model_dump(mode="json", exclude={"trial": {"out"}, "model": {"record_llm"}})
     prompts = config.model.prompts
     files = [] if prompts is None or prompts in PACKAGED else [_digest(Path(prompts))]
     for model in models_of(config):
@@ -118,7 +100,7 @@ def trial_id(config: RunConfig) -> str:
             files.append(_digest(Path(name.model)))
         files.extend(model_digests(model).values())
     text = json.dumps([sections, files], sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()[:ID_LENGTH]
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
 def _digest(path: Path) -> str:
@@ -134,11 +116,7 @@ def _digest(path: Path) -> str:
 
 
 def parse_teams(text: str) -> list[tuple[str, int]]:
-    """Read `SHAPE/N,SHAPE/N,...`, such as `triangle/6,circle/10`.
-
-    Raises:
-        InputError: for field `cells`.
-    """
+    """Read `SHAPE/N,SHAPE/N,...`, such as `triangle/6,circle/10`."""
     teams: list[tuple[str, int]] = []
     for part in text.split(","):
         shape, slash, count = part.strip().rpartition("/")
@@ -160,13 +138,7 @@ def naming_team(field: str, team: str) -> Generator[None]:
 
 
 def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple[Point, Point]:
-    """The arena of a configuration that may be refused for lack of room, as `fitted_arena` grows it.
-
-    `load` makes a configuration of `fields`, among which are `shape` and `n_robots`.
-
-    Raises:
-        InputError: a value is not allowed.
-    """
+    """The fitted arena of a configuration that may be refused for lack of room; `load` makes one of `fields`."""
     shape, n_robots = fields["shape"], fields["n_robots"]
     if not isinstance(shape, str) or type(n_robots) is not int or not 1 <= n_robots <= MAX_ROBOTS:
         raise InputError("team", f"{shape}/{n_robots}", f"SHAPE/N with N from 1 to {MAX_ROBOTS}")
@@ -174,7 +146,8 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
     if places is not None and (type(places) is not int or not 1 <= places <= MAX_ROBOTS):
         raise InputError("places", places, f"a number from 1 to {MAX_ROBOTS}")
     # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
-    team = load(**{**fields, "shape": "text:anything", "n_robots": 1, **UNDISTURBED}).mission
+    alone = {"shape": "text:anything", "n_robots": 1, "kill": "", "join": "", "kill_random": 0, "join_random": 0}
+    team = load(**{**fields, **alone, "changes": ()}).mission
     points = load_points(points_file(shape), "shape") if shape.startswith("points:") else None
     return fitted_arena(team, shape if points is None else "points", n_robots, points)
 
@@ -182,20 +155,9 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
 def fitted_arena(
     team: Mission, shape: str, n_robots: int, points: Sequence[Point] | None = None
 ) -> tuple[Point, Point]:
-    """The team's arena, grown where a formation needs more room.
+    """The team's arena [units], grown where the formation in any orientation, and a spacing around it, need more room.
 
-    Each wall moves out until it is at least one spacing farther from the centre than the farthest place of the shape,
-    in any orientation, so that a robot can pass between formation and wall. If random starts at the safe distance do
-    not fit then, all walls move out to a cube in which they do. Walls never move inwards.
-
-    Centre, spacing, safe distance and the initial arena are those of `team`, and so is the number of places unless
-    there is one for each robot. `points` are the target points of the shape `points` [units].
-
-    Returns:
-        lower and upper corner [units].
-
-    Raises:
-        InputError: there is no such shape, or not for this team size.
+    Where random starts at the safe distance do not fit then, all walls move out to a cube in which they do.
     """
     center = np.array(team.center)
     ideal = formations.ideal_points(shape, team.places or n_robots, team.center, team.spacing, points)

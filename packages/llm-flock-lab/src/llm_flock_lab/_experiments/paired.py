@@ -9,20 +9,12 @@ from dataclasses import dataclass
 
 import scipy
 
-from llm_flock.errors import InputError
 from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedMeans:
-    """A figure of two protocols on the same seeds.
-
-    Attributes:
-        pairs: seeds on which both have the figure.
-        difference: mean of (first - second), in the figure's unit, with its interval.
-        effect: the difference in standard deviations of the differences (Hedges' g of pairs) with its interval; None
-            for fewer than three pairs, or if all differences are equal.
-    """
+    """A figure of two protocols: mean of first - second, in standard deviations too (Hedges' g of pairs) if defined."""
 
     pairs: int
     difference: Estimate
@@ -31,13 +23,7 @@ class PairedMeans:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedShares:
-    """Success of two protocols on the same seeds.
-
-    Attributes:
-        pairs: seeds that both flew.
-        only_first: seeds on which the first alone succeeded; `only_second` likewise.
-        difference: share of the first minus share of the second, with its interval.
-    """
+    """Success of two protocols on the same seeds: on how many one alone succeeded, and first share minus second."""
 
     pairs: int
     only_first: int
@@ -46,16 +32,11 @@ class PairedShares:
 
 
 def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans | None:
-    """Compare two figures pair by pair; None without pairs.
+    """Compare finite figures of the same seeds pair by pair; None without pairs.
 
     The interval of the effect size is that of the noncentral t distribution (Hedges, Olkin: Statistical methods for
     meta-analysis, 1985; Goulet-Pelletier, Cousineau: A review of effect sizes, TQMP 2018).
-    Figures are finite, one for each seed, and of the same seeds in the same order.
-
-    Raises:
-        InputError: the lengths differ.
     """
-    _check_pairs(first, second)
     differences = [a - b for a, b in zip(first, second, strict=True)]
     mean = mean_interval(differences)
     if mean is None:
@@ -69,11 +50,7 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
     The interval is Newcombe's of squared and added score intervals, corrected for the pairs' correlation (Improved
     confidence intervals for the difference between binomial proportions based on paired data, Statistics in Medicine
     1998, method 10). It has a width where all or none succeeded.
-
-    Raises:
-        InputError: the lengths differ.
     """
-    _check_pairs(first, second)
     n = len(first)
     if not n:
         return None
@@ -132,8 +109,3 @@ def _arms(share: Estimate) -> tuple[float, float]:
 
 def _combined(one: float, two: float, correlation: float) -> float:
     return math.sqrt(max(0.0, one * one - 2 * correlation * one * two + two * two))
-
-
-def _check_pairs(first: Sequence[object], second: Sequence[object]) -> None:
-    if len(first) != len(second):
-        raise InputError("pairs", (len(first), len(second)), "as many of the one as of the other")

@@ -11,9 +11,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from llm_flock.errors import InputError
-
 CONFIDENCE = 0.95
+
+NOT_KNOWN = "-"
+MINUS = "\N{MINUS SIGN}"
 
 RESAMPLES = 4000
 """Draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed."""
@@ -36,23 +37,13 @@ def wilson(successes: int, trials: int) -> Estimate:
 
     It stays within 0 .. 1 and has a width at 0 and at all successes, where the normal interval has none (Wilson:
     Probable inference, the law of succession, and statistical inference, JASA 1927).
-
-    Raises:
-        InputError: a number is out of its range.
     """
-    if trials < 1:
-        raise InputError("trials", trials, "at least 1")
-    if not 0 <= successes <= trials:
-        raise InputError("successes", successes, f"0 .. {trials}")
     ends = scipy.stats.binomtest(successes, trials).proportion_ci(CONFIDENCE, method="wilson")
     return Estimate(value=successes / trials, low=float(ends.low), high=float(ends.high))
 
 
 def mean_interval(values: Sequence[float], *, least: float | None = None) -> Estimate | None:
-    """The mean of independent, finite values with Student's interval; None without values, no interval for one.
-
-    `least` is as in `mean_bands`.
-    """
+    """Mean of independent values, with Student's interval for two or more; `least` is as in `mean_bands`."""
     if not values:
         return None
     if len(values) == 1:
@@ -62,15 +53,9 @@ def mean_interval(values: Sequence[float], *, least: float | None = None) -> Est
 
 
 def mean_bands(table: NDArray[np.float64], *, least: float | None = None) -> tuple[Column, Column, Column]:
-    """Mean of every column over the rows, and the ends of Student's interval.
+    """Mean of every column over the rows without NaN, and the ends of Student's interval; NaN where it has none.
 
-    Args:
-        table: a row for each trial, a column for each round; unknown values are NaN and left out of their column.
-        least: the smallest possible value, 0 for counts and lengths. Few trials give an interval that reaches below
-            it; its end moves there, which costs no coverage, because the true mean cannot be below it.
-
-    Returns:
-        mean, low and high, each of shape (columns,); NaN where there is no value (for the ends: fewer than two).
+    The lower end moves up to `least`, the smallest possible value, which costs no coverage.
     """
     count = (~np.isnan(table)).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # columns with too few values get NaN
@@ -102,3 +87,22 @@ def bootstrap_interval(values: Sequence[float]) -> Estimate:
 def median(values: Sequence[float]) -> float | None:
     """The middle value, or the mean of the two in the middle; None without values."""
     return statistics.median(values) if values else None
+
+
+def number(value: float | None, digits: int) -> str:
+    """A number with the given decimals; trailing zeros of whole numbers are left out."""
+    if value is None:
+        return NOT_KNOWN
+    return f"{value:,.0f}" if digits <= 1 and value == int(value) else f"{value:,.{digits}f}"
+
+
+def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, signed: bool = False) -> str:
+    if estimate is None:
+        return NOT_KNOWN
+    form = f"{'+' if signed else ''},.{digits}f"
+    # Rounding first and adding zero removes the minus sign of a zero.
+    value, *ends = (
+        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
+        for x in (estimate.value, estimate.low, estimate.high)
+    )
+    return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"

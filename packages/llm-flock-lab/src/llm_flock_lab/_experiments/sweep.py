@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,21 +9,18 @@ from typing import Literal, TypeAlias
 
 import msgspec
 
-from llm_flock.errors import InputError, RecordError
+from llm_flock.errors import InputError
 from llm_flock.llm import Budget, Rate, check_priced, parse_base_urls
 from llm_flock.runtime import check_planners
 from llm_flock_lab._experiments import tables
 from llm_flock_lab._experiments.executors import Display, Session, fly_here, fly_in_pool
 from llm_flock_lab._experiments.executors_ray import fly_on_cluster
 from llm_flock_lab._experiments.grid import TrialSpec
-from llm_flock_lab._experiments.store import Store, read_trial, trial_files, write_whole
+from llm_flock_lab._experiments.store import Store, read_json, read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, code_version
 
 Executor: TypeAlias = Literal["auto", "one", "pool"]
-
-ELSEWHERE_S = 0.5
-"""Interval at which trials that another process flies are checked again [s]."""
 
 SWEEP_NAME = "sweep.toml"
 PLAN_NAME = "plan.json"
@@ -32,28 +28,18 @@ PLAN_NAME = "plan.json"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SweepStatus:
-    """Progress of a sweep, counted in trials.
-
-    Attributes:
-        finished: those that need not be flown again.
-        formed: of these, those that formed.
-        broken: of these, those that broke off.
-        cut: trials that the budget of the sweep cut short; they are flown again when there is a budget.
-        other_code: finished trials that another version of the code has flown.
-        reason: which limit of the budget is used up.
-    """
+    """Progress of a sweep, counted in trials; of the finished ones, `formed`, `broken` and `other_code`."""
 
     trials: int
     finished: int
     formed: int
     broken: int
-    cut: int
+    cut: int  # by the sweep's budget; flown again when there is one
     other_code: int
-    reason: str | None = None
+    reason: str | None = None  # limit of the budget that is used up
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is left to be flown."""
         return self.finished == self.trials
 
 
@@ -103,15 +89,14 @@ def fly_sweep(
             raise InputError("cluster", cluster, says=says)
     _check(sweep)
     store, display = Store(folder), display or Display()
-    _register(sweep, store)
     keep = keep or sweep.file.sweep.keep_records
     session = Session(store=store, display=display, keep=keep, budget=budget, rates=rates, at_once=at_once)
-    flown = load_flown(sweep, store)
-    pending = _pending(sweep, flown, again=again)
-    display.begin(flown.values(), pending)
-    try:
-        while pending:
-            session.busy = []
+    with store.held():
+        _register(sweep, store)
+        flown = load_flown(sweep, store)
+        pending = _pending(sweep, flown, again=again)
+        display.begin(flown.values(), pending)
+        try:
             if cluster is not None:
                 fly_on_cluster(pending, session, cluster, jobs if jobs > 1 else None)
             else:
@@ -120,35 +105,28 @@ def fly_sweep(
                 }
                 fly_in_pool([spec for spec in pending if spec.id in pooled], session, jobs)
                 fly_here([spec for spec in pending if spec.id not in pooled], session)
-            pending = session.busy
-            if pending:
-                time.sleep(ELSEWHERE_S)
-    finally:
-        tables.build_tables(folder)
-    return _status(sweep, store, session.reason)
+        finally:
+            tables.build_tables(folder)
+        return _status(sweep, store, session.reason)
 
 
 def _register(sweep: Sweep, store: Store) -> None:
     """Write into the directory which sweep it belongs to. A sweep may gain trials later, but not lose any."""
     plan = {spec.id: (spec.cell, str(spec.seed)) for spec in sweep.trials}
     path = store.folder / PLAN_NAME
-    with store.wait_for("plan"):
-        if path.exists():
-            try:
-                known = msgspec.json.decode(path.read_bytes(), type=dict[str, tuple[str, str]])
-            except (OSError, msgspec.MsgspecError, RecursionError) as error:
-                raise RecordError(f"{path}: not the trials of a sweep ({error})") from None
-            gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != (cell, seed)]
-            if gone:
-                shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")
-                raise InputError(
-                    "out",
-                    str(store.folder),
-                    f"a directory of this sweep: {len(gone)} of its {len(known)} trials are not in what was given, or "
-                    f"stored under another label ({shown}). A sweep may get more trials; others need another directory",
-                )
-        write_whole(path, msgspec.json.encode(plan))
-        write_whole(store.folder / SWEEP_NAME, sweep.text.encode())
+    if path.exists():
+        known = read_json(path, dict[str, tuple[str, str]], "the trials of a sweep")
+        gone = [f"{cell}, seed {seed}" for trial, (cell, seed) in known.items() if plan.get(trial) != (cell, seed)]
+        if gone:
+            shown = "; ".join(gone[:3]) + (" ..." if len(gone) > 3 else "")
+            raise InputError(
+                "out",
+                str(store.folder),
+                f"a directory of this sweep: {len(gone)} of its {len(known)} trials are not in what was given, or "
+                f"stored under another label ({shown}). A sweep may get more trials; others need another directory",
+            )
+    write_whole(path, msgspec.json.encode(plan))
+    write_whole(store.folder / SWEEP_NAME, sweep.text.encode())
 
 
 def _check(sweep: Sweep) -> None:
@@ -159,11 +137,7 @@ def _check(sweep: Sweep) -> None:
 
 
 def load_flown(sweep: Sweep, store: Store) -> dict[str, TrialResult]:
-    """The results of this sweep's trials so far by their id, cut ones included.
-
-    Raises:
-        RecordError: one of them is damaged.
-    """
+    """The results of this sweep's trials so far by their id, cut ones included."""
     wanted = {spec.id for spec in sweep.trials}
     return {path.stem: read_trial(path) for path in trial_files(store.folder) if path.stem in wanted}
 
@@ -175,7 +149,7 @@ def _pending(sweep: Sweep, flown: Mapping[str, TrialResult], *, again: bool) -> 
         if known is None:
             found.append(spec)
         elif known.cut or (again and known.error is not None):
-            found.append(replace(spec, tries=known.tries))
+            found.append(replace(spec, earlier=known.as_earlier()))
     return found
 
 

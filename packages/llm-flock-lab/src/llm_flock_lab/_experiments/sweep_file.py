@@ -32,8 +32,6 @@ OWN_COLUMNS = frozenset({"team", "shape", "n_robots", "protocol", "consensus", "
 
 
 class _Table(BaseModel):
-    """Common rules of all tables of the file."""
-
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -215,7 +213,6 @@ def _point(axis: str, value: Any) -> _Point:
 
 
 def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Point]) -> Cell:
-    """The cell at one point of the grid."""
     fields: dict[str, Any] = dict(overrides)
     for value in point.values():
         fields.update(value.fields)

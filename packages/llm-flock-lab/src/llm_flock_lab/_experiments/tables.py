@@ -8,10 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import polars as pl
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import AliasPath, BaseModel, Field, ValidationError
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.events import Origin
@@ -19,9 +19,6 @@ from llm_flock.printable import FORMULA
 from llm_flock_lab._experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock_lab._experiments.store import read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.trial import TrialResult
-
-TRIALS_NAME = "trials.parquet"
-ROUNDS_NAME = "rounds.parquet"
 
 AXIS = "axis_"
 """Prefix of the columns for further axes of a grid."""
@@ -48,7 +45,6 @@ class Column:
 
     @property
     def kind(self) -> str:
-        """The type in everyday words."""
         return KINDS[self.dtype]
 
 
@@ -139,12 +135,7 @@ ROUNDS: tuple[Column, ...] = (
 
 
 def read_tables(folder: Path) -> tuple[pl.DataFrame, pl.DataFrame]:
-    """Both tables, built from the finished trials: trials by cell and seed, and their rounds in the same order.
-
-    Raises:
-        InputError: this is no directory of results.
-        RecordError: a trial is damaged.
-    """
+    """Both tables, built from the finished trials: trials by cell and seed, and their rounds in the same order."""
     if not (folder / TRIALS_FOLDER).is_dir():
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
     trials = load_all(folder)
@@ -167,28 +158,15 @@ def read_rounds(folder: Path) -> pl.DataFrame:
 
 
 def build_tables(folder: Path) -> None:
-    """Write both tables as files, for other programs.
-
-    Raises:
-        InputError: this is no directory of results.
-        RecordError: a trial is damaged, or a table cannot be written.
-    """
-    for name, frame in zip((TRIALS_NAME, ROUNDS_NAME), read_tables(folder), strict=True):
+    """Write both tables as files, for other programs."""
+    for name, frame in zip(("trials.parquet", "rounds.parquet"), read_tables(folder), strict=True):
         file = io.BytesIO()
         frame.write_parquet(file)
         write_whole(folder / name, file.getvalue())
 
 
 def export_csv(folder: Path, out: Path) -> list[Path]:
-    """Write `trials.csv` and `rounds.csv` into `out`; older ones are replaced.
-
-    Numbers are written with full precision; an unknown value is an empty field. A text that a spreadsheet would take
-    for a formula has a quote before it: results may come from anywhere.
-
-    Raises:
-        InputError: there are no results, or the files cannot be written.
-        RecordError: a trial is damaged.
-    """
+    """Write `trials.csv` and `rounds.csv`; results come from anywhere, so no text becomes a spreadsheet's formula."""
     frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -200,28 +178,16 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
     return [out / name for name in frames]
 
 
-class _TeamFields(BaseModel):
-    shape: str
-    n_robots: Annotated[int, Field(ge=1, le=10**6)]
-
-
-class _SeedFields(BaseModel):
-    seed: Annotated[int, Field(ge=0, lt=2**63)]
-
-
 class _TrialFields(BaseModel):
     """Settings of a finished trial on which tables and reports rely; it may come from anywhere."""
 
-    mission: _TeamFields
-    trial: _SeedFields
+    shape: str = Field(validation_alias=AliasPath("mission", "shape"))
+    n_robots: int = Field(ge=1, le=10**6, validation_alias=AliasPath("mission", "n_robots"))
+    seed: int = Field(ge=0, lt=2**63, validation_alias=AliasPath("trial", "seed"))
 
 
 def load_all(folder: Path) -> list[TrialResult]:
-    """Read every finished trial, sorted by cell and seed.
-
-    Raises:
-        RecordError: a trial is damaged.
-    """
+    """Read every finished trial, sorted by cell and seed."""
     trials = [read_trial(path) for path in list(trial_files(folder))]
     for trial in trials:
         try:

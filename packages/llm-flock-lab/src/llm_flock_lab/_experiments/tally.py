@@ -8,14 +8,11 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from llm_flock.llm import Spent
-from llm_flock.runtime import Expected, RunConfig, TrialProgress, check_planners, most_calls, priced, rehearse, stand_in
+from llm_flock.runtime import Expected, RunConfig, check_planners, most_calls, priced, rehearse, stand_in
 from llm_flock_lab._experiments.executors import Display
 from llm_flock_lab._experiments.grid import TrialSpec
 from llm_flock_lab._experiments.sweep_file import Sweep
 from llm_flock_lab._experiments.trial import TrialResult
-
-NEARLY = 0.95
-"""Largest part of a whole trial that a trial in flight counts as."""
 
 
 def expect_cells(
@@ -26,11 +23,8 @@ def expect_cells(
 ) -> dict[str, Expected]:
     """The expected use of one trial of each cell.
 
-    A cell with finished trials is expected to go on as they did. Any other cell is rehearsed with its first seed, as
-    `[expect]` says; `on_cell` is called before. Cells whose rehearsals are the same share one.
-
-    Raises:
-        InputError: a model cannot work, as far as that is known without a key.
+    A cell with finished trials goes on as they did. Any other one is rehearsed with its first seed, as `[expect]` says;
+    `on_cell` is called before. Cells whose rehearsals are the same share one.
     """
     configs: dict[str, RunConfig] = {}
     for spec in sweep.trials:
@@ -66,19 +60,7 @@ def _measured(summary: Mapping[str, float]) -> Expected:
 
 
 class Tally(Display):
-    """Counts trials, and forecasts the use of the other trials of a cell from those that are over.
-
-    Args:
-        clock: seconds, only differences matter.
-        on_change: called after each change; its argument is whether the sweep has just begun.
-
-    Attributes:
-        over: trials that are over, found ones included.
-        formed: of these.
-        broken: of these, those that broke off.
-        cut: those that the budget of the sweep cut short.
-        used: total of all processes, earlier sessions included.
-    """
+    """Counts trials, and forecasts the use of a cell's other trials from those that are over."""
 
     def __init__(
         self,
@@ -91,13 +73,11 @@ class Tally(Display):
         self._of_cell: defaultdict[str, Spent] = defaultdict(Spent)
         self._count: Counter[str] = Counter()
         self._left: Counter[str] = Counter()
-        self._in_flight: dict[str, tuple[str, TrialProgress]] = {}
         self._flown: Counter[str] = Counter()
         self.trials = self.over = self.formed = self.broken = self.cut = 0
         self.used = Spent()
 
     def begin(self, flown: Collection[TrialResult], pending: Sequence[TrialSpec]) -> None:
-        """See `Display`."""
         again = {spec.id for spec in pending}
         for result in flown:
             if result.id not in again:
@@ -108,21 +88,13 @@ class Tally(Display):
         self._began = self._clock()
         self._on_change(True)
 
-    def progress(self, spec: TrialSpec, now: TrialProgress) -> None:
-        """See `Display`."""
-        self._in_flight[spec.id] = spec.cell, now
-        self._on_change(False)
-
-    def finished(self, spec: TrialSpec, result: TrialResult, *, fresh: bool) -> None:
-        """See `Display`."""
-        self._in_flight.pop(spec.id, None)
+    def finished(self, spec: TrialSpec, result: TrialResult) -> None:
         self._left[spec.cell] -= 1
-        self._flown[spec.cell] += fresh
+        self._flown[spec.cell] += 1
         self._count_in(spec.cell, result)
         self._on_change(False)
 
     def spent(self, spent: Spent, reason: str | None) -> None:
-        """See `Display`."""
         self.used = spent
         self._on_change(False)
 
@@ -142,11 +114,9 @@ class Tally(Display):
 
     @property
     def eta_s(self) -> float | None:
-        """Expected time left [s]; None before the first round."""
-        flown = sum(count * self._work(cell) for cell, count in self._flown.items())
-        part = sum(self._part(cell, now) * self._work(cell) for cell, now in self._in_flight.values())
-        left = sum(count * self._work(cell) for cell, count in self._left.items()) - part
-        done = flown + part
+        """Expected time left [s], where a trial takes as long as its calls; None before the first trial is over."""
+        done = sum(count * (self._one(cell).calls or 1) for cell, count in self._flown.items())
+        left = sum(count * (self._one(cell).calls or 1) for cell, count in self._left.items())
         return left * (self._clock() - self._began) / done if done > 0 else None
 
     def _count_in(self, cell: str, result: TrialResult) -> None:
@@ -164,11 +134,3 @@ class Tally(Display):
         if not count:
             return Spent()
         return Spent(calls=used.calls // count, tokens=used.tokens // count, cost_usd=used.cost_usd / count)
-
-    def _work(self, cell: str) -> float:
-        """Amount of work in one trial: its calls, or 1 where none are known."""
-        return self._one(cell).calls or 1.0
-
-    def _part(self, cell: str, now: TrialProgress) -> float:
-        """Part of a trial in flight that is done."""
-        return min(NEARLY, max(now.model_calls / max(1.0, self._work(cell)), now.round / max(1, now.rounds)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -17,8 +17,8 @@ from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, Spent, habits_of
 from llm_flock.own_code import is_cancelled, shown
 from llm_flock.record import Entry, MetricsRow, SummaryMessage
-from llm_flock.runtime import RECORD_NAME, TrialProgress, run_async
-from llm_flock_lab._experiments.grid import TrialSpec
+from llm_flock.runtime import RECORD_NAME, run_async
+from llm_flock_lab._experiments.grid import Earlier, TrialSpec
 
 KeepRecords: TypeAlias = Literal["all", "failed", "none"]
 """Trials whose record is kept."""
@@ -27,39 +27,20 @@ FORMAT = 1
 """Version of the files in `trials/`."""
 
 
-class Earlier(msgspec.Struct, frozen=True, kw_only=True):
-    """Why an earlier try of a trial ended, and its use; the cost [US dollars] is None where no price is known."""
-
-    stopped: str
-    model_calls: int
-    tokens: int
-    cost_usd: float | None
-
-
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
-    """The result of one trial, as `trials/ID.json` holds it; id, cell and axes are those of its `TrialSpec`.
-
-    Attributes:
-        summary: `Summary.to_dict()`, also of a trial that broke off; None where it broke off before it began.
-        rounds: a list for each column of `tables.ROUNDS` but the first, all of the same length.
-        error: what broke the trial off; None where nothing did.
-        cut: the sweep's budget ran out during the trial; it is flown again as soon as there is a budget.
-        simulated: whether any language model was a simulated stand-in.
-        code: version of this package, and revision of its checkout where it runs from one.
-        record: path of its record, relative to the results directory; None where none was kept.
-    """
+    """The result of one trial, as `trials/ID.json` holds it; id, cell and axes are those of its `TrialSpec`."""
 
     id: str
     cell: str
     axes: dict[str, str]
     config: dict[str, Any]
-    summary: dict[str, Any] | None
-    rounds: dict[str, list[float | int | None]]
+    summary: dict[str, Any] | None  # None where it broke off before it began
+    rounds: dict[str, list[float | int | None]]  # columns of `tables.ROUNDS` but the first
     error: str | None
-    cut: bool
-    simulated: bool
+    cut: bool  # by the sweep's budget; flown again as soon as there is one
+    simulated: bool  # whether any language model was a stand-in
     code: str
-    record: str | None = None
+    record: str | None = None  # relative to the results directory
     earlier: tuple[Earlier, ...] = ()
     format: int = FORMAT
 
@@ -70,21 +51,14 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def stopped(self) -> str:
-        """Why it ended, as in `Summary.stopped`."""
         return "failed" if self.summary is None or self.error is not None else str(self.summary["stopped"])
 
     @property
     def spent(self) -> Spent:
-        """What this try used."""
         found = self.summary or {}
         return Spent(
             calls=found.get("model_calls", 0), tokens=found.get("tokens", 0), cost_usd=found.get("cost_usd") or 0.0
         )
-
-    @property
-    def tries(self) -> int:
-        """How often it was flown."""
-        return len(self.earlier) + 1
 
     def as_earlier(self) -> tuple[Earlier, ...]:
         """This try and those before it, for the one that replaces it."""
@@ -115,20 +89,10 @@ async def fly(
     lane: CallLane | None = None,
     keep: KeepRecords = "none",
     scratch: Path | None = None,
-    earlier: tuple[Earlier, ...] = (),
-    on_round: Callable[[TrialProgress], None] | None = None,
 ) -> tuple[TrialResult, Path | None]:
-    """Fly one trial. The result reports any exception in it, but without a store an `InputError` is raised.
+    """Fly one trial; returns its result, and the path of its record in `scratch` if that is to be kept.
 
-    `scratch` is the folder for the record while it is written; anything in it is deleted first. None if nothing is
-    stored. `lane` gives access to what all trials share; `earlier` are the tries before this one.
-
-    Returns:
-        its result, and the path of its record in `scratch` if that is to be kept.
-
-    Raises:
-        InputError: a value is not allowed; only without `scratch`.
-        asyncio.CancelledError: the sweep is being stopped.
+    The result reports any exception in it. Without `scratch` nothing is stored, and an `InputError` is raised.
     """
     out = None
     if scratch is not None:
@@ -138,7 +102,7 @@ async def fly(
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
     metrics, error = _Metrics(), None
     try:
-        await run_async(config=config, sink=metrics, lane=lane, on_round=on_round, progress=False, trace=False)
+        await run_async(config=config, sink=metrics, lane=lane, progress=False, trace=False)
     except (Exception, asyncio.CancelledError) as reason:  # it is stored, counted and shown
         if (scratch is None and isinstance(reason, InputError)) or (
             isinstance(reason, asyncio.CancelledError) and is_cancelled()
@@ -161,7 +125,7 @@ async def fly(
         simulated=any(habits_of(model).simulated for model in spec.models) or bool(summary and summary["simulated"]),
         code="" if scratch is None else code_version(),
         record=None if record is None else f"records/{spec.id}.mcap",
-        earlier=earlier,
+        earlier=spec.earlier,
     )
     return result, record
 

@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -18,8 +19,9 @@ from llm_flock_lab._report.results import ResultCell, Results, TrialRow, as_numb
 from llm_flock_view._figures.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
 
 COLUMNS = 4
-MOST_ROWS = 12
-"""With more rows, only curves of the first condition are drawn, and the page says so."""
+_FORMED = "formed [% of all trials]"
+
+Found: TypeAlias = Sequence[tuple[ResultCell, Estimate | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,10 +36,7 @@ class Drawing:
 
 
 def draw_all(results: Results, reference: str) -> Iterator[Drawing]:
-    """Every figure for which the results have data; protocols are compared with the reference.
-
-    Figures are copied out of reports, so where any model was simulated, each of them says so.
-    """
+    """Every figure for which there are data; each says if models were simulated, for it may be copied elsewhere."""
     for drawing in _draw_all(results, reference):
         if results.simulated:
             for legend in drawing.figure.legends:
@@ -59,10 +58,7 @@ def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
 
 
 def errors_over_time(results: Results) -> Iterator[Drawing]:
-    """The error over time: of each model under every protocol, and of each protocol with every model.
-
-    Where only one model flew, or only one protocol was flown, the second figure would show the same curves again.
-    """
+    """The error of each model under every protocol, and the other way round where these are not the same curves."""
     model, protocol = attrgetter("model"), attrgetter("protocol")
     length = results.longest
     for by, title, series, series_of, row_of in (
@@ -72,7 +68,7 @@ def errors_over_time(results: Results) -> Iterator[Drawing]:
         if len(series) == 1 and (by == "protocol" or len(results.protocols) > 1):
             continue
         rows = list(dict.fromkeys((row_of(cell), cell.condition) for cell in results.cells))
-        shown = rows if len(rows) <= MOST_ROWS else [row for row in rows if row[1] == results.conditions[0]]
+        shown = rows if len(rows) <= 12 else [row for row in rows if row[1] == results.conditions[0]]
         several = len({name for name, _ in rows}) > 1
         grid: list[tuple[str, list[Facet]]] = []
         for name, condition in shown:
@@ -116,27 +112,19 @@ def _curve(series: str, table: NDArray[np.float64]) -> Curve:
 
 
 def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
-    """The share of trials that formed, by cell."""
     return Drawing(
         name="success",
         section="success",
         title="Share of trials that formed",
         caption="Share of all trials that formed, with Wilson's 95 % interval. Trials that broke off or ran out of "
         "their budget count as not formed.",
-        figure=dots(
-            _dot_panels(results, [(line.cell, _percent(line.formed)) for line in lines]),
-            results.protocols,
-            "formed [% of all trials]",
-            _rows_are(results),
-            (-3, 103),
-        ),
+        figure=_dots(results, [(line.cell, _percent(line.formed)) for line in lines], _FORMED, (-3, 103)),
     )
 
 
 def compared(results: Results, reference: str) -> Iterator[Drawing]:
     """Protocols against the reference on the same seeds: success, and the error at the end."""
     lines = pair_lines(results, reference)
-    others = [name for name in results.protocols if name != reference]
     formed, error = "formed, difference [% points]", "error at the end, difference [units]"
     kinds: tuple[tuple[str, str, str, Callable[[PairLine], Estimate | None]], ...] = (
         ("success", formed, "Newcombe's 95 % interval", lambda line: _percent(line.formed.difference)),
@@ -150,13 +138,7 @@ def compared(results: Results, reference: str) -> Iterator[Drawing]:
                 section="paired",
                 title=f"{name.capitalize()}, difference from {reference}",
                 caption=f"This minus {reference} on the same seeds, with {how}; right of the dashed line is more.",
-                figure=dots(
-                    _dot_panels(results, found, edge=0.0),
-                    others,
-                    x,
-                    _rows_are(results),
-                    _limits([estimate for _, estimate in found]),
-                ),
+                figure=_dots(results, found, x, _limits(found), without=reference),
             )
 
 
@@ -170,9 +152,9 @@ def _percent(share: Estimate) -> Estimate:
     return Estimate(value=100 * share.value, low=low, high=high)
 
 
-def _limits(estimates: Sequence[Estimate | None]) -> tuple[float, float]:
+def _limits(found: Found) -> tuple[float, float]:
     """A range that contains all intervals and zero, with a margin."""
-    ends = [end for e in estimates if e is not None for end in (e.value, e.low, e.high) if end is not None]
+    ends = [end for _, e in found if e is not None for end in (e.value, e.low, e.high) if end is not None]
     low, high = min(0.0, *ends, 0.0), max(0.0, *ends, 0.0)
     if low == high:
         return (-1.0, 1.0)  # nothing differs
@@ -181,7 +163,6 @@ def _limits(estimates: Sequence[Estimate | None]) -> tuple[float, float]:
 
 
 def ratios(results: Results) -> Drawing:
-    """Rounds over the lower bound of every trial that formed."""
     panels = [
         Facet(
             title=str(team),
@@ -220,7 +201,6 @@ def ratios(results: Results) -> Drawing:
 
 
 def separations(results: Results) -> Drawing:
-    """The smallest distance of two robots in every trial."""
     panels: list[Facet] = []
     for model in results.models:
         for team in results.teams:
@@ -245,7 +225,6 @@ def separations(results: Results) -> Drawing:
 
 
 def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
-    """Calls, tokens and money."""
     kinds: tuple[tuple[str, str, str, Callable[[CellLine], Estimate | None]], ...] = (
         ("calls", "Model calls", "model calls a robot and mission", lambda line: line.calls),
         ("tokens", "Tokens", "tokens a robot and mission", lambda line: line.tokens),
@@ -255,7 +234,6 @@ def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
         found = [(line.cell, get(line)) for line in lines]
         if all(estimate is None or estimate.value == 0 for _, estimate in found):
             continue
-        _, most = _limits([estimate for _, estimate in found])
         estimated = " Tokens of simulated models are estimates." if name == "tokens" and results.simulated else ""
         yield Drawing(
             name=name,
@@ -263,22 +241,25 @@ def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
             title=title,
             caption=f"Mean over all trials and its {INTERVAL}; retries of answers that could not be used are "
             f"counted.{estimated}",
-            figure=dots(_dot_panels(results, found), results.protocols, x, _rows_are(results), (0.0, most)),
+            figure=_dots(results, found, x, (0.0, _limits(found)[1])),
         )
 
 
-def _dot_panels(
-    results: Results, found: Sequence[tuple[ResultCell, Estimate | None]], edge: float | None = None
-) -> list[Facet]:
+def _dots(results: Results, found: Found, x: str, limits: tuple[float, float], *, without: str | None = None) -> Figure:
+    """Estimates of cells; where they are differences from the protocol left out, a line marks none."""
+
     def dot(cell: ResultCell, estimate: Estimate | None) -> Dot:
         value, low, high = (None,) * 3 if estimate is None else (estimate.value, estimate.low, estimate.high)
         return Dot(series=cell.protocol, row=_row(results, cell), value=value, low=low, high=high)
 
+    edge = None if without is None else 0.0
     teams = dict.fromkeys(cell.team for cell, _ in found)
-    return [
+    panels = [
         Facet(title=str(team), marks=[dot(cell, estimate) for cell, estimate in found if cell.team == team], edge=edge)
         for team in teams
     ]
+    series = [name for name in results.protocols if name != without]
+    return dots(panels, series, x, _rows_are(results), limits)
 
 
 def _row(results: Results, cell: ResultCell) -> str:
@@ -326,7 +307,7 @@ def _along(
         return lambda found: mean_interval(known(map(figure, found)), least=0.0)
 
     kinds: tuple[tuple[str, str, Callable[[list[TrialRow]], Estimate | None]], ...] = (
-        ("formed", "formed [% of all trials]", lambda ts: _percent(wilson(sum(t.formed for t in ts), len(ts)))),
+        ("formed", _FORMED, lambda ts: _percent(wilson(sum(t.formed for t in ts), len(ts)))),
         ("error", "error at the end [units]", mean(lambda t: t.error)),
         ("calls", "model calls a robot", mean(lambda t: t.per_robot("model_calls"))),
     )

@@ -16,47 +16,29 @@ INTERVAL = "95 % Student-t interval"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellLine:
-    """The figures of one cell.
-
-    Attributes:
-        outcomes: number of trials by outcome; they add up to `trials`.
-        formed: share of all trials that formed, with Wilson's interval.
-        by_models: share of the trials of which it is known that formed without help from geometry; None without any.
-        rounds: median of the rounds to the formation, over the trials that formed.
-        ratio: median of these rounds over the lower bound.
-        error: mean distance to the ideal shape at the end [units], over the `errors_known` trials that have one.
-        min_separation: smallest in any trial [units].
-        too_near: trials in which two robots were nearer than the safe distance.
-        calls: model calls a robot and mission; `tokens` likewise.
-        cost: cost of a mission [US dollars]; None where a price is not known.
-        latency: mean duration of a call [s].
-        rejected: share of calls whose answer could not be used; None without calls.
-    """
+    """The figures of one cell; means are over trials, with Student's interval."""
 
     cell: ResultCell
     trials: int
     formed: Estimate
-    by_models: Estimate | None
+    by_models: Estimate | None  # of the trials of which it is known
     outcomes: Mapping[str, int]
-    rounds: float | None
+    rounds: float | None  # median over trials that formed; `ratio` to the lower bound likewise
     ratio: float | None
-    error: Estimate | None
+    error: Estimate | None  # at the end [units], over `errors_known` trials
     errors_known: int
     min_separation: float | None
     too_near: int
-    calls: Estimate | None
+    calls: Estimate | None  # a robot and mission; `tokens` likewise
     tokens: Estimate | None
-    cost: Estimate | None
-    latency: Estimate | None
-    rejected: float | None
+    cost: Estimate | None  # of a mission [US dollars]; None where a price is not known
+    latency: Estimate | None  # of a call [s]
+    rejected: float | None  # share of calls
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairLine:
-    """A cell against that of the reference, on the same seeds: share that formed, and the means in `COMPARED`.
-
-    A mean is None where no pair has the figure.
-    """
+    """A cell against the reference's on the same seeds: success, and the means in `COMPARED`, None without pairs."""
 
     cell: ResultCell
     formed: PairedShares
@@ -75,7 +57,6 @@ COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
 
 
 def cell_lines(results: Results) -> list[CellLine]:
-    """A line for every cell."""
     return [_cell_line(cell, trials) for cell, trials in results.cells.items()]
 
 
@@ -108,15 +89,13 @@ def _cell_line(cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
 
 
 def known(values: Iterable[float | None]) -> list[float]:
-    """The values that are known."""
     return [float(value) for value in values if value is not None]
 
 
 def pair_lines(results: Results, reference: str) -> list[PairLine]:
     """Every other protocol against the reference: same team, model and condition, seed by seed.
 
-    A seed that only one of the two flew makes no pair. A trial that broke off is a pair like any other in success: it
-    did not form. In the means a pair counts where both trials have the figure.
+    A trial that broke off did not form, and is a pair like any other in success; in a mean, both need the figure.
     """
     lines: list[PairLine] = []
     for cell, trials in results.cells.items():

@@ -24,27 +24,16 @@ from llm_flock_lab._experiments.store import TRIALS, read_trial
 from llm_flock_lab._report.results import OUTCOMES, Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
 
-MOST_FLOWN_AGAIN = 100
-"""Largest team that is flown again for the gallery; more robots would take minutes."""
-
 LONGEST = 6000
 """Letters of a message that are shown at most."""
 
 SEVERITY = ("broke off", "no answers", "no plan", "interrupted", "budget", "not formed", "formed")
 """Outcomes, the worst first."""
-REPEATED = ("stopped", "rounds", "model_calls", "procrustes_mean")
-"""Figures that are the same when the same code flies the same trial again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Story:
-    """Something that went wrong in a trial, and the conversation behind it.
-
-    Attributes:
-        text: what happened.
-        about: whose conversation it is, and when; empty without one.
-        conversation: the last call with all messages before it, its answer, and as "verdict" what became of that.
-    """
+    """Something that went wrong in a trial, and the call behind it, with what became of its answer as "verdict"."""
 
     text: str
     about: str = ""
@@ -53,10 +42,7 @@ class Story:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """One trial of the gallery: why it is there, and what happened in it.
-
-    Without a record there are no stories and no snapshots in `figure`, and `source` says why; else it names the record.
-    """
+    """One trial of the gallery: why it is there, and what happened; `source` names its record, or why there is none."""
 
     trial: TrialRow
     reason: str
@@ -66,16 +52,11 @@ class Failure:
 
     @property
     def name(self) -> str:
-        """Name of its files."""
         return f"failure-{self.trial.id}"
 
 
 def worst(results: Results, most: int) -> list[TrialRow]:
-    """The worst trials: the worst of each protocol and outcome, then the second worst of each, and so on.
-
-    A trial is worse if its outcome is worse, then if it ended farther from the shape. Trials that formed are included
-    only where robots came too near.
-    """
+    """The worst trials by outcome, then by error: first of each protocol and outcome, then the second of each, ..."""
     groups: defaultdict[tuple[int, str], list[TrialRow]] = defaultdict(list)
     for trial in sorted(results.trials, key=_badness, reverse=True):
         if not trial.formed or trial.too_near:
@@ -185,7 +166,7 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         return read_record(results.folder / kept), f"From its record, {kept}."
     if not trial.figures["simulated"]:
         return None, "No record was kept (see --keep-records of llm-flock sweep), so there are no pictures."
-    if folder is None or trial.cell.team.n_robots > MOST_FLOWN_AGAIN:
+    if folder is None or trial.cell.team.n_robots > 100:  # more robots would take minutes
         return None, "No record was kept, and the trial was not flown again."
     config = RunConfig.build(read_trial(results.folder / TRIALS / f"{trial.id}.json").config)
     if (foreign := _foreign(config)) is not None:
@@ -199,6 +180,7 @@ def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[Run
         if not (folder / RECORD_NAME).exists():
             raise FlockError(f"flown again, it broke off at once: {error}") from None
         summary = {}
-    same = all(summary.get(name) == trial.figures[name] for name in REPEATED)
+    repeated = ("stopped", "rounds", "model_calls", "procrustes_mean")
+    same = all(summary.get(name) == trial.figures[name] for name in repeated)
     odd = "" if same else " It came out differently this time: other code or another machine flew it."
     return read_record(folder / RECORD_NAME), f"No record was kept; flown again from its configuration.{odd}"

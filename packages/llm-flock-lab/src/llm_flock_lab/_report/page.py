@@ -29,8 +29,6 @@ from llm_flock_view._figures.figures import save
 from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
 
 FORMATS = ("svg", "pdf", "png")
-PICTURE_DPI = 130
-"""Resolution of the snapshots on the page; the files have more."""
 
 SECTIONS = {
     "success": "Success",
@@ -147,10 +145,7 @@ def write_report(
 
 
 def inline_svg(figure: Figure, name: str, label: str) -> Markup:
-    """The figure as an element of an HTML page, the same whenever it is made.
-
-    `name` is the prefix of every id, so that no two figures of a page share one; `label` is for screen readers.
-    """
+    """The figure as an element of a page, always the same; `name` begins every id, `label` is for screen readers."""
     out = io.StringIO()
     with house_style():
         figure.savefig(out, format="svg", metadata={"Date": None})
@@ -181,10 +176,9 @@ def _svg(drawing: Drawing) -> Markup:
 
 
 def _data_address(figure: Figure) -> str:
-    """A figure as a PNG image in a data: URL."""
     image = io.BytesIO()
     with house_style():
-        figure.savefig(image, format="png", dpi=PICTURE_DPI)
+        figure.savefig(image, format="png", dpi=130)
     return f"data:image/png;base64,{base64.b64encode(image.getvalue()).decode('ascii')}"
 
 

@@ -33,9 +33,6 @@ OUTCOMES: Mapping[str, str] = {
 }
 """Outcomes of trials; each trial has exactly one."""
 
-ENDINGS = {"budget": "budget", "no_plan": "no plan", "no_answers": "no answers", "interrupted": "interrupted"}
-"""Outcome of a trial that did not form, by why it stopped; otherwise it is `not formed`."""
-
 
 @dataclass(frozen=True, slots=True, order=True)
 class Team:
@@ -50,13 +47,7 @@ class Team:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultCell:
-    """A cell of the grid: its trials differ in their seed only.
-
-    Attributes:
-        protocol: preset of rules; with the rules themselves where one preset was flown with several.
-        model: language model, as configured.
-        condition: the value of every further axis of the grid, in words; empty without any.
-    """
+    """A cell of the grid; `condition` is the value of every further axis in words, empty without any."""
 
     team: Team
     protocol: str
@@ -79,12 +70,10 @@ class TrialRow:
 
     @property
     def formed(self) -> bool:
-        """Whether the formation was built."""
         return self.outcome == "formed"
 
     @property
     def too_near(self) -> bool:
-        """Whether any two robots came nearer than the safe distance."""
         separation, safe = self.figures["min_separation"], self.figures["safe_distance"]
         return separation is not None and safe is not None and separation < safe - TOLERANCE
 
@@ -107,14 +96,7 @@ class TrialRow:
 
 @dataclass(frozen=True)
 class Results:
-    """Everything in a directory of results.
-
-    Attributes:
-        frame: a row for each trial.
-        rounds: a row for each round.
-        name: of the sweep, like its description `about`, which may be empty.
-        planned: trials of the whole sweep; None where that is not known.
-    """
+    """Everything in a directory of results; `planned` are the trials of the whole sweep, None where not known."""
 
     folder: Path
     frame: pl.DataFrame = field(repr=False)
@@ -125,12 +107,7 @@ class Results:
 
     @classmethod
     def read(cls, folder: Path) -> Self:
-        """Read a directory of results; it may be one that is still being filled.
-
-        Raises:
-            InputError: there are no results.
-            RecordError: a trial is damaged.
-        """
+        """Read a directory of results; it may be one that is still being filled."""
         frame, rounds = tables.read_tables(folder)
         if frame.is_empty():
             raise InputError("dir", str(folder), "a directory with at least one finished trial")
@@ -146,7 +123,6 @@ class Results:
 
     @cached_property
     def trials(self) -> tuple[TrialRow, ...]:
-        """Every trial, in the order of the table."""
         rows = list(self.frame.iter_rows(named=True))
         axes = [name for name in self.frame.columns if name.startswith(tables.AXIS)]
         return tuple(
@@ -169,7 +145,6 @@ class Results:
 
     @cached_property
     def cells(self) -> dict[ResultCell, list[TrialRow]]:
-        """The trials of each cell: by team, condition, model and protocol."""
         found: defaultdict[ResultCell, list[TrialRow]] = defaultdict(list)
         for trial in self.trials:
             found[trial.cell].append(trial)
@@ -182,7 +157,6 @@ class Results:
 
     @cached_property
     def teams(self) -> tuple[Team, ...]:
-        """Every team, the smallest first."""
         return tuple(sorted({trial.cell.team for trial in self.trials}))
 
     @cached_property
@@ -215,7 +189,6 @@ class Results:
 
     @property
     def simulated(self) -> bool:
-        """Whether any language model was a simulated stand-in."""
         return any(trial.figures["simulated"] for trial in self.trials)
 
     def outcomes(self) -> dict[str, int]:
@@ -234,11 +207,7 @@ class Results:
         }
 
     def curves(self, trials: Sequence[TrialRow], length: int) -> NDArray[np.float64]:
-        """The error of each trial over the rounds [units], shape (trials with a known error, length).
-
-        A trial that ended early keeps its last known error; before that, NaN where it was not measured. Trials that
-        broke off before round 0 and shapes without an ideal have no row.
-        """
+        """Error over rounds of the trials that have one [units], shape (k, length); the last one stands to the end."""
         rows: list[NDArray[np.float64]] = []
         for trial in trials:
             curve = self._errors.get(trial.id)
@@ -259,7 +228,8 @@ def _outcome(row: Mapping[str, Any]) -> str:
         return "broke off"
     if row["formed"]:
         return "formed"
-    return ENDINGS.get(row["stopped"], "not formed")
+    stopped = str(row["stopped"]).replace("_", " ")
+    return stopped if stopped in OUTCOMES.keys() - {"formed"} else "not formed"
 
 
 def as_number(text: str) -> float | None:

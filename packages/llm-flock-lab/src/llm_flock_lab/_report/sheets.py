@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from llm_flock_lab._experiments.paired import PairedMeans, PairedShares
-from llm_flock_lab._experiments.statistics import Estimate, median
+from llm_flock_lab._experiments.statistics import NOT_KNOWN, interval, median, number
 from llm_flock_lab._report.findings import COMPARED, INTERVAL, CellLine, PairLine, known
 from llm_flock_lab._report.results import OUTCOMES, ResultCell, Results
 
 T = TypeVar("T")
-
-NOT_KNOWN = "-"
-MINUS = "\N{MINUS SIGN}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +26,6 @@ class Sheet:
 
 
 def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    """How the trials of every cell ended."""
     ends = [name for name in OUTCOMES if name != "formed" and any(line.outcomes[name] for line in lines)]
     columns: dict[str, Callable[[CellLine], str]] = {
         "trials": lambda line: str(line.trials),
@@ -48,7 +44,6 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
 
 
 def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    """How fast the trials formed, and their error."""
     columns: dict[str, Callable[[CellLine], str]] = {
         "formed": lambda line: str(line.outcomes["formed"]),
         "rounds (median)": lambda line: number(line.rounds, 1),
@@ -65,7 +60,6 @@ def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
 
 
 def spending_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    """Calls, tokens and cost."""
     columns: dict[str, Callable[[CellLine], str]] = {
         "calls a robot": lambda line: interval(line.calls, 2),
         "tokens a robot": lambda line: interval(line.tokens, 0),
@@ -115,10 +109,7 @@ def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str) -> 
 def _sheet(
     results: Results, title: str, columns: Mapping[str, Callable[[T], str]], rows: Mapping[ResultCell, T], note: str
 ) -> Sheet:
-    """A table with a row for each cell: the words that tell it from others, then its figures.
-
-    A model or a protocol that flew everything tells nothing apart; it stands below the title of the report.
-    """
+    """A table with a row for each cell: the words that tell it from others, then its figures."""
     told: dict[str, Callable[[ResultCell], str]] = {
         "shape": lambda cell: cell.team.shape,
         "N": lambda cell: str(cell.team.n_robots),
@@ -135,10 +126,7 @@ def _sheet(
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:
-    """The most important numbers, each with its name. No figure of success is pooled over protocols.
-
-    Simulated models cost nothing: where no other flew, there is no cost.
-    """
+    """The most important numbers, each with its name. No figure of success is pooled over protocols."""
     free = all(trial.figures["simulated"] for trial in results.trials)
     costs = [trial.figures["cost_usd"] for trial in results.trials if trial.figures["model_calls"] is not None]
     return [
@@ -161,26 +149,6 @@ def _success(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str
         (f"{sum(line.too_near for line in lines):,}", "with robots too near"),
         (number(median(known(trial.ratio for trial in results.trials)), 2), "rounds over the bound (median)"),
     ]
-
-
-def number(value: float | None, digits: int) -> str:
-    """A number with the given decimals; trailing zeros of whole numbers are left out."""
-    if value is None:
-        return NOT_KNOWN
-    return f"{value:,.0f}" if digits <= 1 and value == int(value) else f"{value:,.{digits}f}"
-
-
-def interval(estimate: Estimate | None, digits: int, factor: float = 1.0, *, signed: bool = False) -> str:
-    """A value and its interval."""
-    if estimate is None:
-        return NOT_KNOWN
-    form = f"{'+' if signed else ''},.{digits}f"
-    # Rounding first and adding zero removes the minus sign of a zero.
-    value, *ends = (
-        None if x is None else format(round(factor * x, digits) + 0.0, form).replace("-", MINUS)
-        for x in (estimate.value, estimate.low, estimate.high)
-    )
-    return f"{value}" if None in ends else f"{value} [{ends[0]}, {ends[1]}]"
 
 
 def _compact(value: float) -> str:

@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 def serve(
     config: RunConfig, *, foxglove: Foxglove = False, foxglove_port: FoxglovePort = None
 ) -> Generator[FoxgloveServer]:
-    """The server while a run flies.
-
-    Raises:
-        InputError: the port cannot be used, or the extra is not installed.
-    """
+    """The server while a run flies."""
     from llm_flock.llm import parse_models, says_simulated
     from llm_flock.runtime import run_info
     from llm_flock_view._foxglove.server import FoxgloveServer

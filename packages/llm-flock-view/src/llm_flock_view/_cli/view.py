@@ -13,8 +13,6 @@ from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing, require
 from llm_flock_view._foxglove.options import Foxglove, FoxglovePort, port_of
 
-DEFAULT_PORT = 8765
-
 
 def view(
     records: Annotated[
@@ -55,7 +53,7 @@ def view(
     host: Annotated[str, typer.Option(help="Address to listen at; any but this machine's own needs a token")] = (
         "127.0.0.1"
     ),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = DEFAULT_PORT,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = 8765,
     token: Annotated[
         str | None,
         typer.Option(
@@ -73,9 +71,7 @@ def view(
     """
     live_port = port_of(foxglove, foxglove_port)
     require("view", "view")
-    from llm_flock_view._viewer.canvases import player_options
-    from llm_flock_view._viewer.page import html
-    from llm_flock_view._viewer.paths import FIRST_KEY, growing_in, newest_in, records_in, title_of
+    from llm_flock_view._viewer.paths import growing_in, newest_in, records_in
     from llm_flock_view._viewer.server import listen
 
     if swarm is not None and connect is None and config is None:
@@ -104,10 +100,6 @@ def view(
 
         server = FoxgloveServer(live_port, MOST_ROBOTS)
     address = listen(host, port, token)
-    if len(found) == 1 and watched is None and address.token is None:
-        # A single run is drawn at once. With a token, nothing is shown before the browser has shown it.
-        title = title_of(found[0])
-        address.startup.show(html(title, player_options([(FIRST_KEY, title)])).encode(), address.hosts)
     typer.echo(address.url)
     if server is not None:
         typer.echo(f"Foxglove: {server.url}", err=True)
@@ -117,7 +109,7 @@ def view(
         import webbrowser
 
         threading.Thread(target=webbrowser.open, args=(address.url,), daemon=True).start()
-    # The heavy libraries come last: the browser starts meanwhile, and the startup server answers it.
+    # The heavy libraries come last: the browser starts meanwhile, and waits at the open port.
     from llm_flock_view._viewer.app import run_viewer
 
     run_viewer(

@@ -60,9 +60,6 @@ KEY_POINTS, KEY_SCALE = 6.5, 0.72
 TITLE_POINTS = 8.0
 """Size of the title; a longer one is smaller, so that it keeps to one line."""
 
-MOST_LETTERS = 120
-"""Longest title [characters]."""
-
 
 def animate(record: RunRecord, path: Path, *, fps: int = FPS) -> None:
     """Write a record as an animation; the file's ending decides: .gif, .mp4 or .webm. Missing folders are made.
@@ -108,7 +105,7 @@ def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False)
         figure = Figure(figsize=(INCHES, tall), dpi=DPI)
         canvas = FigureCanvasAgg(figure)
         axes = figure.add_axes((0.09, below / tall, WIDTH, WIDTH * INCHES / tall))
-        title = one_line(heading(record, MOST_TITLE), MOST_LETTERS)
+        title = one_line(heading(record, MOST_TITLE), 120)
         fits = 0.96 * INCHES * 72 / size_of(title, TITLE_POINTS)[0]
         figure.suptitle(title, y=1 - 0.09 / tall, va="top", fontsize=TITLE_POINTS * min(1.0, fits))
         figure.legend(

@@ -80,10 +80,7 @@ class Facet:
 
 
 def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x: str, y: str) -> Figure:
-    """Small multiples of curves with their bands; each of `rows` has a title and its panels.
-
-    The place of a name in `series` gives it its look, here and in the other charts.
-    """
+    """Small multiples of curves with their bands, in titled `rows`; a name's place in `series` gives it its look."""
     with house_style():
         columns = max(len(panels) for _, panels in rows)
         figure = new_figure(max(5.2, 0.7 + 2.3 * columns), 0.75 + 1.95 * len(rows) + legend_inches(series, columns))
@@ -112,10 +109,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
 
 
 def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks: Sequence[str] | None = None) -> Figure:
-    """Values along an axis of the grid, with bars for their intervals.
-
-    Where `ticks` names the places 0, 1, ..., these are words, and no line joins them.
-    """
+    """Values along an axis of the grid, with bars for intervals; no line joins places 0, 1, ... named by `ticks`."""
     with house_style():
         figure, grid = _panels(panels, series, (0.7, 2.4), (0.7, 2.1))
         for axes, facet in zip(grid, panels, strict=True):
@@ -191,10 +185,7 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
 def _panels(
     panels: Sequence[Facet], series: Sequence[str], width: tuple[float, float], height: tuple[float, float]
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with titled panels in rows of four at most, and their axes.
-
-    `width` and `height` are those beside all panels, and of each [inches]; the legend needs room for all `series`.
-    """
+    """A figure with titled panels, four in a row at most; sizes are those beside all panels, and of each [inches]."""
     columns = min(MOST_COLUMNS, len(panels))
     lines = math.ceil(len(panels) / columns)
     figure = new_figure(
@@ -221,7 +212,6 @@ def _finish(
     line_only: bool = False,
     solid: bool = False,
 ) -> None:
-    """Label the axes, and put a legend with the names of all series above the panels."""
     figure.supxlabel(x, size=8)
     figure.supylabel(y, size=8)
     handles: list[Line2D | Patch] = []
@@ -300,7 +290,6 @@ def _lined(
 
 
 def look_of(series: Sequence[str], name: str) -> Look:
-    """The look of one of all series: the same in all panels."""
     number = series.index(name)
     return Look(SERIES[number % len(SERIES)], LINES[number % len(LINES)], MARKERS[number % len(MARKERS)])
 
@@ -321,7 +310,6 @@ def legend_columns(series: Sequence[str], columns: int) -> int:
 
 
 def legend_inches(series: Sequence[str], columns: int) -> float:
-    """Height of the legend."""
     return 0.15 + 0.2 * math.ceil((len(series) + 1) / legend_columns(series, columns))
 
 
@@ -354,7 +342,6 @@ def shortened(text: str, most: int) -> str:
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of a size [inches]."""
     figure = Figure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure

@@ -43,14 +43,7 @@ class Crowd(NamedTuple):
 
 
 def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float64], list[Crowd]]:
-    """Where discs are drawn, shape (n, 2), and the crowds that fan out around their middles.
-
-    Discs that only touch the number of another one, or of a crowd, move a little aside.
-
-    Args:
-        discs: middle of every disc, shape (n, 2) [points].
-        radius: of all discs [points].
-    """
+    """Where discs are drawn, shape (n, 2) [points], and the crowds that fan out; no disc stays on a number."""
     at = discs.copy()
     n = len(discs)
     rows, columns = np.nonzero(_gaps(discs, discs) < ONE_PLACE * radius)
@@ -74,15 +67,7 @@ def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float6
 def spots(
     at: NDArray[np.float64], crowds: list[Crowd], radius: float, size: tuple[float, float], bounds: Rectangle
 ) -> list[Crowd]:
-    """The same crowds; the number of one without room in its middle stands beside it [points].
-
-    Args:
-        at: where the discs are drawn, shape (n, 2).
-        crowds: as `spread` found them.
-        radius: of all discs.
-        size: width and height of a number.
-        bounds: of the picture: left, right, bottom, top.
-    """
+    """The same crowds; the number of one without room in its middle stands beside it [points]."""
     used = [box_at(spot, size) for spot in [one.spot for one in crowds] if spot is not None]
     found: list[Crowd] = []
     for one in crowds:

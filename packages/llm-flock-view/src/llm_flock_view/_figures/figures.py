@@ -190,7 +190,6 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def png(figure: Figure) -> bytes:
-    """A figure as a picture for a page."""
     file = io.BytesIO()
     with house_style():
         figure.savefig(file, format="png", dpi=DPI)
@@ -209,10 +208,7 @@ def outcome(record: RunRecord) -> str:
 
 
 def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]:
-    """Mean of runs of different length, and the ends of its 95 % Student-t interval, cut at 0 (NaN for one run).
-
-    Each curve has an error a round, shape (rounds + 1,) [units]; a run that ended early keeps its last one.
-    """
+    """Mean error a round [units], and the ends of its Student-t interval, cut at 0; the last one stands to the end."""
     longest = max(len(curve) for curve in curves)
     table = np.array([np.pad(curve, (0, longest - len(curve)), mode="edge") for curve in curves])
     mean, count = table.mean(axis=0), len(table)
@@ -298,7 +294,6 @@ def _moment(record: RunRecord, k: int, *, with_error: bool) -> str:
 
 
 def _around(windows: Sequence[Box]) -> Box:
-    """The smallest window that holds all of these."""
     lefts, rights, bottoms, tops = zip(*windows, strict=True)
     return (min(lefts), max(rights), min(bottoms), max(tops))
 

@@ -35,12 +35,7 @@ GAP = 1.0
 
 
 class Outlines(NamedTuple):
-    """What words had better not cross [points].
-
-    Attributes:
-        rings: middle and radius of each, shape (m, 3).
-        lines: two ends of each, shape (k, 2, 2).
-    """
+    """What words had better not cross [points]: rings (middle and radius), shape (m, 3), and lines, shape (k, 2, 2)."""
 
     rings: NDArray[np.float64]
     lines: NDArray[np.float64]
@@ -78,15 +73,8 @@ def beside(
 ) -> list[tuple[float, float] | None]:
     """From the middle of each disc to that of its word [points]; None where there is no room.
 
-    Args:
-        discs: middle of every disc, shape (n, 2) [points]; those that have no word come after the others.
-        radius: of all discs [points].
-        words: width and height of the word of each of the first discs [points].
-        bounds: of the picture [points].
-        taken: other places to keep free [points].
-        before: where the words stood a moment ago, so that they do not jump about in moving pictures.
-        outlines: rings and lines that words cross only where there is no other room [points].
-        reach: distance from the middle of a disc at which words begin, the radius if left out [points].
+    `words` are sizes of the words of the first discs, `taken` other places to keep free, `before` is where the words
+    stood a moment ago, so that they do not jump about; `reach` is where words begin, by default at the radius.
     """
     found: list[tuple[float, float] | None] = [None] * len(words)
     used = [*taken]
@@ -130,7 +118,6 @@ def _free(
 
 
 def box_at(middle: Sequence[float] | NDArray[np.float64], word: tuple[float, float]) -> Rectangle:
-    """The box of a word around its middle."""
     x, y, (width, height) = float(middle[0]), float(middle[1]), word
     return (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
 

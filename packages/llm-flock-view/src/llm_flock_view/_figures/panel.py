@@ -60,15 +60,7 @@ Box = tuple[float, float, float, float]
 
 
 class Panel:
-    """Draws moments of one record, all in the same window and with the same looks. Shows the first two dimensions.
-
-    Args:
-        record: the run.
-        width: width of the picture [points]; robots and words are sized by it.
-        window: the visible area [units]; by default everything that the run touches.
-
-    `labelled` says whether robots have their numbers, `mapped` whether a small map shows where the window is.
-    """
+    """Draws moments of one record in a `window` [units], from above; robots and words fit its `width` [points]."""
 
     def __init__(self, record: RunRecord, *, width: float = 165.0, window: Box | None = None) -> None:
         self.record = record
@@ -126,10 +118,7 @@ class Panel:
         small.add_patch(Frame((left, bottom), right - left, top - bottom, fill=False, ec=INK, lw=0.7, zorder=6))
 
     def draw_team(self, axes: Axes, round_number: int, part: float = 1.0) -> None:
-        """Draw the team on axes that `frame` has prepared and whose place in the figure is final.
-
-        After a `part` of the round; robots fly straight from round to round.
-        """
+        """Draw the team after a `part` of a round, on framed axes whose place in the figure is final."""
         state = self.record.states[round_number]
         before = self.record.positions[max(0, round_number - 1)]
         positions = before + part * (self.record.positions[round_number] - before)
@@ -148,10 +137,7 @@ class Panel:
     def _spread(
         self, axes: Axes, places: Points, positions: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], Sequence[Rectangle]]:
-        """Where discs are drawn [units], and the numbers of crowds [points]; small discs stay in place.
-
-        A crowd is red where two of it are too near in space.
-        """
+        """Where discs are drawn [units], and the numbers of crowds [points], red where robots are too near in space."""
         if not self.labelled:
             return places, ()
         points, safe = 72.0 / _dpi(axes), float(self.record.mission.mission["safe_distance"])

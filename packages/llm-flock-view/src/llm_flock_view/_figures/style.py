@@ -77,15 +77,7 @@ def house_style() -> AbstractContextManager[None]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlanLook:
-    """How a plan is shown: never by colour alone.
-
-    Attributes:
-        name: a letter, then two: A .. Z, AA, AB, ...
-        fill: colour of its robots.
-        line: colour of their paths and goals, dark enough on white paper.
-        ink: colour of letters on it.
-        rim: line style of a robot's rim; changes when the colours begin again.
-    """
+    """How a plan is shown, never by colour alone: a letter, the fill of robots, lines on paper, ink on it, and rims."""
 
     name: str
     fill: str
@@ -162,7 +154,6 @@ def shapes(record: RunRecord) -> str:
 
 
 def fitted(text: str, inches: float) -> str:
-    """A title broken into lines of a width."""
     return textwrap.fill(one_line(text, MOST_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 
@@ -178,10 +169,7 @@ def model_names(records: Sequence[RunRecord]) -> str:
 
 @contextmanager
 def whole_file(path: Path) -> Generator[Path]:
-    """A file beside `path`, with its ending, to write to: it takes the other's place at the end.
-
-    Where it cannot be written whole, nothing of it is left behind, and an older file stays as it was.
-    """
+    """A file beside `path`, with its ending, which takes its place at the end; nothing is left of half a one."""
     part = path.with_name(f"{path.stem}.part{path.suffix}")
     try:
         yield part

@@ -103,11 +103,7 @@ class ChannelWriter:
         self._round = 0
 
     def messages(self, entry: Entry) -> Iterator[ChannelMessage]:
-        """The entry itself, and what is drawn of it.
-
-        Raises:
-            RecordError: a state comes before the first mission.
-        """
+        """The entry itself, and what is drawn of it."""
         self._round = number = getattr(entry, "round", self._round)
         yield ChannelMessage(topic=TOPICS[type(entry)], round=number, data=entry.encoded())
         match entry:

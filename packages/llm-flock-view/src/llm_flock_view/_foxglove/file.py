@@ -14,13 +14,8 @@ from mcap.writer import CompressionType, Writer
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.record import LIBRARY, ROUND_NS, MissionInfo, RecordStream
+from llm_flock_view._figures.style import whole_file
 from llm_flock_view._foxglove.channels import ChannelWriter, channel_kinds
-
-CHUNK_BYTES = 1 << 20
-"""Size of a chunk before compression [bytes]."""
-
-SUFFIX = ".part"
-"""Ends the name of a file that is not complete yet."""
 
 
 def write_file(record: Path, target: Path) -> int:
@@ -36,23 +31,18 @@ def write_file(record: Path, target: Path) -> int:
         raise RecordError(f"{record}: no such record")
     if target.exists() and target.samefile(record):
         raise InputError("out", str(target), "another place than the record itself")
-    part = target.with_name(target.name + SUFFIX)
     try:
-        part.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            count = _write(record, part)
-            part.replace(target)
-        finally:
-            part.unlink(missing_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(target) as part:
+            return _write(record, part)
     except OSError as error:
         raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
-    return count
 
 
 def _write(record: Path, part: Path) -> int:
     channels, drawn, sequence = dict[str, int](), ChannelWriter(), Counter[str]()
     with part.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, use_chunking=True)
+        writer = Writer(file, chunk_size=1 << 20, compression=CompressionType.ZSTD, use_chunking=True)
         writer.start(library=LIBRARY)
         for topic, number in _register(writer, 0).items():
             channels[topic] = number

@@ -57,7 +57,6 @@ def layout(arena: tuple[tuple[float, ...], tuple[float, ...]] = ((0.0, 0.0), (10
 
 
 def layout_text(arena: tuple[tuple[float, ...], tuple[float, ...]] | None = None) -> str:
-    """The layout as the text of a file."""
     return json.dumps(layout() if arena is None else layout(arena), indent=2) + "\n"
 
 

@@ -29,11 +29,7 @@ FoxglovePort = Annotated[
 
 
 def port_of(foxglove: bool, foxglove_port: int | None) -> int | None:
-    """The port at which a command serves its run to Foxglove; None where it was not asked to.
-
-    Raises:
-        InputError: a port was given without --foxglove.
-    """
+    """The port at which a command serves its run to Foxglove; None where it was not asked to."""
     if foxglove:
         return PORT if foxglove_port is None else foxglove_port
     if foxglove_port is not None:

@@ -39,19 +39,7 @@ logger = logging.getLogger(__name__)
 
 
 class FoxgloveServer:
-    """Serves one run after another. Write its entries as they happen.
-
-    Args:
-        port: where to listen; 0 takes a free port.
-        n_robots: team size, for which channels exist before the first client connects.
-
-    Attributes:
-        url: address to open in Foxglove.
-
-    Raises:
-        InputError: the port cannot be used.
-        ExtraMissing: the foxglove-sdk is not installed.
-    """
+    """Serves one run after another on a `port` (0: a free one). Write its entries as they happen."""
 
     def __init__(self, port: int, n_robots: int) -> None:
         require("foxglove", "--foxglove")
@@ -83,10 +71,7 @@ class FoxgloveServer:
         self.url = f"ws://{HOST}:{self._server.port}/"
 
     def write(self, entry: Entry) -> None:
-        """Send an entry, and what is drawn of it, to all clients. Never waits for one, and raises nothing.
-
-        A run must not end because it cannot be shown: after a fault the rest of it is not sent.
-        """
+        """Send an entry to all clients; never waits or raises, since a run must not end because it cannot be shown."""
         if self._failed:
             return
         try:
@@ -106,7 +91,6 @@ class FoxgloveServer:
                 self._channels[message.topic].log(message.data, log_time=now)
 
     def restart(self) -> None:
-        """Begin another run: clients forget the last one."""
         with self._lock:
             self._writer, self._kept, self._failed = ChannelWriter(), {}, False
             self._server.clear_session()

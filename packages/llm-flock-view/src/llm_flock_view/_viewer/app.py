@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from llm_flock_view._viewer.data import answer
+import uvicorn
+from starlette.applications import Starlette
+
+from llm_flock_view._viewer.guard import RequestGuard
+from llm_flock_view._viewer.launcher import Launcher
 from llm_flock_view._viewer.library import Library, load
+from llm_flock_view._viewer.orders import PageOrders
 from llm_flock_view._viewer.paths import title_of
 from llm_flock_view._viewer.recording import Recording
+from llm_flock_view._viewer.routes import Routes
 from llm_flock_view._viewer.server import Address
+from llm_flock_view._viewer.swarm import SwarmSource
 
 if TYPE_CHECKING:
     from llm_flock.llm import MissionReader
     from llm_flock_view._foxglove.server import FoxgloveServer
     from llm_flock_view._viewer.swarm import WatchedTeam
-
-MOST_WAIT_S = 1.0
-"""Longest time for which the first page has the processor to itself, for its record and for what it shows [s]."""
 
 
 def run_viewer(
@@ -51,28 +54,9 @@ def run_viewer(
     library = Library()
     found = [library.add(title_of(path), path, live=live) for path in records]
     # Growing records are read at the same time, finished ones one after another.
-    loading = [threading.Thread(target=_load_all, args=(batch,), daemon=True) for batch in _batches(found, live=live)]
-    for thread in loading:
-        thread.start()
-    address.startup.answer_data(partial(answer, library))
-    if len(found) == 1:
-        # A page that waits for its run gets it first: loading libraries would take half of the processor from it.
-        loading[0].join(0.0 if live else MOST_WAIT_S)
-        address.startup.wait_for_page(MOST_WAIT_S)
-    # The heavy libraries come last: the startup server answers meanwhile.
-    import uvicorn
-    from starlette.applications import Starlette
-
-    from llm_flock_view._viewer.guard import RequestGuard
-    from llm_flock_view._viewer.launcher import Launcher
-    from llm_flock_view._viewer.orders import PageOrders
-    from llm_flock_view._viewer.routes import Routes
-
-    source = None
-    if swarm is not None:
-        from llm_flock_view._viewer.swarm import SwarmSource
-
-        source = SwarmSource(swarm, library.add(swarm.name))
+    for batch in [[run] for run in found] if live else [found]:
+        threading.Thread(target=_load_all, args=(batch,), daemon=True).start()
+    source = None if swarm is None else SwarmSource(swarm, library.add(swarm.name))
     launcher = Launcher(library, runs, models, base_url, reader)
     if foxglove is not None:
         from llm_flock_view._viewer.foxglove_feed import Feed
@@ -85,12 +69,7 @@ def run_viewer(
     server = uvicorn.Server(uvicorn.Config(guarded, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
     if source is not None:
         threading.Thread(target=source.watch, daemon=True).start()
-    address.startup.stop()
     server.run(sockets=[address.sock])
-
-
-def _batches(found: Sequence[Recording], *, live: bool) -> list[Sequence[Recording]]:
-    return [[run] for run in found] if live else [found]
 
 
 def _load_all(runs: Sequence[Recording]) -> None:

@@ -1,7 +1,4 @@
-"""JSON for the canvases of a page: one run's rounds and measurements, by its key.
-
-The startup server and the web application answer with the same bytes, so this module needs no web framework.
-"""
+"""JSON for the canvases of a page: one run's rounds and measurements, by its key."""
 
 from __future__ import annotations
 
@@ -46,10 +43,7 @@ FIGURES = (
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
-    """The JSON for a path such as /data/1/news; None where there is no such run or no such resource.
-
-    A number of the query that is missing or not valid has its default.
-    """
+    """The JSON for a path such as /data/1/news; None if there is no such; numbers not valid have their default."""
     parts = path.strip("/").split("/")
     if parts == ["data", "runs"]:
         return to_json([run_row(run) for run in list(library.runs.values())])
@@ -146,10 +140,7 @@ def _frame(run: RunHistory, state: State) -> dict[str, Any]:
 
 
 def event_lines(run: RunHistory, number: int, most: int = MOST_WORDS) -> dict[str, Any]:
-    """The events of a round, each its robot and a sentence of at most `most` letters without its subject.
-
-    At most MOST_EVENTS of `total` are listed.
-    """
+    """At most MOST_EVENTS events of a round: robot, and a sentence of at most `most` letters without its subject."""
     listed = tuple(run.events.get(number, ()))
     lines = [[f"robot {event.robot}", sentence(in_words(event, run.plan_name), most)] for event in listed[:MOST_EVENTS]]
     return {"round": number, "total": len(listed), "lines": lines}

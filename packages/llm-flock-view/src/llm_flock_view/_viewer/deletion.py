@@ -12,13 +12,7 @@ from llm_flock_view._viewer.recording import Recording, version_of
 
 
 def delete_record(run: Recording) -> None:
-    """Delete the file that a run was read from, and its folder if it was made for the record and holds nothing else.
-
-    A record that is gone already is no error. Nothing is deleted that is written still, or that is another file by now.
-
-    Raises:
-        InputError: for field `run`: the record may not or cannot be deleted; it is as it was.
-    """
+    """Delete a run's file, if nobody writes it and it is still the one that was read, and its folder if it is empty."""
     if run.path is None:
         raise _refused("there is no such record")
     if run.open:

@@ -6,18 +6,14 @@ import tempfile
 from pathlib import Path
 
 from llm_flock.errors import FieldError, RecordError
-from llm_flock.extras import require
+from llm_flock.record import read_record
 from llm_flock_view._viewer.canvases import PAGE_NAME, export_kinds
 from llm_flock_view._viewer.paths import RECORD_NAME
+from llm_flock_view._viewer.replay_page import write_page
 
 
 def exported(record: Path, name: str) -> bytes:
-    """The record itself, or what is drawn from it; `name` is one of `export_kinds`.
-
-    Raises:
-        InputError: there is no such kind, or an extra is missing.
-        RecordError: the record cannot be read.
-    """
+    """The record itself, or what is drawn from it; `name` is one of `export_kinds`."""
     if name not in [one for _, one in export_kinds()]:
         raise FieldError("export", name, says="there is no such export")
     if not record.is_file():
@@ -26,20 +22,15 @@ def exported(record: Path, name: str) -> bytes:
         )
     if name == RECORD_NAME:
         return record.read_bytes()
-    if name == PAGE_NAME:
-        from llm_flock_view._viewer.replay_page import write_page
-
-        with tempfile.TemporaryDirectory() as folder:
-            write_page(record, Path(folder) / name)
-            return (Path(folder) / name).read_bytes()
-    require("figures", name)
-    from llm_flock.record import read_record
+    # Matplotlib is slow to load.
     from llm_flock_view._figures import figures
     from llm_flock_view._figures.animation import animate
 
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / name
-        if target.suffix == ".png":
+        if name == PAGE_NAME:
+            write_page(record, target)
+        elif target.suffix == ".png":
             figures.save(figures.snapshots(read_record(record)), target)
         else:
             animate(read_record(record), target)

@@ -6,6 +6,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from llm_flock_view._viewer.launcher import NEEDS_A_MODEL
+from llm_flock_view._viewer.recording import in_unit_square
 
 if TYPE_CHECKING:
     from llm_flock_view._viewer.launcher import Launcher
@@ -27,7 +28,6 @@ MODELS = {
 
 
 def options(launcher: Launcher) -> dict[str, Any]:
-    """Options of the page with the form."""
     allowed = [[name, "allowed by --model"] for name in launcher.models]
     return {
         "shapes": shape_pictures(),
@@ -65,11 +65,4 @@ def _places(name: str, n: int) -> list[list[float]]:
     points = formations.ideal_points(name, n, (0.0, 0.0), 10.0)
     if points is None:
         return []
-    rows = [[float(row[0]), float(row[1])] for row in points]
-    left, bottom = (min(row[axis] for row in rows) for axis in (0, 1))
-    right, top = (max(row[axis] for row in rows) for axis in (0, 1))
-    size = max(right - left, top - bottom, 1e-9)
-    return [
-        [round((x - (left + right) / 2) / size + 0.5, 3), round(0.5 - (y - (bottom + top) / 2) / size, 3)]
-        for x, y in rows
-    ]
+    return in_unit_square(points.tolist())

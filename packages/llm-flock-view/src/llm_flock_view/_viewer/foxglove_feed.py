@@ -21,17 +21,13 @@ END_S = 3.0
 
 
 class Feed:
-    """Writes the newest run of a library to Foxglove's server. Call `run` in a thread.
-
-    A swarm has no record here: its source writes to the server itself.
-    """
+    """Writes the newest recorded run of a library to Foxglove's server. Call `run` in a thread."""
 
     def __init__(self, library: Library, server: FoxgloveServer) -> None:
         self._library = library
         self._server = server
 
     def run(self) -> None:
-        """Feed the server until the process ends."""
         while True:
             recording = self._library.newest
             if recording is None or recording.path is None:
@@ -61,7 +57,6 @@ class Feed:
             time.sleep(POLL_S)
 
     def _wait(self, recording: Recording, seconds: float) -> None:
-        """Wait while no other run is newer."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and self._library.newest is recording:
             time.sleep(POLL_S)

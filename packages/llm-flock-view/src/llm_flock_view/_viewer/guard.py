@@ -33,18 +33,13 @@ HEADERS = (
     (b"referrer-policy", b"no-referrer"),
 )
 COOKIE = "flock_token"
-POLICY_VIOLATED = 1008
-"""WebSocket close code of RFC 6455, section 7.4.1."""
 
 
 class RequestGuard:
     """Middleware that refuses requests which do not come from the viewer's own pages.
 
-    Args:
-        app: the application behind it.
-        hosts: accepted values of the Host header, such as 127.0.0.1:8080; empty: any. Another site can point its own
-            name at this machine, but it cannot change the Host that the browser sends.
-        token: a browser must show it once, then has a cookie; None for none.
+    `hosts` are the accepted values of the Host header; empty: any. Another site can point its own name at this machine,
+    but it cannot change the Host that the browser sends. A browser must show the token once, then has a cookie.
     """
 
     def __init__(self, app: ASGIApp, *, hosts: Iterable[str] = (), token: str | None = None) -> None:
@@ -53,7 +48,6 @@ class RequestGuard:
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request, WebSocket or life span event."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -62,7 +56,7 @@ class RequestGuard:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await receive()
-            await send({"type": "websocket.close", "code": POLICY_VIOLATED})
+            await send({"type": "websocket.close", "code": 1008})  # policy violated (RFC 6455, section 7.4.1)
         else:
             await refused(scope, receive, _with_headers(send))
 

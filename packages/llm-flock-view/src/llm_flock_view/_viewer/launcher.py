@@ -44,14 +44,7 @@ def fly_nothing() -> None:
 
 @dataclass(slots=True)
 class Launcher:
-    """Starts runs, and knows those that it started, by key.
-
-    Attributes:
-        folder: folder for their records.
-        models: models that cost money or reach out, and that the operator allowed.
-        base_url: address that replaces the provider's own.
-        reader: reads missions in plain words, None without a model.
-    """
+    """Starts runs, and knows those that it started, by key; `models`, which may cost money, the operator allowed."""
 
     library: Library
     folder: Path
@@ -70,13 +63,7 @@ class Launcher:
         threading.Timer(WARM_AFTER_S, fly_nothing).start()
 
     def start(self, fields: dict[str, Any], *, pace: float, protocols: Sequence[str] | None = None) -> list[SteeredRun]:
-        """Start a run, or the same run with each of several protocols; nothing starts unless all of them can.
-
-        The fields are the form's, by name; the pace is in rounds a second.
-
-        Raises:
-            InputError: a value is not allowed, or too many runs fly already.
-        """
+        """Start a run of the form's fields, or one with each of several protocols; all of them start, or none."""
         from llm_flock_view._viewer.steered_run import config_of
 
         chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from llm_flock.errors import FlockError
 from llm_flock.record import RecordStream
-from llm_flock_view._viewer.paths import FIRST_KEY
 from llm_flock_view._viewer.recording import Recording, version_of
 
 POLL_S = 0.1
@@ -20,12 +20,11 @@ class Library:
 
     def __init__(self) -> None:
         self.runs: dict[str, Recording] = {}
-        self._added = 0
+        self._keys = itertools.count(1)
 
     def add(self, title: str, path: Path | None = None, *, live: bool = True) -> Recording:
         """Add an empty run under a new key; without a record at `path`, it cannot be exported."""
-        key = str(int(FIRST_KEY) + self._added)
-        self._added += 1
+        key = str(next(self._keys))
         self.runs[key] = Recording(key, title, path, live=live)
         return self.runs[key]
 

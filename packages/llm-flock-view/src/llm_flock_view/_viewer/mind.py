@@ -30,10 +30,7 @@ _ORIGINS = {
 
 
 class HeardClaim(NamedTuple):
-    """What a robot within radio range claims; a rival claims the same slot of the same plan as the listener.
-
-    `influence` is the share of the team that hears it, `distance` its distance from the listener [units].
-    """
+    """What a robot in radio range claims: heard by a share of the team, at a distance; a rival wants the same place."""
 
     robot: int
     plan: str

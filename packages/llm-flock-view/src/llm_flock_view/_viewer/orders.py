@@ -50,10 +50,7 @@ class PageOrders:
         self._deleting = threading.Lock()
 
     async def carry_out(self, asked: object) -> dict[str, Any]:
-        """Carry out one order, and return what a page shows: `done` in words, or `error` and the `field` it is about.
-
-        Orders come from the pages, but a page is code in a browser: every value is checked here.
-        """
+        """Carry out an order, of which nothing is trusted; returns `done` in words, or `error` and its `field`."""
         order = cast("dict[str, Any]", asked if isinstance(asked, dict) else {})
         try:
             return await self._order(order)
@@ -74,7 +71,7 @@ class PageOrders:
             return await asyncio.to_thread(self._delete, str(asked.get("run")))
         keys = _keys(asked.get("runs"))
         if order == "change" and self.swarm is not None and keys == [self.swarm.recording.key]:
-            taker = await self.swarm.change(_mission_fields(asked.get("fields"), spacing=False))
+            taker = await self.swarm.team.give(_mission_fields(asked.get("fields"), spacing=False))
             return {"done": GIVEN.format(taker)}
         return await asyncio.to_thread(self._steer, str(order), keys, asked)
 
@@ -121,7 +118,6 @@ class PageOrders:
 
 
 def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:
-    """Give one order to one run, and say in words what comes of it."""
     match order:
         case "kill":
             run.kill(robot := _whole("robot", asked.get("robot")))

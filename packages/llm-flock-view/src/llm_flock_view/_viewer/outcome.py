@@ -139,7 +139,6 @@ def _work(run: RunHistory) -> str:
 
 
 def stop_text(run: RunHistory) -> str:
-    """Why the run ended, in words."""
     if run.result is None:
         return "the record ends early"
     stopped = str(run.result.get("stopped", "ended"))
@@ -158,9 +157,7 @@ def protocol_name(run: RunHistory) -> str:
 def interesting(run: RunHistory, found: Diagnosis) -> dict[str, Any]:
     """The robot that the mind panel opens with, and why: the first that is to blame for a run that did not form.
 
-    Without one, the robot with the most refused and failed calls, help by geometry and open circuit breakers; without
-    such trouble, one for which something was wrong in the end; else the one that proposed the plan in force, or
-    robot 0.
+    Then the one with the most trouble, one for which something was wrong in the end, the proposer of the plan, robot 0.
     """
     if found.robots:
         return {"robot": found.robots[0], "why": "it kept the team from forming"}

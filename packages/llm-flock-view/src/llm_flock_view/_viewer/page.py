@@ -80,7 +80,6 @@ def as_data(options: Mapping[str, Any]) -> str:
 
 @cache
 def css() -> str:
-    """The style of every page."""
     return (STATIC / "viewer.css").read_text(encoding="utf-8")
 
 

@@ -9,16 +9,9 @@ from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock.record import MAGIC, RECORD_NAME
 
-FIRST_KEY = "1"
-"""Key of a viewer's first run; the others count on from it."""
-
 
 def records_in(paths: Iterable[Path]) -> list[Path]:
-    """Records at the given paths: files, folders with a record, and folders with such folders.
-
-    Raises:
-        InputError: there is none, or a file that is named begins like none.
-    """
+    """Records at the given paths: files, folders with a record, and folders with such folders."""
     found: list[Path] = []
     for path in paths:
         if path.is_file():
@@ -37,11 +30,7 @@ def records_in(paths: Iterable[Path]) -> list[Path]:
 
 
 def growing_in(paths: Iterable[Path]) -> list[Path]:
-    """Records at the given paths that are being written, or will be: files, and folders that hold one.
-
-    Raises:
-        InputError: a file that is named begins like no record.
-    """
+    """Records at the given paths that are being written, or will be: files, and folders that hold one."""
     found = [path if path.suffix == ".mcap" or path.is_file() else path / RECORD_NAME for path in paths]
     for path in found:
         if path.is_file():
@@ -61,11 +50,7 @@ def _check_record(path: Path) -> None:
 
 
 def newest_in(runs: Path) -> Path:
-    """The newest record of a folder of runs.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The newest record of a folder of runs."""
     there = sorted(runs.glob(f"*/{RECORD_NAME}"), key=lambda path: path.stat().st_mtime)
     if not there:
         raise InputError("runs", str(runs), "a folder with a run in it, or a record that is named")

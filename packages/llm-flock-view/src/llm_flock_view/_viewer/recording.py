@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
@@ -22,17 +21,10 @@ ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "la
 
 
 def close_pairs(positions: Sequence[Sequence[float]], safe: float) -> int:
-    """Number of pairs nearer than the safe distance [units]; boxes of that width make a thousand robots quick."""
-    rounding = 1e-6
-    boxes: defaultdict[tuple[int, int], list[Sequence[float]]] = defaultdict(list)
-    found = 0
-    for row in positions:
-        column, line = math.floor(row[0] / safe), math.floor(row[1] / safe)
-        for i in (column - 1, column, column + 1):
-            for j in (line - 1, line, line + 1):
-                found += sum(math.dist(row, other) < safe - rounding for other in boxes.get((i, j), ()))
-        boxes[column, line].append(row)
-    return found
+    """Number of pairs nearer than the safe distance [units]."""
+    from scipy.spatial import KDTree  # slow to load, and seldom needed
+
+    return len(KDTree(positions).query_pairs(safe - 1e-6))
 
 
 def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
@@ -40,6 +32,14 @@ def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
     seen = [row for row in rows if row is not None]
     columns, lines = [row[0] for row in seen], [row[1] for row in seen]
     return [min(columns), min(lines), max(columns), max(lines)]
+
+
+def in_unit_square(rows: Sequence[Sequence[float]]) -> list[list[float]]:
+    """Points seen from above, in the middle of a picture whose sides are 1 and whose second axis points down."""
+    left, bottom, right, top = box(rows)
+    size = max(right - left, top - bottom, 1e-9)
+    middle, centre = (left + right) / 2, (bottom + top) / 2
+    return [[round((x - middle) / size + 0.5, 3), round(0.5 - (y - centre) / size, 3)] for x, y, *_ in rows]
 
 
 def version_of(found: os.stat_result) -> tuple[int, ...]:
@@ -54,20 +54,7 @@ def _track_of_call(entry: LlmEntry) -> str | None:
 
 
 class Recording:
-    """A run with what pages need beside its history. A sink for record entries; another thread may write.
-
-    Attributes:
-        key: names the run in addresses of pages.
-        path: its record, None without one.
-        live: whether the run goes on while it is watched.
-        history: its rounds.
-        open: whether more may come.
-        failure: why there is nothing (more) to show.
-        version: of the file as it was read; see `version_of`.
-        marks: number of marks on each timeline track, by round.
-        steer: what can be ordered of it now, for runs that take orders.
-        extent: lower left and upper right of where robots and goals have been, seen from above [units].
-    """
+    """A run with what pages need beside its history. A sink for record entries; another thread may write."""
 
     def __init__(self, key: str, title: str, path: Path | None, *, live: bool) -> None:
         self.key = key
@@ -77,10 +64,10 @@ class Recording:
         self.history = RunHistory()
         self.open = True
         self.failure: str | None = None
-        self.version: tuple[int, ...] | None = None
-        self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)
-        self.extent: list[float] = []
-        self.steer: Callable[[], dict[str, Any]] | None = None
+        self.version: tuple[int, ...] | None = None  # of the file as it was read
+        self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)  # of each timeline track, by round
+        self.extent: list[float] = []  # where robots and goals have been, seen from above: two corners [units]
+        self.steer: Callable[[], dict[str, Any]] | None = None  # what can be ordered of it now
 
     def write(self, entry: Entry) -> None:
         """Take an entry of a record; `RoundEnd` makes its round visible."""
@@ -116,13 +103,11 @@ class Recording:
         self.extent = box([*known, *state.positions, *state.goals])
 
     def fail(self, error: Exception) -> None:
-        """Show why no more comes, and log it."""
         self.failure = printable(str(error))
         logger.warning("%s", error)
 
     @property
     def ready(self) -> bool:
-        """Whether there is anything to show."""
         return self.history.rounds >= 0 and bool(self.history.missions)
 
     @property

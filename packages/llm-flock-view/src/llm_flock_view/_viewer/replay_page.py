@@ -22,7 +22,7 @@ from llm_flock_view._figures.style import whole_file
 from llm_flock_view._viewer.canvases import CHARTS, player_options
 from llm_flock_view._viewer.data import MOST_FRAMES, about, event_lines, frames, news
 from llm_flock_view._viewer.page import PAGE, PLAYER, as_data, bundle, css
-from llm_flock_view._viewer.paths import FIRST_KEY, title_of
+from llm_flock_view._viewer.paths import title_of
 from llm_flock_view._viewer.recording import Recording
 
 MOST_ROBOT_ROUNDS = 200_000
@@ -30,15 +30,10 @@ MOST_ROBOT_ROUNDS = 200_000
 
 
 def write_page(record: Path, target: Path) -> int:
-    """Write a record as a page, and return its size [bytes]. An older page is replaced; missing folders are made.
-
-    Raises:
-        RecordError: the record cannot be read, or holds no round.
-        InputError: the run is too large for a page, or the target cannot be written to.
-    """
+    """Write a record as a page, and return its size [bytes]. An older page is replaced; missing folders are made."""
     if not record.is_file():
         raise RecordError(f"{record}: no such record")
-    run = Recording(FIRST_KEY, title_of(record), record, live=False)
+    run = Recording("1", title_of(record), record, live=False)
     for entry in RecordStream(record).entries():
         # The page has no conversations, which are most of a record.
         said: dict[str, Any] = {"messages": [], "text": None, "parsed": None, "settings": {}}
@@ -56,11 +51,6 @@ def write_page(record: Path, target: Path) -> int:
 
 
 def page(run: Recording) -> str:
-    """The page of a run that was read.
-
-    Raises:
-        InputError: it has too many robots times rounds.
-    """
     history = run.history
     size = history.n_robots * (history.rounds + 1)
     if size > MOST_ROBOT_ROUNDS:

@@ -22,7 +22,6 @@ from llm_flock_view._viewer.export import exported
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.page import html
 from llm_flock_view._viewer.run_rows import FIGURES
-from llm_flock_view._viewer.startup import OPEN
 
 if TYPE_CHECKING:
     from llm_flock_view._viewer.launcher import Launcher
@@ -43,7 +42,6 @@ class Routes:
         self.orders = orders
 
     def routes(self) -> Sequence[BaseRoute]:
-        """Every address."""
         return [
             Route("/", self.home),
             Route("/runs", self.runs),
@@ -52,7 +50,6 @@ class Routes:
             Route("/cockpit", self.cockpit),
             Route("/export/{key}/{name}", self.export),
             Route("/data/shapes", self.shapes),
-            Route(OPEN, self.is_open),
             Route("/data/runs", self.data),
             Route("/data/{key}/{what}", self.data),
             Route("/order", self.order, methods=["POST"]),
@@ -69,11 +66,9 @@ class Routes:
         return self.runs(request)
 
     def runs(self, request: Request) -> Response:
-        """The table of all runs."""
         return HTMLResponse(html("Runs", {"page": "runs", "figures": [label for _, label in FIGURES]}))
 
     def run(self, request: Request) -> Response:
-        """One run."""
         return self._play(request.path_params["key"])
 
     def pair(self, request: Request) -> Response:
@@ -81,24 +76,17 @@ class Routes:
         return self._play(request.path_params["first"], request.path_params["second"])
 
     def cockpit(self, request: Request) -> Response:
-        """The form that starts runs."""
         self.launcher.warm()
         return HTMLResponse(html("Cockpit", {"page": "cockpit", **form.options(self.launcher)}))
 
     def shapes(self, request: Request) -> Response:
-        """Pictures of the shapes."""
         return Response(to_json(form.shape_pictures()), media_type="application/json", headers=UNCACHED)
 
     def data(self, request: Request) -> Response:
-        """What the canvases of a page show."""
         text = answer(self.library, request.url.path, request.query_params)
         if text is None:
             return Response("no such run", status_code=404)
         return Response(text, media_type="application/json", headers=UNCACHED)
-
-    async def is_open(self, request: Request) -> Response:
-        """A page from before the viewer was there may reload now."""
-        return Response(status_code=204, headers=UNCACHED)
 
     def export(self, request: Request) -> Response:
         """A file that is made of a record."""
@@ -114,7 +102,6 @@ class Routes:
         return Response(content, media_type="application/octet-stream", headers=heads)
 
     async def order(self, request: Request) -> Response:
-        """Carry out an order."""
         if request.headers.get("content-type", "").split(";")[0] != "application/json":
             return Response("an order is JSON", status_code=415)
         body = b""

@@ -8,7 +8,7 @@ from llm_flock.printable import one_line
 from llm_flock.record import RunHistory, sentence
 from llm_flock_view._figures.style import plan_look
 from llm_flock_view._viewer.outcome import outcome, protocol_name
-from llm_flock_view._viewer.recording import Recording
+from llm_flock_view._viewer.recording import Recording, in_unit_square
 
 MOST_DOTS = 250
 """Most robots of a thumbnail."""
@@ -68,16 +68,8 @@ def run_row(run: Recording) -> dict[str, Any]:
 def _thumbnail(run: RunHistory) -> list[list[Any]]:
     """Places from 0 to 1 within the team's own width, and a colour, of each robot in the last round."""
     state = run.states[run.rounds]
-    columns, lines = [row[0] for row in state.positions], [row[1] for row in state.positions]
-    left, right, bottom, top = min(columns), max(columns), min(lines), max(lines)
-    size = max(right - left, top - bottom, 1e-9)
-    dots: list[list[Any]] = []
-    for row, plan in list(zip(state.positions, state.plan_ids, strict=True))[:MOST_DOTS]:
-        colour = "#9a9a9a" if plan is None else plan_look(run.plan_numbers[plan]).fill
-        x = (row[0] - (left + right) / 2) / size + 0.5
-        y = 0.5 - (row[1] - (bottom + top) / 2) / size
-        dots.append([round(x, 3), round(y, 3), colour])
-    return dots
+    colours = ("#9a9a9a" if plan is None else plan_look(run.plan_numbers[plan]).fill for plan in state.plan_ids)
+    return [[x, y, colour] for (x, y), colour in zip(in_unit_square(state.positions), colours, strict=True)][:MOST_DOTS]
 
 
 def _number(value: object) -> float | None:

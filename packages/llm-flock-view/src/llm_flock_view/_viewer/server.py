@@ -13,14 +13,12 @@ from urllib.parse import quote
 
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import hidden
-from llm_flock_view._viewer.startup import StartupServer
 
 SHORTEST_TOKEN = 16
 """Fewest characters of a token."""
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is a loopback address."""
     if host == "localhost":
         return True
     try:
@@ -31,23 +29,14 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """The address at which a viewer listens; `startup` answers there until the viewer does.
-
-    Attributes:
-        sock: the socket.
-        host: as it was given.
-        token: what a browser must show; None for none.
-        startup: the server until the viewer's own is loaded.
-    """
+    """The address at which a viewer listens, with the host as it was given; a browser must show the token, if any."""
 
     sock: socket.socket
     host: str
     token: str | None
-    startup: StartupServer
 
     @property
     def port(self) -> int:
-        """The port."""
         return self.sock.getsockname()[1]
 
     @property
@@ -72,13 +61,7 @@ class Address:
 
 
 def listen(host: str, port: int, token: str | None) -> Address:
-    """Open the port. Call it before anything heavy is loaded: a browser that comes early waits instead of failing.
-
-    An address other than a loopback address gets a token, a random one where none is given.
-
-    Raises:
-        InputError: the address cannot be listened at, or the token is too short; no error shows a token.
-    """
+    """Open the port early, so that a browser waits instead of failing. Other than a loopback address needs a token."""
     if token is not None and (len(token) < SHORTEST_TOKEN or hidden(token) is not None):
         raise InputError("token", None, f"{SHORTEST_TOKEN} characters or more, all of them visible")
     if token is None and not is_loopback(host):
@@ -99,4 +82,4 @@ def listen(host: str, port: int, token: str | None) -> Address:
             raise FieldError("port", port, says=says) from None
         says = f"this machine cannot listen there: {getattr(error, 'strerror', None) or error}"
         raise InputError("host", host, says=says) from None
-    return Address(sock=sock, host=host, token=token, startup=StartupServer(sock))
+    return Address(sock=sock, host=host, token=token)

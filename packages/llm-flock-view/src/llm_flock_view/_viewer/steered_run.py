@@ -53,13 +53,7 @@ FIELDS: tuple[str, ...] = (
 
 
 def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunConfig:
-    """The configuration of a run that a page asks for, checked as the command line checks it.
-
-    Values of None and "" are not given; `models` cost money or reach out, and the operator allowed them.
-
-    Raises:
-        InputError: a value is not allowed, here or anywhere.
-    """
+    """The configuration of a run that a page asks for, checked as the command's; the operator allowed `models`."""
     given = {name: value for name, value in fields.items() if value not in (None, "")}
     for name in given:
         if name not in FIELDS:
@@ -85,25 +79,13 @@ def _free(model: str) -> bool:
 
 
 def check_pace(pace: float) -> None:
-    """Refuse a pace [rounds a second] that nobody can watch.
-
-    Raises:
-        InputError: it is one.
-    """
+    """Refuse a pace [rounds a second] that nobody can watch."""
     if not 0.1 <= pace <= 100:
         raise InputError("pace", pace, "from 0.1 to 100 rounds a second")
 
 
 class SteeredRun:
-    """One simulated run in its own thread, recorded as any other. Orders take effect with the next round.
-
-    Attributes:
-        pace: rounds a second.
-        paused: set it to hold the run before its next round.
-        loss: share of messages that are lost.
-        confused: robots whose models answer nonsense by order.
-        orders: kills robots, and gives missions.
-    """
+    """One simulated run in its own thread, recorded as any other. Orders take effect with the next round."""
 
     def __init__(self, config: RunConfig, recording: Recording, pace: float) -> None:
         self.config = config
@@ -113,7 +95,7 @@ class SteeredRun:
         self.orders = RunOrders(config)
         self.over = False
         self.loss = config.links.loss
-        self.confused: set[int] = set()
+        self.confused: set[int] = set()  # robots whose models answer nonsense by order
         self._killed: set[int] = set()
         self._hallucinating: list[int] = []
         self._loss: float | None = None
@@ -122,23 +104,17 @@ class SteeredRun:
         self._due = 0.0
 
     def start(self) -> None:
-        """Start the run, and the thread that reads its record."""
         threading.Thread(target=self._fly, daemon=True).start()
         threading.Thread(target=load, args=(self.recording, lambda: self.over), daemon=True).start()
 
     def end(self) -> None:
-        """End the run, paused or not; its record can be read.
-
-        Raises:
-            InputError: it is over.
-        """
+        """End the run, paused or not; its record can be read."""
         self._check("end")
         self.paused = False
         self._end.set()
 
     @property
     def round(self) -> int:
-        """The round in flight."""
         return self.orders.round
 
     @property
@@ -149,10 +125,7 @@ class SteeredRun:
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 
     def refusal(self, order: str, robot: int | None = None) -> str | None:
-        """Why an order makes no sense now, as a sentence; None if it does. Pages switch its button off with it.
-
-        Orders are `end`, `pause`, `pace`, `change` and `lose`; `kill` and `hallucinate` name a robot.
-        """
+        """Why an order makes no sense now, as a sentence; None if it does. `kill` and `hallucinate` name a robot."""
         if self.over or self._end.is_set():
             return "The run is over: it takes no more orders."
         if robot is None:
@@ -173,49 +146,26 @@ class SteeredRun:
             raise FieldError("run" if robot is None else "robot", robot, says=says)
 
     def hold(self, paused: bool) -> None:
-        """Hold the run before its next round, or let it go on.
-
-        Raises:
-            InputError: it is over.
-        """
         self._check("pause")
         self.paused = paused
 
     def set_pace(self, pace: float) -> None:
-        """Change the rounds a second.
-
-        Raises:
-            InputError: it is over, or that is no pace.
-        """
         self._check("pace")
         check_pace(pace)
         self.pace = pace
 
     def kill(self, robot: int) -> None:
-        """Kill a robot; see `RunOrders.kill`.
-
-        Raises:
-            InputError: there is no such robot, it is dead or the last one, or the run is over.
-        """
+        """Kill a robot; see `RunOrders.kill`."""
         self._check("kill", robot)
         self.orders.kill(robot)
         self._killed.add(robot)
 
     def change(self, fields: dict[str, Any]) -> int:
-        """Give one robot another mission, and return that robot; see `RunOrders.change`.
-
-        Raises:
-            InputError: the mission cannot be changed like that, or the run is over.
-        """
+        """Give one robot another mission, and return that robot; see `RunOrders.change`."""
         self._check("change")
         return self.orders.change(fields)
 
     def lose(self, share: float) -> None:
-        """Lose this share of the messages.
-
-        Raises:
-            InputError: it is no share, or the run is over.
-        """
         self._check("lose")
         if not 0.0 <= share <= 1.0:
             raise InputError("loss", share, "a share from 0 to 1")
@@ -223,11 +173,7 @@ class SteeredRun:
             self._loss = self.loss = share
 
     def hallucinate(self, robot: int) -> None:
-        """Replace a robot's model by one that answers nonsense.
-
-        Raises:
-            InputError: there is no such robot, it is dead, it does so already, or the run is over.
-        """
+        """Replace a robot's model by one that answers nonsense."""
         self._check("hallucinate", robot)
         with self._lock:
             self._hallucinating.append(robot)

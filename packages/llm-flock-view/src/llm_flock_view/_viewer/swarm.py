@@ -57,7 +57,3 @@ class SwarmSource:
             "run": None if self.recording.open else "The swarm is no longer watched.",
             "mission": {"shape": mission.shape, "center": list(mission.center)},
         }
-
-    async def change(self, fields: dict[str, object]) -> int:
-        """Give the team another mission; returns the robot that took it. Raises as `WatchedTeam.give`."""
-        return await self.team.give(fields)
