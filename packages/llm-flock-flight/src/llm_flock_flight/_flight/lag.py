@@ -22,9 +22,6 @@ LAG_MARGIN_S = 0.25
 """The longest delay allowed is that expected of the controller, times the factor, plus the margin [s]: the loops below
 the position's add to it, and estimates arrive late."""
 
-STOCK_LAG_S = 0.5
-"""Of a Crazyflie with its stock controller: one over the gain of its position (2 per second) [s]."""
-
 TRIES = 17
 """Delays tried at once, twice: the step is 1/128 of the longest one."""
 
