@@ -72,11 +72,7 @@ class _Axis:
 
 @dataclass(slots=True, kw_only=True)
 class Cascade:
-    """A body with the stock PID controller, from rest at `place` [m] at the time `now` [s].
-
-    Attributes:
-        gain: `posCtlPid.xKp` and its sisters, the same for all axes [1/s].
-    """
+    """A body with the stock controller, at rest at `place` [m] at `now` [s]; `gain` is `posCtlPid.xKp` [1/s]."""
 
     place: Position
     now: float

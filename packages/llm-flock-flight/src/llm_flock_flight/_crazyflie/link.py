@@ -80,13 +80,7 @@ def library() -> Any:
 
 
 def in_reach() -> tuple[str, ...]:
-    """Addresses of the Crazyflies that answer by radio, by cable or at UDP ports of this machine; takes seconds.
-
-    By radio only those are found that have the address with which they are shipped, E7E7E7E7E7.
-
-    Raises:
-        InputError: cflib is not installed.
-    """
+    """Addresses of the Crazyflies that answer by radio (as shipped), by cable or at local UDP ports; takes seconds."""
     library()
     from cflib import crtp  # pyright: ignore[reportMissingTypeStubs]
 
@@ -142,22 +136,14 @@ class CrazyflieLink:
 
     @property
     def parameters(self) -> FirmwareParameters:
-        """The parameters of the drone.
-
-        Raises:
-            RobotError: the link is not open.
-        """
+        """The parameters of the drone; raises RobotError unless the link is open."""
         if self._parameters is None:
             self._parameters = FirmwareParameters(self._name, self.cf.param.toc, self.send_packet)
         return self._parameters
 
     @property
     def cf(self) -> Any:
-        """The `Crazyflie` of cflib.
-
-        Raises:
-            RobotError: the link is not open.
-        """
+        """The `Crazyflie` of cflib; raises RobotError unless the link is open."""
         if not self.open:
             raise RobotError(self._name, self.why_closed)
         return self._cf
@@ -172,12 +158,7 @@ class CrazyflieLink:
         return now - self._heard_s
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link and fetch the tables; retry as long as time allows.
-
-        Raises:
-            InputError: cflib is not installed.
-            RobotError: not done within `timeout_s`.
-        """
+        """Open the link and fetch the tables; retry for `timeout_s`, then raise RobotError."""
         library()
         self._loop = asyncio.get_running_loop()
         end = time.monotonic() + timeout_s
@@ -262,10 +243,7 @@ class CrazyflieLink:
         """Start a log block of variables, given by name with their types in packets; returns those it cannot log.
 
         Its period is a multiple of 10 ms. `take` gets the values by name and their arrival [s], in cflib's thread.
-
-        Raises:
-            Unusable: the firmware does not know one of `needed`.
-            RobotError: the link takes no packet.
+        Raises Unusable without one of `needed`, and RobotError as `send`.
         """
 
         def came(_stamp: int, data: dict[str, float], _block: object) -> None:
@@ -295,11 +273,7 @@ class CrazyflieLink:
         return self.cf.log.toc.get_element_by_complete_name(variable) is not None
 
     async def send(self, call: Callable[[Any], None], *, urgent: bool = False) -> None:
-        """Send something with cflib's `Crazyflie`, in order; something urgent overtakes the queue.
-
-        Raises:
-            RobotError: the link is not open, or does not take the packet.
-        """
+        """Send something with cflib's `Crazyflie` or raise RobotError; something urgent overtakes the queue."""
         cf = self.cf
         worker = self._worker = self._worker or Worker()
         try:

@@ -87,15 +87,9 @@ class _Refused(RobotError):
 class CrazyflieRobot:
     """One Crazyflie. The firmware confirms each command; it is resent with the rest of its duration until then.
 
-    Args:
-        name: for reports and errors.
-        uri: where it is: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850`.
-        limits: enforced by the driver.
-        link_timeout_s: a link is lost after this silence [s].
-        parameters: firmware parameters to set and read back on connect, by `group.name`; never in flight.
-        stop_watchdog: feed the emergency stop watchdog from take-off on. Without a packet for a second the motors stop,
-            and the drone falls; and as nothing ends the watchdog, the drone is locked after `close`.
-        cache: folder for the drones' tables, which save seconds at every connect but the first; None: the user's.
+    `parameters` of the firmware, by `group.name`, are set and read back on connect, never in flight. With
+    `stop_watchdog` the motors stop after a second without a packet, from take-off on, and the drone falls; as nothing
+    ends the watchdog, it is locked after `close`. `cache` is a folder for the drones' tables; None: the user's.
     """
 
     def __init__(
@@ -130,12 +124,7 @@ class CrazyflieRobot:
         self._feeding: asyncio.Task[None] | None = None
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link and wait for the first estimate; reopens a lost link, also in flight.
-
-        Raises:
-            InputError: cflib is not installed, or a parameter cannot be set.
-            RobotError: not done within `timeout_s`.
-        """
+        """Open the link and wait for the first estimate, or raise RobotError; reopens a lost link, also in flight."""
         end = time.monotonic() + timeout_s
         while True:
             try:

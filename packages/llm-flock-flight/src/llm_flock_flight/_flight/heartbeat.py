@@ -34,10 +34,7 @@ class NoDeadman(FlockError):
 
 
 class Heartbeat(BaseModel):
-    """A sign of life of the flight process, one line of JSON: ids of the drones in the air, for the deadman to land.
-
-    With a farewell the flight is over, and the deadman ends.
-    """
+    """A sign of life: ids of the drones in the air, for the deadman to land. With a farewell it ends instead."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -46,10 +43,9 @@ class Heartbeat(BaseModel):
 
 
 class HeartbeatSender:
-    """Runs a deadman as long as its context lasts; its heartbeats stop when this process's event loop does.
+    """Runs a deadman, if the flight needs one, as long as its context lasts; heartbeats stop when the event loop does.
 
-    No process is started for a flight that needs none. `aloft` returns the drones in the air. The deadman keeps the
-    files open whose handles are `kept`.
+    `aloft` returns the drones in the air. The deadman keeps the files open whose handles are `kept`.
     """
 
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]], kept: Collection[int] = ()) -> None:

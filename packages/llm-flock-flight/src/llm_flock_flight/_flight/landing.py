@@ -74,15 +74,10 @@ class Descent:
 def plan_landing(
     config: FlightConfig, places: Mapping[int, Position], standing: Sequence[Position]
 ) -> list[list[Descent]]:
-    """Groups of drones that land at once, one group after another.
+    """Groups of drones that land at once, by set-points of those in the air [m] and positions of the others [m].
 
     The lowest drone lands first, so none sinks past another or lands under one that hovers near by. Drones side by
     side, as in every mission in the plane, land straight down all at once.
-
-    Args:
-        config: distances and geofence.
-        places: set-points of those in the air, by robot [m].
-        standing: positions of the other drones, on the floor or last seen there [m].
     """
     apart = config.safety.min_separation_m + 2 * config.safety.tracking_m
     order = sorted(places, key=lambda robot: (places[robot][2], robot))
@@ -137,11 +132,7 @@ def _descent(
 
 
 class Landing:
-    """Lands drones, and keeps calling those out of reach until they answer or the time is up.
-
-    Attributes:
-        ends: how each drone ended: LANDED, STOPPED, FELL, TOLD or LOST.
-    """
+    """Lands drones, and calls those out of reach until they answer or the time is up; `ends` says how each ended."""
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
         self.ends: dict[int, str] = {}

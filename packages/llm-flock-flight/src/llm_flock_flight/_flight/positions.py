@@ -48,11 +48,7 @@ class TellsLocalisation(Protocol):
 
 
 def pose_source(config: FlightConfig) -> PoseSource | None:
-    """The source of a flight's poses; None if the drones know where they are.
-
-    Raises:
-        ExtraMissing: it is ROS 2, which is not installed.
-    """
+    """The source of a flight's poses, or ExtraMissing; None if the drones know where they are."""
     positions, names = config.positions, [drone.name for drone in config.fleet.drones]
     if positions.pose_source == "udp":
         return UdpPoses(positions.pose_host, positions.pose_port, names)
@@ -68,16 +64,7 @@ def pose_source(config: FlightConfig) -> PoseSource | None:
 async def feeding(
     config: FlightConfig, robots: Sequence[Robot], source: PoseSource | None = None
 ) -> AsyncGenerator[PoseFeed | None]:
-    """Send the drones their poses meanwhile; None where they come from no outside source.
-
-    Args:
-        config: of the flight.
-        robots: which may connect later.
-        source: None for the one that the configuration names.
-
-    Raises:
-        InputError: the source cannot be opened, or a robot takes no poses.
-    """
+    """Send poses meanwhile, from `source` or the configuration's; None where there is none. Robots connect later."""
     found = pose_source(config) if source is None else source
     if found is None:
         yield None
@@ -157,10 +144,7 @@ def _doubt(feed: PoseFeed, name: str) -> str:
 def watching(
     config: FlightConfig, feed: PoseFeed, team: FlyingTeam, log: FlightLog, trip: Callable[[Trouble], None]
 ) -> asyncio.Task[None]:
-    """A task that records what is refused, and ends the flight when a drone gets no poses; cancel it in the end.
-
-    The first look is taken at once, so that a flight whose poses stopped after the preflight does not begin.
-    """
+    """A task that ends the flight when a drone gets no poses, if need be at once, and records refusals."""
     numbers = {name: robot for robot, name in enumerate(team.names)}
 
     def note(name: str, reason: str) -> None:

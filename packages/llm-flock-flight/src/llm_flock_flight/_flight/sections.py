@@ -81,11 +81,7 @@ class FleetConfig(ConfigSection):
 
     @property
     def watched(self) -> bool:
-        """Whether to start a deadman.
-
-        Drones simulated in the flight process end with it anyway; those with the stop watchdog have fallen before it
-        could call them.
-        """
+        """Whether to start a deadman: simulated drones end with the process, and the stop watchdog would be faster."""
         return self.deadman and not self.stop_watchdog and self.robot not in ("simulated", "physics")
 
 

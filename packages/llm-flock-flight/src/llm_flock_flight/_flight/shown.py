@@ -27,20 +27,12 @@ class FlightBridge(Protocol):
     def showing_flight(
         self, config: Ros2Config, drones: Sequence[str], frame: MissionFrame, low_battery_v: float
     ) -> AbstractAsyncContextManager[RecordSink]:
-        """A sink that shows a flight; no fault of it reaches a drone.
-
-        Raises:
-            InputError: the router does not answer, or another bridge shows this team.
-        """
+        """A sink that shows a flight; no fault of it reaches a drone. Raises InputError if it cannot begin."""
         ...
 
 
 def ros2_bridge() -> FlightBridge:
-    """The bridge to ROS 2. Call only for a flight that uses it.
-
-    Raises:
-        ExtraMissing: it is not installed.
-    """
+    """The bridge to ROS 2; raises ExtraMissing. Call only for a flight that uses it."""
     try:
         return cast("FlightBridge", plugins.load("flights", "ros2"))
     except KeyError:

@@ -35,11 +35,9 @@ class FlightEnded(Exception):
 
 
 class FlightSupervisor:
-    """The one place where a flight is ended before its mission.
+    """The one place where a flight is ended before its mission, by its first `trouble`.
 
-    Attributes:
-        trouble: the first one, which ended the flight; None as long as all is well.
-        confirmed: whether each drone whose motors were cut confirmed it.
+    `confirmed` says whether each drone whose motors were cut confirmed it.
     """
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:

@@ -12,11 +12,7 @@ T = TypeVar("T")
 
 
 class TimedPlanner:
-    """A planner whose answers come within `longest_s`, retries included.
-
-    After `most` rounds in a row without an answer (an unusable one counts as an answer) it calls `on_silence`; never
-    if `most` is None.
-    """
+    """A planner whose answers come within `longest_s`; calls `on_silence` after `most` rounds in a row without any."""
 
     def __init__(self, planner: Planner, longest_s: float, most: int | None, on_silence: Callable[[], None]) -> None:
         self._planner = planner

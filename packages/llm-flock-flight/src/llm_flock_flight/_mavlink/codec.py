@@ -30,11 +30,7 @@ INTEGERS = {1: "<B3x", 2: "<b3x", 3: "<H2x", 4: "<h2x", 5: "<I", 6: "<i"}
 
 
 def dialect() -> Any:
-    """Pymavlink's messages: those of MAVLink's common set, and ArduPilot's.
-
-    Raises:
-        InputError: pymavlink is not installed.
-    """
+    """Pymavlink's messages, or InputError: those of MAVLink's common set, and ArduPilot's."""
     require("mavlink", "a vehicle that speaks MAVLink")
     return import_module("pymavlink.dialects.v20.ardupilotmega")
 
@@ -56,12 +52,7 @@ def introduces(data: bytes) -> bool:
 
 
 class Codec:
-    """Writes packets of one sender, and reads packets of anybody.
-
-    Args:
-        system_id: of the sender.
-        component: of the sender.
-    """
+    """Writes packets of one sender, and reads packets of anybody."""
 
     def __init__(self, system_id: int = GROUND_STATION, component: int = COMPONENT) -> None:
         self._dialect = dialect()

@@ -32,12 +32,7 @@ ASK_S = 0.5
 async def introduce(
     talk: Conversation, port: Port, system_id: int, frame: LocalFrame, origin: Geodetic | None, timeout_s: float
 ) -> LocalFrame:
-    """Ask for everything that a flight needs until it comes; returns the local frame in the world.
-
-    Raises:
-        RobotError: something did not come within `timeout_s`, the vehicle cannot be driven, or its zero is too far from
-            `origin`.
-    """
+    """Ask for all that a flight needs until it comes, or raise RobotError; returns the local frame in the world."""
     log = talk.telemetry
     end = time.monotonic() + timeout_s
     patient_s = time.monotonic() + min(REPORTS_S, timeout_s / 2.0)

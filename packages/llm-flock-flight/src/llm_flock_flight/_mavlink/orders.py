@@ -1,7 +1,4 @@
-"""The orders that a flight needs, each confirmed by the autopilot: modes, arming, lift-off, emergency stop.
-
-All raise `RobotError` with the autopilot's reason, or if it does not answer in time.
-"""
+"""The orders that a flight needs, each confirmed by the autopilot, or RobotError with its reason."""
 
 from __future__ import annotations
 
@@ -56,11 +53,7 @@ async def disarm(talk: Conversation) -> None:
 
 
 def refuse_armed(talk: Conversation, flavour: Flavour) -> None:
-    """Leave a vehicle alone whose motors somebody else has started.
-
-    Raises:
-        TakenOver: it is armed.
-    """
+    """Raise TakenOver for a vehicle whose motors somebody else has started."""
     if talk.telemetry.armed:
         mode = flavour.name_of(talk.telemetry.mode)
         raise TakenOver(talk.name, f"is armed already, in mode {mode}, and not by this program")
@@ -70,10 +63,6 @@ async def refuse_armed_lately(talk: Conversation, flavour: Flavour) -> None:
     """As `refuse_armed`, by a heartbeat that comes from now on: the last one may be a second old.
 
     ArduPilot accepts to be armed also when it is already, so its answer does not tell whose arming it was.
-
-    Raises:
-        TakenOver: it is armed.
-        RobotError: no heartbeat came.
     """
     log, asked_s = talk.telemetry, time.monotonic()
     end = asked_s + NEWS_S

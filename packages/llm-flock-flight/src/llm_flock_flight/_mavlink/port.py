@@ -47,11 +47,7 @@ class VehicleAddress:
 
 
 def parse_uri(uri: str) -> VehicleAddress:
-    """The parts of a connection URI.
-
-    Raises:
-        InputError: it is none.
-    """
+    """The parts of a connection URI, or InputError."""
     try:
         parts = urlsplit(uri)
         scheme, host, port = parts.scheme, parts.hostname or "", parts.port
@@ -97,12 +93,7 @@ class Port:
         self._beating: asyncio.Task[None] | None = None
 
     async def attach(self, system_id: int, take: Take) -> None:
-        """Hand the messages of one autopilot to `take`, until `detach`.
-
-        Raises:
-            InputError: pymavlink or pyserial is not installed.
-            OSError: the address cannot be opened.
-        """
+        """Hand the messages of one autopilot to `take`, until `detach`; InputError or OSError if it cannot open."""
         if system_id in self._vehicles:
             raise OSError(f"system id {system_id} is in use there")
         async with self._opening:
@@ -200,11 +191,7 @@ class Ports:
         self._ports: dict[str, Port] = {}
 
     def at(self, uri: str) -> Port:
-        """The port of a URI, not opened yet.
-
-        Raises:
-            InputError: the URI is none.
-        """
+        """The port of a URI, not opened yet."""
         if uri not in self._ports:
             self._ports[uri] = Port(uri)
         return self._ports[uri]
@@ -234,11 +221,7 @@ class _Udp(asyncio.DatagramProtocol):
 
 
 async def open_udp(address: VehicleAddress, came: Callable[[bytes, Any], None]) -> Line:
-    """A UDP socket: listening, or calling one address.
-
-    Raises:
-        OSError: the port is taken, or the host unknown.
-    """
+    """A UDP socket, listening or calling one address; OSError says why not."""
     try:
         return await _endpoint(address, came)
     except OSError as error:

@@ -58,19 +58,9 @@ class MavlinkRobot:
     """One copter. The driver streams set-points along each segment; every command is confirmed by the autopilot.
 
     A change of mode that the driver did not ask for is a pilot's, or a failsafe's: the driver stops its stream, and
-    sends nothing but an emergency stop until `connect`.
-
-    Args:
-        name: for reports and errors.
-        uri: where it is: `udp://0.0.0.0:14540`, `udpout://192.168.4.1:14550`, `serial:///dev/ttyACM0:57600`.
-        ports: of the fleet; robots of one fleet with the same URI share a socket.
-        system_id: of its autopilot, 1 to 254.
-        frame: its local frame in the world.
-        origin: place of the world's zero on the Earth. The driver then asks for the place of the autopilot's own zero,
-            and `frame` is not used.
-        limits: enforced by the driver.
-        link_timeout_s: a link is lost after this silence [s].
-        heartbeat_timeout_s: or after this time without a heartbeat [s].
+    sends nothing but an emergency stop until `connect`. With `origin`, the place of the world's zero on the Earth, it
+    asks for that of the autopilot's own zero instead of using `frame`. Robots with the same URI share a socket of
+    `ports`.
     """
 
     def __init__(
@@ -117,13 +107,7 @@ class MavlinkRobot:
         return self._log.flavour
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link, and wait for the first estimate; reopens a lost link, also in flight.
-
-        Raises:
-            InputError: pymavlink is not installed.
-            RobotError: not done within `timeout_s`, or a vehicle that is refused: another autopilot, no copter, too far
-                from the origin.
-        """
+        """Open the link, and wait for the first estimate, or raise RobotError; reopens a lost link, also in flight."""
         end = time.monotonic() + timeout_s
         await self.close()
         talk = Conversation(self.name, self._port, self.system_id)

@@ -60,12 +60,7 @@ class SerialLine:
 
 
 def open_serial(path: str, baud: int, came: Callable[[bytes], None]) -> SerialLine:
-    """Open a line.
-
-    Raises:
-        InputError: pyserial is not installed.
-        OSError: no such device, it is in use, or it does not know this rate.
-    """
+    """Open a line; OSError says why not."""
     require("mavlink", "a serial line")
     library: Any = import_module("serial")
     end = time.monotonic() + FREE_S

@@ -49,14 +49,8 @@ SAMPLES = 100
 class VehicleTelemetry:
     """What one autopilot said last. All times are those of arrival on `time.monotonic` [s].
 
-    Attributes:
-        flavour: which autopilot; None before the first heartbeat, or if it is another.
-        refusal: why the vehicle cannot be driven, in words; None if it can.
-        ned: position in its local frame, (north, east, down) [m].
-        yaw: heading, clockwise from north [rad].
-        gps_origin: where its local frame has its zero; None if it did not say.
-        parameters: values by name, of those that were asked for.
-        certain_s: heartbeats tell mode and arming from then on; until then a confirmed command counts.
+    `refusal` says why it cannot be driven; `ned` is (north, east, down) [m]; `yaw` is clockwise from north [rad].
+    Heartbeats tell mode and arming from `certain_s` on: until then a confirmed command counts.
     """
 
     def __init__(self) -> None:

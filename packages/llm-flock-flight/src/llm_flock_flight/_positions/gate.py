@@ -26,16 +26,11 @@ LATE, OUT_OF_ORDER, JUMP, SWAP, FROZEN, UNKNOWN = "late", "out_of_order", "jump"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateLimits:
-    """What a drone can have done between two poses.
+    """What a drone can have done between two poses: `jump_m` at any time, for noise, and `speed_m_s` per second.
 
-    Attributes:
-        late_s: largest delay of a frame, over that of the fastest one [s].
-        lost_s: after this time without an accepted pose, a drone on the ground may be anywhere [s].
-        jump_m: distance that is allowed at any time, for noise: from the last accepted pose, and from one
-            of `lost_s` ago [m].
-        speed_m_s: and per second since then [m/s].
-        frozen_s: a pose that came with the very same numbers for longer than this is no measurement, which has noise
-            [s]; 0 lets any pose repeat itself for ever.
+    A frame may be `late_s` later than the fastest one. After `lost_s` without an accepted pose, a drone on the ground
+    may be anywhere. The very same numbers for longer than `frozen_s` are no measurement, which has noise; 0 allows
+    them.
     """
 
     late_s: float
@@ -57,14 +52,10 @@ class _Track:
 
 
 class PoseGate:
-    """Judges frames one by one.
+    """Judges frames one by one; `doubts` has why the newest pose of a drone was refused, by name.
 
-    Attributes:
-        flying: set it from the first take-off on: then a track is never given up, so that a drone which was lost cannot
-            come back as another one.
-        refused: poses that were refused, by drone (an empty name for those of nobody) and reason.
-        on_refusal: called with drone and reason when a drone is first refused for this reason.
-        doubts: why the newest pose of a drone was refused, by name; nothing where it was accepted.
+    Set `flying` from the first take-off on: then a track is never given up, so that a drone which was lost cannot come
+    back as another one. In `refused`, an empty name stands for poses of nobody.
     """
 
     def __init__(self, names: Iterable[str], limits: GateLimits) -> None:

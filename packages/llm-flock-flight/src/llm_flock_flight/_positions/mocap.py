@@ -33,12 +33,9 @@ FAREWELL_S = 2.0
 
 
 class MocapPoses:
-    """A source that follows a motion capture; its rigid bodies have the drones' names.
+    """A source that follows a motion capture, whose rigid bodies have the drones' names.
 
-    Args:
-        system: vicon, optitrack, qualisys, vrpn or mock: those that the wheels of motioncapture 1.1 know.
-        host: of the motion capture's server.
-        names: of the drones.
+    Its system is vicon, optitrack, qualisys, vrpn or mock: those that the wheels of motioncapture 1.1 know.
     """
 
     def __init__(self, system: str, host: str, names: Iterable[str]) -> None:
@@ -57,11 +54,7 @@ class MocapPoses:
         return self._port.senders(now)
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
-        """Start the process. Whether the system answers shows in the poses: the library does not tell.
-
-        Raises:
-            InputError: the extra is not installed.
-        """
+        """Start the process, or raise InputError. Whether the system answers shows only in the poses."""
         require("mocap", "positions by a motion capture")
         await self._port.open(take)
         self._process = self._start()

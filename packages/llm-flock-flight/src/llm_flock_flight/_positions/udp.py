@@ -69,12 +69,7 @@ _DECODER = msgspec.json.Decoder(_FrameText)
 
 
 def frame_of(data: bytes) -> PoseFrame:
-    """The frame in a datagram.
-
-    Raises:
-        MessageError: `oversized`, `malformed` (not JSON of this form, or a name twice), `out_of_range` (a coordinate or
-            a time too large), or `not_unit` (a quaternion that is no rotation). JSON has no NaN and no infinity.
-    """
+    """The frame in a datagram, or MessageError: oversized, malformed, out_of_range, or not_unit for a quaternion."""
     if len(data) > MOST_BYTES:
         raise MessageError("oversized", f"{len(data)} bytes")
     try:
@@ -109,12 +104,9 @@ def datagram_of(frame: PoseFrame) -> bytes:
 
 
 class UdpPoses:
-    """A source that listens at an address of this machine; port 0 takes a free one.
+    """A source that listens at an address of this machine; `port` 0 becomes a free one.
 
-    `names` are the drones': a datagram with none of them is a stranger's, whom it would be wrong to follow.
-
-    Attributes:
-        port: where it listens, once it is open.
+    A datagram with none of the drones' `names` is a stranger's, whom it would be wrong to follow.
     """
 
     def __init__(self, host: str, port: int, names: Iterable[str]) -> None:
@@ -129,11 +121,7 @@ class UdpPoses:
         self._second = (0, 0)
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
-        """Listen from now on.
-
-        Raises:
-            InputError: the address is not one of this machine, or the port is taken.
-        """
+        """Listen from now on; raises InputError if the address is not of this machine, or taken."""
         loop = asyncio.get_running_loop()
         try:
             family = (await loop.getaddrinfo(self._host, self.port, type=socket.SOCK_DGRAM))[0][0]
@@ -185,11 +173,7 @@ class UdpPoses:
         return tuple(_in_words(sender) for sender, heard_s in heard if now - heard_s < SILENT_S)
 
     def hear(self, data: bytes, sender: Any, now: float) -> None:
-        """Take one datagram.
-
-        Raises:
-            MessageError: `second_sender`, `too_many`, `unknown_name`, or as `frame_of`.
-        """
+        """Take one datagram; raises MessageError: second_sender, too_many, unknown_name, or as `frame_of`."""
         if self._followed is not None and sender != self._followed[0] and now - self._followed[1] < SILENT_S:
             self._other = sender, now
             raise MessageError("second_sender", f"{sender} sends as well")

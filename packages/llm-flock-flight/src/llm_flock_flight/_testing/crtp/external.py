@@ -23,11 +23,7 @@ SILENT_S = 0.15
 
 
 class ExternalPosition:
-    """The part of a drone's estimator that is told where it is. Before it is, the drone believes to be at the origin.
-
-    Attributes:
-        taken: positions, with the times at which they came [m, s].
-    """
+    """The part of an estimator that is told where it is: at the origin before. `taken` has times [s] and places [m]."""
 
     def __init__(self, body: PointMass) -> None:
         self.taken: list[tuple[float, Position]] = []

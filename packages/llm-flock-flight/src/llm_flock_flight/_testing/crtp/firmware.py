@@ -107,21 +107,11 @@ class _Block:
 
 
 class Firmware:
-    """The firmware of one drone.
+    """The firmware of one drone, without the `missing` log variables.
 
-    Args:
-        body: what flies.
-        controller: `stabilizer.controller` after a start: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
-        missing: log variables that this firmware does not have.
-
-    Attributes:
-        commands: time [s] and number of each high-level command received, refused ones included.
-        parameters: those that flights set or read, by name, in order.
-        priority: of the last set-point.
-        tumbled: it lies on its side or its back.
-        crashed: it tumbled in flight, and its crash was not recovered.
-        outside: positions from outside, if the drone flies by them.
-        lighthouse: base stations that its deck receives and uses, as bit fields.
+    `controller` is its `stabilizer.controller` after a start: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
+    `commands` has time [s] and number of each high-level command received, refused ones included. `lighthouse` has the
+    base stations that its deck receives and uses, as bit fields. A drone that tumbled in flight has `crashed`.
     """
 
     def __init__(

@@ -45,17 +45,10 @@ class _Link:
 
 
 class ModelledRadio:
-    """One radio and the drones that it serves, which are numbered as they come.
+    """One radio and the drones that it serves, which are numbered as they come; an exchange takes `exchange_s`.
 
-    Args:
-        exchange_s: time of an exchange [s]; `llm_flock_flight._crazyflie.radios.capacity_hz` has its inverse.
-        loss: share of exchanges that are lost.
-        seed: of the losses.
-
-    Attributes:
-        exchanges: done so far, lost ones included.
-        dropped: packets for which there was no room.
-        waited_s: how long the packet of each drone that came last had waited [s].
+    It counts `exchanges`, lost ones included, and `dropped` packets, for which there was no room; `waited_s` has how
+    long the last packet of each drone had waited [s].
     """
 
     def __init__(self, exchange_s: float, *, loss: float = 0.0, seed: int = 0) -> None:

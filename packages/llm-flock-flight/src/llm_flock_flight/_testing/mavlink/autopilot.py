@@ -50,12 +50,9 @@ ARDUPILOT_PARAMETERS = {
 class Autopilot:
     """One stand-in autopilot, in the manner of `flavour`, "px4" or "ardupilot".
 
-    Attributes:
-        parameters: by name; an integer is sent as one.
-        refuse: answer and text by command, for tests that need a refusal.
-        deaf_to: number of answers by command that are lost, after the command was done.
-        commands: numbers of all commands that came.
-        set_points: positions that came, (north, east, down) [m].
+    Tests give `refuse` an answer and a text by command, and `deaf_to` the number of answers by command that are lost,
+    after the command was done. It keeps the numbers of all `commands` and all `set_points` (north, east, down) [m] that
+    came.
     """
 
     def __init__(self, flavour: str, system_id: int) -> None:

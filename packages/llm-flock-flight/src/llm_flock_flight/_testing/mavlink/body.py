@@ -26,15 +26,9 @@ REST: Position = (0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class Airframe:
-    """Position and velocity (north, east, down), from the place where it was switched on; the ground is at 0.
+    """Position [m] and velocity [m/s] (north, east, down) from the place where it was switched on; the ground is at 0.
 
-    Attributes:
-        ned: [m].
-        velocity: [m/s].
-        target: what it flies to [m]; None to stop.
-        feed_forward: velocity of the target [m/s].
-        motors: they turn.
-        at_s: time up to which it has moved [s].
+    It flies to `target` [m], which moves with `feed_forward` [m/s]; None to stop. It has moved up to the time `at_s`.
     """
 
     ned: Position = REST
