@@ -64,10 +64,7 @@ def _towards(position: Point, question: StepQuestion) -> Point:
 
 
 class GeometryPlanner:
-    """A `Planner` that knows the shape: the ideal points in some orientation, and straight steps to the goal.
-
-    `rng` draws the orientation, as independent models choose different ones; None is the reference orientation.
-    """
+    """A `Planner` that knows the shape, in the reference orientation or in one that `rng` draws, and flies straight."""
 
     def __init__(self, rng: np.random.Generator | None = None) -> None:
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))

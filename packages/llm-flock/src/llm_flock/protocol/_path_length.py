@@ -76,10 +76,7 @@ def _by_places(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None)
 def next_stop(
     here: Point, plan: Plan, slot: int, center: Point, spacing: float, roadmap: Roadmap | None = None
 ) -> Point | None:
-    """The next stop on the path from `here` to a far place, beside a place ahead [units; frame of the plan].
-
-    None where the straight line is the cheapest.
-    """
+    """The stop on the path to a far place, beside a place ahead [units; frame of the plan]; None to fly straight."""
     if len(plan) > MOST_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
     left = _between(plan, spacing, roadmap)[slot]

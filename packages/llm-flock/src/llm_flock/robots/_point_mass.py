@@ -57,13 +57,10 @@ MakeController: TypeAlias = Callable[[Position, float], BodyController]
 
 @dataclass(slots=True, kw_only=True)
 class PointMass:
-    """One body. `estimate` is what the robot believes, `position` where it is.
+    """One body, at `home` before take-off [m]. `estimate` is what the robot believes, `position` where it is.
 
-    Attributes:
-        home: position before take-off [m].
-        auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
-        drain_v_s: how fast the battery empties in flight [V/s].
-        controlled: how it follows its set-point; None for without any distance. Change it with `follow`.
+    With `auto_arm` motors may turn at once, as in a Crazyflie 2.1 as shipped. It follows its set-point as `controlled`,
+    or without any distance; change that with `follow`.
     """
 
     home: Position

@@ -23,12 +23,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFrame:
-    """Poses that were measured at one moment.
-
-    Attributes:
-        stamp_s: that moment, by the sender's clock, whose zero may be anywhere [s].
-        poses: by the drones' names.
-    """
+    """Poses by the drones' names, of one moment of the sender's clock [s], whose zero may be anywhere."""
 
     stamp_s: float
     poses: Mapping[str, Pose]

@@ -13,11 +13,7 @@ from llm_flock.robots._segment import HOLD_S, Segment, stopping_point
 
 
 class SimulatedRobot:
-    """One point mass in this process, before take-off at `home` [m].
-
-    `clock` returns the time [s], `time.monotonic` if not given. Tests that make the robot fail give its `body`,
-    and its `equipment`.
-    """
+    """One point mass in this process; `clock` returns the time [s], and tests that let it fail give its `body`."""
 
     def __init__(
         self,

@@ -36,11 +36,8 @@ class Seen:
 class Radio:
     """What one robot receives and senses of the others, within the ranges of the mission.
 
-    Injected faults are drawn by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference
-    between two wall clocks of the swarm [s], `speed` the largest speed of a body [units/s].
-
-    Attributes:
-        contradicted: number of beacons that the sensors refuted.
+    Faults are injected by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference between
+    two wall clocks of the swarm, `speed` the largest of a body [units/s]. The sensors have `contradicted` beacons.
     """
 
     def __init__(

@@ -48,14 +48,10 @@ class Trigger(StrEnum):
 
 
 class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
-    """The last question to the planner, and the rest of its answer.
+    """The last question to the planner, and the rest of its answer [units; frame of the mission].
 
-    Attributes:
-        path: waypoints still to fly [units; frame of the mission]. A last waypoint at the goal stays, and holds the
-            robot there.
-        failed: whether the planner had no answer.
-        altered: whether the last step left the path by more than the tolerances.
-        in_sight: robots within sensing range when the planner was asked.
+    A last waypoint at the goal stays in the `path`, and holds the robot there. `in_sight` were the robots within
+    sensing range when the planner was asked.
     """
 
     question: StepQuestion
@@ -88,11 +84,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         return replace(self, altered=altered, path=self.path if ends else self.path[1:])
 
     def trigger(self, question: StepQuestion, sensed: Mapping[int, Point]) -> Trigger | None:
-        """The event that makes a new question necessary, or None. Call in each round before flying the next step.
-
-        `question` is the one that would be asked now, and `sensed` has the believed positions of the robots within
-        sensing range, by id [units; frame of the mission].
-        """
+        """The event that makes this new question necessary, or None; `sensed` is in the mission's frame [units]."""
         mission = question.mission
         if self.failed:
             return Trigger.NO_ANSWER
@@ -115,10 +107,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         return None
 
     def _serves_goal(self, question: StepQuestion) -> bool:
-        """Whether the next waypoint approaches the question's goal by almost as much as any waypoint could.
-
-        Goals change often while groups meet, and many lie in the same direction: the robot asks once they diverge.
-        """
+        """Whether the next waypoint gains almost as much as any could: goals change often while groups meet."""
         if not self.path:
             return False
         before = math.dist(question.position, question.goal)

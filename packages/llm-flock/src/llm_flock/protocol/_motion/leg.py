@@ -66,13 +66,7 @@ STEP = 0.25
 
 
 class Leg(msgspec.Struct, frozen=True, kw_only=True):
-    """The way to a goal.
-
-    Attributes:
-        goal: where it ends [units; frame of the mission].
-        stop: its next corner, or the goal [units; frame of the mission].
-        left: its length [units].
-    """
+    """The way to a goal, its next corner (or the goal) and its length left [units; frame of the mission]."""
 
     goal: Point
     stop: Point
@@ -88,10 +82,9 @@ def leg_to(
     still: Sequence[Point] = (),
     noise: float = 0.0,
 ) -> Leg:
-    """The way from a position [units; world frame] to a goal of the mission's frame, round the obstacles of the world.
+    """The way from a position of the world to a goal of the mission's frame, round obstacles and `still` bodies.
 
     The frame is displaced by `drift` now, and by `ahead` at the end of the round; empty if the mission stands still.
-    `still` are bodies that do not move [units; world frame].
     """
     roadmap = map_of(mission, position, still, noise)
     if roadmap is None:
@@ -103,10 +96,7 @@ def leg_to(
 
 
 def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: float = 0.0) -> Roadmap | None:
-    """The map of a mission's obstacles and of bodies that do not move; None where there is neither.
-
-    With positions known to within `noise` [units], ways lie farther away from them.
-    """
+    """The map of obstacles and bodies that stand `still`, farther away with noise [units]; None without either."""
     if not mission.obstacles and not still:
         return None
     from llm_flock.roadmap import roadmap_of

@@ -21,13 +21,11 @@ from llm_flock.protocol._verification.steps import shortened
 
 
 class Pilot:
-    """Flies one robot, round by round.
+    """Flies one robot, round by round: call `decide` in each round with a goal, or `hold` in a round without one.
 
-    Call `decide` in each round with a goal, or `hold` in a round without one. `decide` may return a question; call
-    `take` with its answer, and `look` when positions are updated in between. With `on_event`, the planner gives a path
-    and is asked again only on a `Trigger`; `on_path` says whether this round's step comes from that path.
-
-    `fallback` says what flies without a usable answer. While the `breaker` is open, the planner is not asked.
+    `decide` may return a question: call `take` with its answer, and `look` when positions are updated in between. With
+    `on_event`, the planner gives a path and is asked again only on a `Trigger`; `on_path` says whether this round's
+    step comes from it.
     """
 
     def __init__(
@@ -57,10 +55,9 @@ class Pilot:
     def decide(
         self, scene: Observation, mission: Mission, plan: Plan, slot: int | None, target: Point | None
     ) -> list[Effect]:
-        """The next step of the committed path, or a question about it.
+        """The next step of the committed path, or a question with `mission` as it stands at the end of the round.
 
-        The question has `mission` as it stands at the end of the round. `target` is a goal in place of the slot's
-        place; both, and `plan`, are in the frame of the mission.
+        `target` is a goal in place of the slot's place; both, and `plan`, are in the frame of the mission.
         """
         ahead = scene.ahead
         self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
@@ -127,10 +124,7 @@ class Pilot:
         return verdict.fit if slow is None else NoAnswer(cause="slow", reason=slow)
 
     def _waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The first waypoint, checked as a single step and clipped if that suffices; otherwise the reason to hold.
-
-        The last waypoint that a planner without an answer has named is flown if it passes the checks.
-        """
+        """The first waypoint, or the last one named without an answer, if it passes as a single step; or no answer."""
         if isinstance(answer, NoAnswer) and (answer.waypoint is None or not self._verifier.verify):
             return answer
         assert answer.waypoint is not None, "an answer has a waypoint"

@@ -68,14 +68,7 @@ def rank(sender: int, level: int, of: int) -> Rank:
 
 
 class Way(msgspec.Struct, frozen=True, kw_only=True):
-    """A way that a robot has to be given.
-
-    Attributes:
-        rank: its rank.
-        robot: who asks for it.
-        line: its corners from where that robot is, shape (k, d) [units; world frame].
-        width: half its width [units].
-    """
+    """A way that a robot asks for: its corners from there, shape (k, d), and half its width [units; world frame]."""
 
     rank: Rank
     robot: int
@@ -95,9 +88,7 @@ class Way(msgspec.Struct, frozen=True, kw_only=True):
 class RightOfWay:
     """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
 
-    Attributes:
-        apart: distance at which bodies pass each other, the safe distance where that is enough [units].
-        course: what it asks for; None if nothing is in its way.
+    `apart` is the distance at which bodies pass each other, the safe distance where that is enough [units].
     """
 
     def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
@@ -195,10 +186,7 @@ class RightOfWay:
         self.course = Course(level=level, of=of, path=tuple(path)) if path else None
 
     def leads_out(self, here: Point, path: Sequence[Point], goal: Point, ways: Sequence[Way]) -> bool:
-        """Whether flying on leads a robot out of these ways, and past nobody who comes.
-
-        Its goal, and the next stops on the path there, are in the world frame [units].
-        """
+        """Whether flying on along a path to the goal leads out of these ways, and past nobody who comes."""
         if any(way.covers(goal) for way in ways):
             return False
         return all(self._leads_away(a, b, ways) for a, b in pairwise((here, *path)))

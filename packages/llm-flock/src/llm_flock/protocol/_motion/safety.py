@@ -54,10 +54,7 @@ class ShieldedSafety(Safety):
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
 
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
-        """The safe waypoint for the planner's waypoint `wish` [units; world frame].
-
-        The goal of the leg counts as reached within `tolerance` [units].
-        """
+        """The safe waypoint for `wish` [units; world frame]; the leg's goal is reached within `tolerance` [units]."""
         right, here, within = self._right, scene.position, tolerance + self._noise_bound
         right.count(leg.goal, leg.left, within, scene.period)
         separating = self._separate(scene)
@@ -140,10 +137,7 @@ class ShieldedSafety(Safety):
         return goal if roadmap is None else roadmap.next_stop(here, goal)
 
     def _on_its_way(self, scene: Observation, stop: Point, wish: Point, safe: Point) -> Point:
-        """The safe waypoint, or a shorter step of the wish if that slides off the way between two obstacles.
-
-        From where it slides to, the robot would be sent back to the last corner again and again.
-        """
+        """The safe waypoint, or a shorter step if that slides off the way: it would be sent back to the last corner."""
         here = scene.position
         roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
@@ -167,10 +161,7 @@ class ShieldedSafety(Safety):
         )
 
     def _separate(self, scene: Observation) -> SafeStep | None:
-        """A step away from the middle of a crowd that is too close, None without one nearby.
-
-        Robots near such a crowd make way: those inside cannot leave while others stand around them.
-        """
+        """A step away from the middle of a crowd too close, if there is one: also beside it, in the way of others."""
         limits, position, sensed = self._limits, scene.position, scene.sensed
         limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step

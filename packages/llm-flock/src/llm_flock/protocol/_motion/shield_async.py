@@ -23,12 +23,7 @@ from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, clip, ne
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """The last known position of another body.
-
-    Attributes:
-        position: its position [units; world frame].
-        age_s: age of this information [s].
-    """
+    """The last known position of another body [units; world frame], and how old this is."""
 
     position: Point
     age_s: float

@@ -77,10 +77,7 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], position: Point) -> str | None:
-    """As `check_plan`, for a plan that a robot at `position` proposes itself.
-
-    No body that stands `still` may block a place, and the robot must be able to get there.
-    """
+    """As `check_plan`, for a plan of a robot at `position`, who has to get there; nobody may stand `still` in it."""
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
@@ -120,10 +117,7 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
 
 @lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
-    """Class and reason of a plan of the right size.
-
-    Cached, so that a plan is checked once even if many robots of a process receive it.
-    """
+    """Class and reason of a plan of the right size; cached for all robots of a process."""
     for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
         reason = fault(mission, plan)
         if reason is not None:

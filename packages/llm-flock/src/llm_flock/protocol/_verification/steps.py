@@ -30,12 +30,7 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What the checks make of an answer.
-
-    Attributes:
-        reason: why the model is asked again, as a sentence for it; None for an answer that fits.
-        fit: the answer as it may be flown: unchanged if it fits, clipped if that suffices, None otherwise.
-    """
+    """Why the model is asked again (None for an answer that fits), and what may be flown, clipped if need be."""
 
     reason: str | None
     fit: StepAnswer | None
@@ -156,10 +151,7 @@ def shortened(here: Point, target: Point, length: float) -> Point:
 
 
 def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
-    """A waypoint without faults: unchanged, or clipped; None if clipping does not help, as for a wrong direction.
-
-    With the shield on, missing separation is left to the shield.
-    """
+    """A waypoint without faults but those of the shield: as it is, or clipped; None for a wrong direction."""
     mission, faults = question.mission, step_faults(question, waypoint)
     if not faults:
         return waypoint

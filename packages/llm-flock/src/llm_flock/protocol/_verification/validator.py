@@ -14,11 +14,7 @@ from llm_flock.protocol._verification.steps import Verdict, judge
 
 
 class Validator(Checker):
-    """Checks plans and steps.
-
-    With `shield_on` the shield takes care of waypoints that only lack separation. With `any_size` a plan may have fewer
-    places than the mission, as plans for a smaller team do.
-    """
+    """Checks plans and steps; waypoints that only lack separation are left to a shield, and plans may be smaller."""
 
     verify: bool = True
 
