@@ -9,12 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Point, Points
-from llm_flock.mission import Mission
+from llm_flock.arrays import Points
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
-from llm_flock.protocol._verification.steps import shortened
+from llm_flock.protocol._verification.steps import towards
 
 
 def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
@@ -33,7 +32,9 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
     mission, reason = question.mission, ""
     if mission.ideal is None:
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-    placements = mission.placements(angle_rad) if mission.velocity is None else [_turned(mission, angle_rad)]
+    placements = mission.placements(angle_rad)
+    if mission.velocity is not None:
+        placements = [turned(np.array(mission.ideal), mission.center, angle_rad)]
     for points in placements:
         plan = Plan.of(points.tolist())
         objection = check_proposal(mission, plan, question.still, question.position)
@@ -44,23 +45,13 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
     return NoAnswer(cause="answer", reason=f"geometry found no orientation and shift that fits; {why}")
 
 
-def _turned(mission: Mission, angle_rad: float) -> Points:
-    return turned(np.array(mission.ideal), mission.center, angle_rad)
-
-
 def straight_path(question: StepQuestion) -> StepAnswer:
     """Straight towards the goal, as far as the step limit allows, and on from there up to the horizon."""
-    path = [_towards(question.position, question)]
-    while len(path) < question.horizon and path[-1] != question.goal:
-        path.append(_towards(path[-1], question))
+    goal, longest = question.goal, question.mission.max_step
+    path = [towards(question.position, goal, longest)]
+    while len(path) < question.horizon and path[-1] != goal:
+        path.append(towards(path[-1], goal, longest))
     return StepAnswer(waypoint=path[0], path=tuple(path[1:]))
-
-
-def _towards(position: Point, question: StepQuestion) -> Point:
-    goal, max_step = question.goal, question.mission.max_step
-    if math.dist(position, goal) <= max_step:
-        return goal
-    return shortened(position, goal, max_step)
 
 
 class GeometryPlanner:

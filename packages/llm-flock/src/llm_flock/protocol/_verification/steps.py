@@ -133,7 +133,7 @@ def _cut_path(question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
         ends = _along(here, goal, waypoint) >= math.dist(here, goal)
         target = goal if ends else waypoint
         while math.dist(here, target) > mission.max_step and len(cut) < question.horizon:
-            here = shortened(here, target, mission.max_step)
+            here = towards(here, target, mission.max_step)
             cut.append(here)
         if len(cut) == question.horizon:
             break
@@ -144,9 +144,12 @@ def _cut_path(question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
     return replace(answer, waypoint=cut[0], path=tuple(cut[1:]))
 
 
-def shortened(here: Point, target: Point, length: float) -> Point:
-    """The point a hair less than `length` away towards a target that is farther, so that rounding cannot exceed it."""
-    share = length * (1 - 1e-12) / math.dist(here, target)
+def towards(here: Point, target: Point, longest: float) -> Point:
+    """The target, or the point a hair less than `longest` away towards it, so that rounding cannot exceed it."""
+    far = math.dist(here, target)
+    if far <= longest:
+        return target
+    share = longest * (1 - 1e-12) / far
     return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
 
 
@@ -159,8 +162,7 @@ def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Poi
         return None
     here, goal = question.position, question.goal
     target = goal if _along(here, goal, waypoint) >= math.dist(here, goal) else waypoint
-    if math.dist(here, target) > mission.max_step:
-        target = shortened(here, target, mission.max_step)
+    target = towards(here, target, mission.max_step)
     if outside(mission, here) == 0.0 and outside(mission, target) > ROUNDING * mission.spacing:
         low, high = mission.arena
         target = tuple(min(max(x, a), b) for a, x, b in zip(low, target, high, strict=True))
