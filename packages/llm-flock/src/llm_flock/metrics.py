@@ -358,15 +358,6 @@ class ShapeTarget:
         return best.columns, np.array([[cos, -sin], [sin, cos]])
 
 
-def procrustes(positions: ArrayLike, target: ArrayLike) -> ShapeError:
-    """The team's distance from an ideal shape, d = 2 or 3. To compare many teams with one shape, use `ShapeTarget`.
-
-    Raises:
-        InputError: the arrays do not have this shape, or are not finite.
-    """
-    return ShapeTarget(target).error(positions)
-
-
 def _rows(field: str, values: ArrayLike) -> Points:
     rows = np.asarray(values, dtype=np.float64)
     if rows.ndim != 2 or not len(rows) or rows.shape[1] not in (2, 3):

@@ -339,10 +339,15 @@ def _at_walls(
 
 
 def _round_ball(center: Point, out: float) -> tuple[Points, Points, Vector]:
-    """The same round a ball, on a Fibonacci lattice."""
-    k = np.arange(AROUND) + 0.5
-    height, turn = 1.0 - 2.0 * k / AROUND, math.pi * (1.0 + math.sqrt(5.0)) * k
-    flat = np.sqrt(1.0 - height * height)
-    away = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    """The same round a ball."""
+    away = on_sphere(AROUND)
     half = 2.0 * math.acos(1.0 - 2.0 / AROUND)
     return np.array(center) + out / math.cos(half) * away, away, np.full(AROUND, math.sin(half))
+
+
+def on_sphere(count: int) -> Points:
+    """Points evenly spread on the unit sphere, on a Fibonacci lattice, shape (count, 3)."""
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * k / count, math.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - height * height)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)

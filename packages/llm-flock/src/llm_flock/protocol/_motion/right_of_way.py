@@ -25,7 +25,8 @@ from llm_flock.arrays import Point, Points, Vector
 from llm_flock.message import HIGHEST, Course
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
-from llm_flock.roadmap import Roadmap
+from llm_flock.roadmap import on_sphere
+from llm_flock.shapes import ring
 
 AHEAD = 3.0
 """Length of a course, in steps."""
@@ -88,7 +89,8 @@ class Way(msgspec.Struct, frozen=True, kw_only=True):
 class RightOfWay:
     """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
 
-    `apart` is the distance at which bodies pass each other, the safe distance where that is enough [units].
+    `apart` is the distance at which bodies pass each other, the safe distance where that is enough [units]. It has
+    `waited` for so many rounds without progress since it was at its goal, or had none.
     """
 
     def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
@@ -97,16 +99,11 @@ class RightOfWay:
         self.apart = limits.safe_distance if apart is None else apart
         self._period: int | None = None
         self._counts = True
-        self._waited = self._kept = self._idle = 0
+        self.waited = self._kept = self._idle = 0
         self._nearest: tuple[Point, float] = (), math.inf
         self._round = 0
         # By who asks: rounds, next pause, and the last round, or the first one after a pause.
         self._asked: dict[int, tuple[int, int, int]] = {}
-
-    @property
-    def waited(self) -> int:
-        """Rounds without progress since the robot was at its goal, or had none."""
-        return self._waited
 
     @property
     def stalled(self) -> bool:
@@ -115,7 +112,7 @@ class RightOfWay:
 
     @property
     def _level(self) -> int:
-        return min((self._waited // RISES).bit_length(), HIGHEST)
+        return min((self.waited // RISES).bit_length(), HIGHEST)
 
     def count(self, goal: Point, left: float, within: float, period: int | None = None) -> None:
         """Begin a round, with the length of the way to a goal that counts as reached within a distance [units].
@@ -131,7 +128,7 @@ class RightOfWay:
             self._nearest, self._idle = (goal, left), 0
         else:
             self._idle += self._counts
-        self._waited = 0 if at_goal else self._waited + (self._counts and self._idle > 0)
+        self.waited = 0 if at_goal else self.waited + (self._counts and self._idle > 0)
         self.course = None
         self._round += self._counts
 
@@ -217,7 +214,10 @@ class RightOfWay:
         roadmap = limits.roadmap
         if roadmap is not None:
             spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
-        to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
+        if roadmap is None:
+            to, on = (np.linalg.norm(spots - np.array(end), axis=1) for end in (here, goal))
+        else:
+            to, on = (roadmap.lengths_to(spots, end) for end in (here, goal))
         crowd = np.maximum(0.0, self.apart - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
         cost = 2.0 * to + on + too_near_cost * crowd
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
@@ -250,17 +250,8 @@ def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:
 @lru_cache
 def _around(dim: int) -> Points:
     """Where a refuge is looked for: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
-    count = 24 if dim == 2 else 40
-    k = np.arange(count)
     rings = np.array((0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0))  # the farthest is beyond the end of any course
-    if dim == 2:
-        turn = 2.0 * math.pi * k / count
-        directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    else:
-        height, turn = 1.0 - (2.0 * k + 1.0) / count, math.pi * (1.0 + math.sqrt(5.0)) * (k + 0.5)
-        flat = np.sqrt(1.0 - height * height)
-        directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    return (rings[:, None, None] * directions).reshape(-1, dim)
+    return (rings[:, None, None] * (ring(24, 1.0) if dim == 2 else on_sphere(40))).reshape(-1, dim)
 
 
 def _distances(points: Points, start: Vector, end: Vector) -> Vector:
@@ -268,10 +259,3 @@ def _distances(points: Points, start: Vector, end: Vector) -> Vector:
     along = end - start
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)
     return np.linalg.norm(points - (start + share[:, None] * along), axis=1)
-
-
-def _lengths(roadmap: Roadmap | None, starts: Points, goal: Point) -> Vector:
-    """Lengths of the ways from each of some points, shape (m, d), to a goal, shape (m,) [units]."""
-    if roadmap is None:
-        return np.linalg.norm(starts - np.array(goal), axis=1)
-    return roadmap.lengths_to(starts, goal)

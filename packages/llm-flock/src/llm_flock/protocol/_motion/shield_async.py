@@ -17,7 +17,7 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, moved
 from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, clip, nearest_move
 
 
@@ -27,41 +27,6 @@ class Sighting:
 
     position: Point
     age_s: float
-
-
-def async_half_spaces(
-    position: Point,
-    others: Iterable[Sighting],
-    *,
-    safe_distance: float,
-    speed: float,
-    period_s: float,
-    error: float = 0.0,
-) -> list[HalfSpace] | None:
-    """The sides of the cell for one control period; None if only standing still is safe.
-
-    Args:
-        position: the robot's believed position [units; world frame].
-        others: all bodies that may come near.
-        safe_distance: smallest allowed distance between two bodies [units].
-        speed: largest speed of any body [units/s].
-        period_s: time until the next projection [s].
-        error: largest error of any believed position [units].
-    """
-    longest = speed * period_s
-    sides: list[HalfSpace] = []
-    for other in others:
-        gap = math.dist(position, other.position)
-        margin = speed * (other.age_s + period_s) + 2.0 * error
-        room = gap - safe_distance - margin
-        if room >= longest:
-            continue
-        if gap <= max(margin, TOLERANCE):
-            return None  # it may be in any direction by now
-        # Without room: (y - position) . u <= 0 for every y that the other may reach.
-        room = room if room >= 0.0 else -longest * margin / gap
-        sides.append(HalfSpace(tuple((b - a) / gap for a, b in zip(position, other.position, strict=True)), room))
-    return sides
 
 
 def project_async(
@@ -75,19 +40,25 @@ def project_async(
     error: float = 0.0,
     also: Sequence[HalfSpace] = (),
 ) -> Point:
-    """The position nearest to `waypoint` that the robot can safely reach by the end of the period.
+    """The position nearest to `waypoint` that is safe at the end of the period; the own one if nothing else is.
 
-    Call at the start of every control period, with the newest sightings at hand, however old they are. Arguments as
-    for `async_half_spaces`; `also` holds further sides for a step of speed * period_s, from walls and obstacles.
-
-    Returns:
-        The position for the end of the period; `position` itself if only standing still is safe.
+    Call at the start of every control period of `period_s`, with the newest sightings at hand, however old they are.
+    Bodies keep the safe distance, and fly at most with this speed [units/s]; believed positions are off by at most an
+    error [units]. `also` holds further sides for a step of speed * period_s, from walls and obstacles.
     """
-    sides = async_half_spaces(
-        position, others, safe_distance=safe_distance, speed=speed, period_s=period_s, error=error
-    )
-    if sides is None:
-        return position
-    wish = clip(tuple(w - p for w, p in zip(waypoint, position, strict=True)), speed * period_s)
-    move = nearest_move(wish, [*sides, *also], speed * period_s)
-    return position if move is None else tuple(p + u for p, u in zip(position, move, strict=True))
+    longest = speed * period_s
+    sides = list(also)
+    for other in others:
+        gap = math.dist(position, other.position)
+        margin = speed * (other.age_s + period_s) + 2.0 * error
+        room = gap - safe_distance - margin
+        if room >= longest:
+            continue
+        if gap <= max(margin, TOLERANCE):
+            return position  # it may be in any direction by now
+        # Without room: (y - position) . u <= 0 for every y that the other may reach.
+        room = room if room >= 0.0 else -longest * margin / gap
+        sides.append(HalfSpace(tuple((b - a) / gap for a, b in zip(position, other.position, strict=True)), room))
+    wish = clip(tuple(w - p for w, p in zip(waypoint, position, strict=True)), longest)
+    move = nearest_move(wish, sides, longest)
+    return position if move is None else moved(position, move)
