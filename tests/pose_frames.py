@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import MessageError
-from llm_flock.robots._pose import Pose, PoseFrame
+from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock_flight._positions import GateLimits
 
 LIMITS = GateLimits(late_s=0.1, lost_s=0.5, jump_m=0.1, speed_m_s=1.0)

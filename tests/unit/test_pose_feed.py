@@ -18,9 +18,8 @@ from pose_frames import LIMITS, NAMES, frame, reason
 from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing
-from llm_flock.robots._base import RobotError, RobotState
+from llm_flock.robots._base import Pose, PoseFrame, RobotError, RobotState
 from llm_flock.robots._point_mass import PointMass
-from llm_flock.robots._pose import Pose, PoseFrame
 from llm_flock.runtime._ros2_config import Ros2Config
 from llm_flock_flight._crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
 from llm_flock_flight._flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source

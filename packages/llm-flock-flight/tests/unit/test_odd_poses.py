@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from llm_flock.robots._pose import Pose, PoseFrame
+from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock_flight._positions import GateLimits, PoseGate
 from llm_flock_flight._positions.gate import JUMP
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pose_frames import LIMITS, NAMES, frame, reason, text
 
 from llm_flock.errors import MessageError
-from llm_flock.robots._pose import Pose, PoseFrame
+from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock_flight._positions import GateLimits, PoseGate
 from llm_flock_flight._positions.udp import (
     MOST_A_SECOND,

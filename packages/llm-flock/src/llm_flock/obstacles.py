@@ -14,9 +14,6 @@ from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.bounds import MAX_POLYGON_CORNERS
 from llm_flock.errors import InputError
 
-FLAT = 1e-12
-"""Smallest area of a valid polygon, as a share of its squared size."""
-
 
 def cross(a: Point, b: Point, c: Point) -> float:
     """Twice the signed area of the triangle a, b, c: positive where it turns left [units^2]."""
@@ -60,7 +57,7 @@ def is_simple(polygon: Sequence[Point]) -> bool:
     import shapely  # here: missions without polygons start faster without it
 
     size = max(math.dist(polygon[0], p) for p in polygon)
-    if len(set(polygon)) < len(polygon) or abs(signed_area(polygon)) <= FLAT * size * size:
+    if len(set(polygon)) < len(polygon) or abs(signed_area(polygon)) <= 1e-12 * size * size:
         return False
     return shapely.Polygon(polygon).is_valid
 
@@ -121,9 +118,6 @@ def _joined(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...]
 
 Finite = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False)]
-
-TOUCHING = 1e-9
-"""A point nearer to the boundary than this counts as on it [units]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,9 +210,9 @@ def _nearest_on_outline(corners: tuple[Point, ...], point: Point, *, inside: boo
         key=lambda found: math.dist(found[0], point),
     )
     gap = math.dist(point, foot)
-    if gap > TOUCHING:
+    if gap > 1e-9:  # nearer counts as on the boundary
         return Nearest(-gap, _direction(point, foot)) if inside else Nearest(gap, _direction(foot, point))
-    # On the boundary, the outward direction is the normal of the side.
+    # There the outward direction is the normal of the side.
     length = math.dist(a, b)
     return Nearest(0.0, ((b[1] - a[1]) / length, (a[0] - b[0]) / length))
 

@@ -62,12 +62,6 @@ def _shape(obstacle: Obstacle, radius: float) -> shapely.Geometry:
     return shapely.buffer(shapely.Point(obstacle.center), obstacle.radius + radius, quad_segs=ARC)
 
 
-AWAY = 0.5
-"""Largest distance of a corner from the shortest way, as a share of a body's radius: few corners for short ways."""
-
-SECTOR_RAD = math.pi / 18
-"""Largest angle that one corner goes round where lengths matter, and not the number of corners."""
-
 AROUND = 48
 """Corners round a ball in space."""
 
@@ -144,8 +138,8 @@ class Roadmap:
         return np.concatenate(corners), np.concatenate(normals), np.concatenate(bends)
 
     def _sector(self, out: float) -> float:
-        """Largest angle that one corner goes round at this distance [rad]."""
-        return SECTOR_RAD if self._exact else 2.0 * math.acos(out / (out + AWAY * self._radius))
+        """Largest angle that one corner goes round at this distance [rad]: few corners, or exact lengths."""
+        return math.pi / 18 if self._exact else 2.0 * math.acos(out / (out + 0.5 * self._radius))
 
     def _clear(self, starts: Points, ends: Points, radius: float) -> NDArray[np.bool_]:
         """Whether the segments, each from a row to a row, keep this distance from every obstacle."""

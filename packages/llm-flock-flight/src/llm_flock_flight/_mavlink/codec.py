@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -121,7 +120,3 @@ def parameter_value(message: Any, integers_as_bits: bool) -> float:
     if layout is None or not integers_as_bits:
         return value
     return float(struct.unpack(layout, struct.pack("<f", value))[0])
-
-
-Take = Callable[[Any], None]
-"""Takes one message."""

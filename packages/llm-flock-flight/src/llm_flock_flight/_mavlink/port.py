@@ -13,11 +13,16 @@ import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import urlsplit
 
 from llm_flock.errors import InputError
-from llm_flock_flight._mavlink.codec import AUTOPILOT, GROUND_STATION, Codec, Take, introduces
+from llm_flock_flight._mavlink.codec import AUTOPILOT, GROUND_STATION, Codec, introduces
+
+if TYPE_CHECKING:
+    from llm_flock_flight._mavlink.serial_line import SerialLine
+
+    Line: TypeAlias = "_Udp | SerialLine"
 
 SCHEMES = ("udp", "udpin", "udpout", "serial")
 ADDRESSES = "udp://0.0.0.0:14540 to listen, udpout://HOST:PORT to call, or serial:///dev/ttyACM0:57600"
@@ -64,18 +69,6 @@ def parse_uri(uri: str) -> VehicleAddress:
     raise InputError("uri", uri, ADDRESSES)
 
 
-class Line(Protocol):
-    """An open socket or serial line."""
-
-    def send(self, packet: bytes, to: Any) -> None:
-        """Send a packet, without waiting."""
-        ...
-
-    def close(self) -> None:
-        """Close it."""
-        ...
-
-
 class Port:
     """The vehicles at one address. `attach` and `detach` open and close it."""
 
@@ -84,7 +77,7 @@ class Port:
         self.heard: set[int] = set()
         self.twice: set[int] = set()
         self._address = parse_uri(uri)
-        self._vehicles: dict[int, Take] = {}
+        self._vehicles: dict[int, Callable[[Any], None]] = {}
         self._peers: dict[int, tuple[Any, float]] = {}
         self._strangers = (0, 0)  # a second, and the datagrams of unknown senders that were parsed in it
         self._codec: Codec | None = None
@@ -92,7 +85,7 @@ class Port:
         self._opening = asyncio.Lock()
         self._beating: asyncio.Task[None] | None = None
 
-    async def attach(self, system_id: int, take: Take) -> None:
+    async def attach(self, system_id: int, take: Callable[[Any], None]) -> None:
         """Hand the messages of one autopilot to `take`, until `detach`; InputError or OSError if it cannot open."""
         if system_id in self._vehicles:
             raise OSError(f"system id {system_id} is in use there")

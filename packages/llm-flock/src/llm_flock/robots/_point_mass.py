@@ -18,17 +18,8 @@ Mode: TypeAlias = Literal["idle", "flying", "landing"]
 GRAVITY = 9.81
 """[m/s^2]"""
 
-PULL = 4.0
-"""How fast a robot whose estimate is suddenly off flies back to where it believes its set-point to be [1/s]."""
-
 FALL_HEIGHT = 0.1
 """A landing that ends below this height ends on the ground [m]."""
-
-SETTLED_VARIANCE = 1e-5
-"""Of each axis of the position, while the localisation works [m^2]."""
-
-STALL_GROWTH = 0.05
-"""How fast that variance grows once the localisation is gone [m^2/s]."""
 
 REFUSED = 1
 """The firmware's answer to a command that is impossible now."""
@@ -136,7 +127,7 @@ class PointMass:
             x, y, z = (b - o for b, o in zip(self._controller.place, self._offset, strict=True))
             return (x, y, max(z, self.ground_m))
         believed, _, _ = self._segment.at(now)
-        left = math.exp(-PULL * max(0.0, now - self._error_at))
+        left = math.exp(-4.0 * max(0.0, now - self._error_at))  # it flies back to where it believes it should be
         x, y, z = (b - o + left * e for b, o, e in zip(believed, self._offset, self._error, strict=True))
         return (x, y, max(z, self.ground_m))
 
@@ -148,8 +139,8 @@ class PointMass:
         return (x, y, z)
 
     def variance(self, now: float) -> float:
-        """Of the estimate, one axis [m^2]."""
-        return SETTLED_VARIANCE + (0.0 if self._stalled is None else STALL_GROWTH * (now - self._stalled[0]))
+        """Of the estimate, one axis [m^2]; it grows once the localisation is gone."""
+        return 1e-5 + (0.0 if self._stalled is None else 0.05 * (now - self._stalled[0]))
 
     def _height(self, now: float) -> float:
         if self._fell is None:

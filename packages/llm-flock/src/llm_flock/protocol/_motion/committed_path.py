@@ -24,15 +24,6 @@ from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
 HORIZON = 20
 """Largest number of waypoints in an answer."""
 
-SIDEWAYS_TOLERANCE = 0.25
-"""Distance from the path up to which a shielded step still counts as on it, as a share of `max_step`."""
-
-SHORTFALL_TOLERANCE = 0.75
-"""Distance from the next waypoint up to which a shielded step still counts as flown, as a share of `max_step`."""
-
-SAME_DIRECTION = 0.8
-"""The path serves a changed goal too if its next waypoint gains at least this share of the largest possible gain."""
-
 
 class Trigger(StrEnum):
     """The event that makes a robot ask its planner again."""
@@ -79,7 +70,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         sideways = _distance_to_path((position, *self.path), waypoint)
         shortfall = math.dist(waypoint, self.path[0])
         max_step = self.question.mission.max_step
-        altered = sideways > SIDEWAYS_TOLERANCE * max_step or shortfall > SHORTFALL_TOLERANCE * max_step
+        altered = sideways > 0.25 * max_step or shortfall > 0.75 * max_step  # so far, the step counts as flown
         ends = len(self.path) == 1 and _at_goal(self.question, self.path[0])
         return replace(self, altered=altered, path=self.path if ends else self.path[1:])
 
@@ -107,12 +98,12 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         return None
 
     def _serves_goal(self, question: StepQuestion) -> bool:
-        """Whether the next waypoint gains almost as much as any could: goals change often while groups meet."""
+        """Whether the next waypoint gains 0.8 of what any could: goals change often while groups meet."""
         if not self.path:
             return False
         before = math.dist(question.position, question.goal)
         gained = before - math.dist(self.path[0], question.goal)
-        return gained >= SAME_DIRECTION * min(before, question.mission.max_step)
+        return gained >= 0.8 * min(before, question.mission.max_step)
 
 
 def _at_goal(question: StepQuestion, position: Point) -> bool:

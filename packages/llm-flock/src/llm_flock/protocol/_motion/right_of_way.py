@@ -28,18 +28,8 @@ from llm_flock.obstacles import clearance
 from llm_flock.roadmap import on_sphere
 from llm_flock.shapes import ring
 
-AHEAD = 3.0
-"""Length of a course, in steps."""
-
-SLOWED = 0.5
-"""A robot is blocked if bodies leave it less than this share of its step."""
-
 STALLED = 3
 """Rounds without progress towards the goal after which a robot that bodies block asks for its way."""
-
-GAIN = 0.05
-"""Coming nearer by this share of a step, or of what is left, counts as progress: beside another robot a place is
-approached by halves."""
 
 KEPT = 2
 """Rounds for which a robot that was blocked keeps its course."""
@@ -55,9 +45,6 @@ HEEDED_ROUNDS = 32
 
 BETWEEN = 4
 """Most rounds between two in which a robot asks that count like those: one that gives way may lose sight of it."""
-
-SHARES = (0.75, 0.5, 0.25, 0.125)
-"""Shares of a step that are tried where the whole one leads into a way that another has."""
 
 Rank: TypeAlias = tuple[int, int, bool, int]
 """Level, then the lower id of whose right it is, then that robot itself before those that make way for it."""
@@ -123,7 +110,8 @@ class RightOfWay:
         self._counts, self._period = period is None or period != self._period, period
         at_goal = left <= within
         before, nearest = self._nearest
-        nearer = left <= nearest - GAIN * min(self._limits.max_step, left)
+        # A share of what is left counts too: beside another robot a place is approached by halves.
+        nearer = left <= nearest - 0.05 * min(self._limits.max_step, left)
         if at_goal or goal != before or nearer:
             self._nearest, self._idle = (goal, left), 0
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import combinations
 
 from llm_flock import shield
@@ -13,7 +14,7 @@ from llm_flock.message import MOST_STOPS, Course
 from llm_flock.mission import Mission
 from llm_flock.protocol._motion.leg import STEP, Leg, map_of
 from llm_flock.protocol._motion.projection import static_half_spaces
-from llm_flock.protocol._motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
+from llm_flock.protocol._motion.right_of_way import RightOfWay, Way, outside
 from llm_flock.protocol._parts import Observation, SafeStep, Safety
 
 
@@ -61,9 +62,10 @@ class ShieldedSafety(Safety):
         if separating is not None:
             return separating
         goal, stop = moved(leg.goal, scene.drift), moved(leg.stop, scene.drift)
+        path = partial(self._path, here, stop, goal, scene.still)
         ways = right.ways(scene.sensed, scene.courses)
         pressing = [way for way in ways if way.covers(here)]
-        if pressing and not right.leads_out(here, self._path(here, stop, goal, scene.still), goal, pressing):
+        if pressing and not right.leads_out(here, path(), goal, pressing):
             aside = self._aside(scene, goal, ways, pressing, scene.still)
             if aside is not None:
                 return aside
@@ -74,15 +76,15 @@ class ShieldedSafety(Safety):
         self._gave_way = None
         notes: tuple[Note, ...] = ()
         if pressing:
-            right.pass_on(self._path(here, stop, goal, scene.still), pressing[0])
+            right.pass_on(path(), pressing[0])
         elif right.stalled and self._is_blocked(scene, stop, safe):
-            right.ask(self._path(here, stop, goal, scene.still))
+            right.ask(path())
             if not self._asked:
                 notes = (Note("deadlock", {"goal_distance": math.dist(scene.here, leg.goal), "rounds": right.waited}),)
             self._asked = True
         else:
             self._asked = False
-            right.go_on_asking(() if leg.left <= within else self._path(here, stop, goal, scene.still))
+            right.go_on_asking(() if leg.left <= within else path())
         if safe == wish:
             return SafeStep(waypoint=wish, origin=Origin.MODEL, notes=notes)
         note = Note("shielded", {"proposed": wish, "flown": safe})
@@ -104,7 +106,7 @@ class ShieldedSafety(Safety):
     def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
         """As much of a step as leads into no way that another has."""
         here = scene.position
-        tried = (self._project(here, _between(here, wish, share), scene.others) for share in SHARES)
+        tried = (self._project(here, _between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
         to = next((safe for safe in tried if outside(ways, here, safe)), here)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
 
@@ -121,11 +123,11 @@ class ShieldedSafety(Safety):
         if apart > self._limits.safe_distance:
             safe = self._project(here, safe, others, apart)
         gained = max(far - math.dist(to, stop) for to in (safe, self._project(here, straight, others, apart)))
-        return gained < SLOWED * alone
+        return gained < 0.5 * alone
 
     def _path(self, here: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
-        """The next corners of the way, first `stop`, as far as a course reaches [units; world frame]."""
-        path, left = list[Point](), AHEAD * self._limits.max_step
+        """The next corners of the way, first `stop`, for a course of three steps [units; world frame]."""
+        path, left = list[Point](), 3.0 * self._limits.max_step
         while left > 0.0 and len(path) < MOST_STOPS and (here != goal or not path):
             path.append(_towards(here, stop, left))
             left -= math.dist(here, stop)

@@ -33,10 +33,6 @@ EXACT_RESIDUAL = 0.01
 ROUNDING = 0.02
 """Share of the spacing by which two rounded coordinates may change a distance."""
 
-PLACES_APART = 10.0 ** (1 - DECIMALS)
-"""What is left between two places of an enlarged plan beyond the safe distance, so that rounding does not use it up
-[units]."""
-
 LENGTH_TOLERANCE = 0.01
 """Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
 
@@ -106,7 +102,7 @@ def enlarged(mission: Mission, plan: Plan) -> Plan:
     if nearest >= mission.safe_distance:
         return plan
     mean = plan.array.mean(axis=0)
-    share = (mission.safe_distance + PLACES_APART) / nearest
+    share = (mission.safe_distance + 10.0 ** (1 - DECIMALS)) / nearest  # some room, for rounding to use up
     return Plan.of((mean + share * (plan.array - mean)).tolist())
 
 
