@@ -177,17 +177,12 @@ class Port:
                 take(message)
 
 
-class Ports:
-    """The ports of a fleet: robots with the same URI share one."""
+class Ports(dict[str, Port]):
+    """The ports of a fleet by their URIs, not opened yet: robots with the same URI share one."""
 
-    def __init__(self) -> None:
-        self._ports: dict[str, Port] = {}
-
-    def at(self, uri: str) -> Port:
-        """The port of a URI, not opened yet."""
-        if uri not in self._ports:
-            self._ports[uri] = Port(uri)
-        return self._ports[uri]
+    def __missing__(self, uri: str) -> Port:
+        self[uri] = Port(uri)
+        return self[uri]
 
 
 class _Udp(asyncio.DatagramProtocol):

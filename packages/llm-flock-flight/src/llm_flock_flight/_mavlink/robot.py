@@ -81,7 +81,7 @@ class MavlinkRobot:
         self.name = name
         self.uri = uri
         self.system_id = system_id
-        self._port = (ports or Ports()).at(uri)
+        self._port = (Ports() if ports is None else ports)[uri]
         self._frame = frame or LocalFrame()
         self._origin = origin
         self._limits = limits or MotionLimits()

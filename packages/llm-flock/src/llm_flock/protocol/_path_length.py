@@ -1,8 +1,6 @@
-"""Path lengths to the places of a plan for a robot that stays near the formation.
+"""Path lengths to the places of a plan for a robot that stays near the formation, within radio range of others.
 
-Across a large ring the straight line is the shortest path, and leads out of every robot's radio range. So a path may
-pass through any places of the plan, and a long hop between two of them counts more than its length: the cheapest path
-then leads along the formation, as far as there is one. Shortest paths of all pairs: Floyd: Algorithm 97 (CACM 1962).
+A path may pass through any places of the plan, and a long hop between two of them counts more than its length.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""A drone that follows its high-level commander, exactly or as a controller does, and can fail in flight.
-
-Sans-IO: every call takes the time. `SimulatedRobot` flies it in the process, the stand-in behind a UDP socket.
-"""
+"""A drone that follows its high-level commander, exactly or as a controller does, and can fail in flight; sans-IO."""
 
 from __future__ import annotations
 
@@ -58,7 +55,6 @@ class PointMass:
     ground_m: float = 0.0
     auto_arm: bool = False
     battery_v: float = 4.0
-    drain_v_s: float = 0.0
     controlled: MakeController | None = None
     mode: Mode = field(default="idle", init=False)
     armed: bool = field(default=False, init=False)
@@ -70,7 +66,6 @@ class PointMass:
     _error: Position = field(default=(0.0, 0.0, 0.0), init=False)
     _error_at: float = field(default=0.0, init=False)
     _stalled: tuple[float, Position] | None = field(default=None, init=False)
-    _drained: float | None = field(default=None, init=False)
     _controller: BodyController | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -83,10 +78,7 @@ class PointMass:
         return self.mode != "idle"
 
     def advance(self, now: float) -> None:
-        """Let time pass: a landing ends, a battery drains."""
-        if self._drained is not None and self.flying:
-            self.battery_v = max(0.0, self.battery_v - self.drain_v_s * (now - self._drained))
-        self._drained = now
+        """Let time pass: a landing ends."""
         down = math.inf
         if self.mode == "landing" and self._segment is not None:
             down = self._segment.began_s + self._segment.duration_s

@@ -1,9 +1,4 @@
-"""The path that a planner gave in advance, and the events that trigger a new question.
-
-A planner that answers with a path need not be asked in every round. The robot flies the path, checking and shielding
-each step like a fresh answer, and asks again on an event: event-triggered instead of periodic control (Heemels,
-Johansson, Tabuada: An introduction to event-triggered and self-triggered control, CDC 2012).
-"""
+"""The path that a planner gave in advance, flown step by step like fresh answers, and the events that end it."""
 
 from __future__ import annotations
 

@@ -27,9 +27,9 @@ the rounds of a straight flight, and a team should form in three times the lower
 class Pace:
     """Average gain of a planner's waypoints towards the goal, each as a share of the largest possible gain.
 
-    Waypoints at the goal, and of a robot whose straight path is blocked, do not count. A round that the robot holds
-    because the planner was refused counts as no gain. A goal that travels and is within one step has to be reached:
-    whoever always closes a share of the gap trails behind it for ever.
+    A round held because an answer was refused counts as none; waypoints at the goal, or of a robot whose straight path
+    is blocked, do not count. A goal that travels has to be reached from one step away: whoever closes a share of the
+    gap trails for ever.
     """
 
     def __init__(self) -> None:

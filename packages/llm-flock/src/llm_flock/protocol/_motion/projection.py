@@ -141,11 +141,10 @@ def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
 def static_half_spaces(
     position: Point, mission: Mission, *, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """The walls and obstacles within one step, as sides of the robot's cell. Call for `also` of the projections.
+    """The walls and obstacles within one step, as sides of the robot's cell; from beyond them they lead back.
 
-    From outside the arena or inside an obstacle they lead back, by at most a full step per round. With the position
-    known to within `noise_bound` e [units], a wall moves inwards by e, for its direction is known. The direction to the
-    nearest point of an obstacle at distance d turns by at most 2 e / d, so its side moves by e and by 2 e max_step / d.
+    With the position known to within `noise_bound` e [units], a wall moves inwards by e. The direction to the nearest
+    point of an obstacle at distance d turns by at most 2 e / d, so its side moves by e and by 2 e max_step / d.
     """
     sides: list[HalfSpace] = []
     low, high = mission.arena

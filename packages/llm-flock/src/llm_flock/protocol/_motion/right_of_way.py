@@ -1,13 +1,8 @@
 """Right of way: a robot that others block says where it has to go, and robots in that way step aside.
 
-Priority inheritance, as in PIBT: Okumura, Machida, Défago, Tamura: Priority inheritance with backtracking for iterative
-multi-agent path finding (Artificial Intelligence 310, 2022), here in continuous space and from messages only. A robot
-that bodies keep from its way sends its *course* with its rank. A robot of lower rank in that way goes to a refuge, and
-sends the course there with the rank of the first one, so that those in its own way step aside too. One that is not in
-the way does not enter it. Ranks rise with waiting, and with them the width of the way that is given, so no robot
-waits for good. Where a robot holds its place, it steps aside all the same, and comes back.
-
-Courses only ask. What keeps robots apart is the cell of the shield, whatever is claimed.
+Priority inheritance, as in PIBT (Okumura, Machida, Défago, Tamura 2022), in continuous space and from messages only;
+docs/explanation/safe-motion.md describes it. Ranks rise with waiting, and with them the width of the way that is given.
+Courses only ask: what keeps robots apart is the cell of the shield, whatever is claimed.
 """
 
 from __future__ import annotations

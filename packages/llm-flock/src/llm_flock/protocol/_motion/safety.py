@@ -19,10 +19,10 @@ from llm_flock.protocol._parts import Observation, SafeStep, Safety
 
 
 class ShieldedSafety(Safety):
-    """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
+    """Turns waypoints into safe ones, gives way to others, and asks them to give way: `step` or `stay` in each round.
 
-    Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
-    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units].
+    `limits` is the mission at the start: no message changes safe distance, step limit, arena and obstacles.
+    `noise_bound` is the largest error of a believed position [units].
     """
 
     def __init__(self, robot: int, limits: Mission, noise_bound: float, apart: float | None = None) -> None:

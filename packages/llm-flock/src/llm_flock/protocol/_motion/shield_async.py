@@ -1,14 +1,7 @@
-"""The shield for bodies that do not move in step: each projects its waypoint again in every control period.
+"""The shield for bodies that do not move in step; the proof is in docs/explanation/safe-motion.md.
 
-The proof of the lockstep form needs one snapshot and synchronous moves. Here a robot relies on nothing but the largest
-speed v of the others. By the end of the coming period T, a body sighted a seconds ago is within m = v (a + T) of its
-sighting. A robot at distance d that flies at most d - safe_distance - m towards the sighting, for one period only,
-ends the period at least at the safe distance, whatever the other body does. With positions known to within e, the
-line of sight is off by 2 e, which is added to m. So all schedules, and all delays that the ages account for, are safe.
-
-If that room is negative, a robot may still move away: as long as its direction makes an obtuse angle with every
-position that the other may reach during the period, its own move does not bring the two nearer. If both do so, both
-add to the distance.
+If no room is left, a robot may still move away: as long as its direction makes an obtuse angle with every position that
+the other may reach during the period, its own move does not bring the two nearer.
 """
 
 from __future__ import annotations

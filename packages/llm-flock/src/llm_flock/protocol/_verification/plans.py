@@ -1,8 +1,7 @@
 """Checks of plans: reasons in words for the model that proposed a plan, and a class for the order of plans.
 
-All checks are pure functions of mission and plan, so every receiver comes to the same verdict by itself. Tolerances
-are shares of the mission's lengths: they accept coordinates that a model has rounded, and are tighter than the
-definition of a formed team.
+All are pure functions, so every receiver comes to the same verdict. Tolerances, shares of the mission's lengths, accept
+rounded coordinates and are tighter than the definition of a formed team.
 """
 
 from __future__ import annotations
@@ -90,11 +89,10 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
 
 
 def enlarged(mission: Mission, plan: Plan) -> Plan:
-    """The plan, or if places are nearer to each other than the safe distance, a larger one in which they are not.
+    """The plan, or if rounding put places nearer than the safe distance, a slightly larger one in which they are not.
 
-    Where the spacing is the safe distance, rounded coordinates put some places too near each other. Then robots keep
-    others from theirs: between two that are 0.2 % too near to a place on either side, a robot gets to 6 % of the
-    spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
+    Else robots would keep others from their places: between two that are 0.2 % too near to a place on either side, one
+    gets to 6 % of the spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
     """
     if len(plan) == 1:
         return plan

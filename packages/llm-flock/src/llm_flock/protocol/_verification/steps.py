@@ -1,8 +1,4 @@
-"""Checks of waypoints before they are flown, and clipping of those that fail.
-
-The checks use what the robot observed, so a planner can be told what is wrong before anything moves. They are advice,
-not safety: the shield has the last word on whatever passes here.
-"""
+"""Checks of waypoints before they are flown, and clipping of those that fail: advice, not safety."""
 
 from __future__ import annotations
 
