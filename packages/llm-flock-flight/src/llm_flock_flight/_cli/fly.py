@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import AsyncExitStack
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -288,16 +289,7 @@ def _radio_tables(settings: FlightConfig) -> list[Table]:
 def _radios(plan: RadioPlan) -> dict[str, Any]:
     """Plain values for JSON."""
     return {
-        "radios": [
-            {
-                "dongle": load.dongle,
-                "channels": load.channels,
-                "drones": load.drones,
-                "needed_hz": load.needed_hz,
-                "capacity_hz": load.capacity_hz,
-            }
-            for load in plan.loads
-        ],
+        "radios": [asdict(load) for load in plan.loads],
         "radio_warnings": plan.warnings,
     }
 

@@ -17,7 +17,7 @@ from llm_flock_flight._flight.monitors import PERIOD_S, Trouble, TroubleKind
 from llm_flock_flight._flight.preflight import Check
 from llm_flock_flight._flight.shown import ros2_bridge
 from llm_flock_flight._flight.team import FlyingTeam
-from llm_flock_flight._positions import GateLimits, PoseFeed, PoseGate, TakesPoses
+from llm_flock_flight._positions import PoseFeed, PoseGate, TakesPoses
 from llm_flock_flight._positions.mocap import MocapPoses
 from llm_flock_flight._positions.udp import UdpPoses
 
@@ -76,15 +76,9 @@ async def feeding(
                 "pose_source", config.positions.pose_source, f"a driver that takes poses; {robot.name} has none"
             )
         takers[robot.name] = robot
-    limits = GateLimits(
-        late_s=config.positions.pose_late_s,
-        lost_s=config.positions.pose_lost_s,
-        jump_m=config.positions.pose_jump_m,
-        speed_m_s=config.safety.max_speed_m_s,
-        frozen_s=config.positions.pose_frozen_s,
-    )
+    gate = PoseGate(takers, config.positions, config.safety.max_speed_m_s)
     rate_hz, attitude = config.positions.pose_rate_hz, config.positions.pose_attitude
-    async with PoseFeed(found, PoseGate(takers, limits), takers, rate_hz, attitude=attitude) as feed:
+    async with PoseFeed(found, gate, takers, rate_hz, attitude=attitude) as feed:
         yield feed
 
 

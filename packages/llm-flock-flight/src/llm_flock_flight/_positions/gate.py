@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from llm_flock.robots import Pose, PoseFrame, Position
+from llm_flock_flight._flight.sections import PositionsConfig
 
 CLOCKS_DRIFT = 1e-3
 """Largest difference in speed of the sender's clock and this one's."""
@@ -22,22 +23,6 @@ STEPS = 10
 
 LATE, OUT_OF_ORDER, JUMP, SWAP, FROZEN, UNKNOWN = "late", "out_of_order", "jump", "swap", "frozen", "unknown_name"
 """Reasons to refuse a pose."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GateLimits:
-    """What a drone can have done between two poses: `jump_m` at any time, for noise, and `speed_m_s` per second.
-
-    A frame may be `late_s` later than the fastest one. After `lost_s` without an accepted pose, a drone on the ground
-    may be anywhere. The very same numbers for longer than `frozen_s` are no measurement, which has noise; 0 allows
-    them.
-    """
-
-    late_s: float
-    lost_s: float
-    jump_m: float
-    speed_m_s: float
-    frozen_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -54,17 +39,18 @@ class _Track:
 class PoseGate:
     """Judges frames one by one; `doubts` has why the newest pose of a drone was refused, by name.
 
-    Set `flying` from the first take-off on: then a track is never given up, so that a drone which was lost cannot come
-    back as another one. In `refused`, an empty name stands for poses of nobody.
+    A drone flies no faster than `speed_m_s`. After `pose_lost_s` without an accepted pose, one on the ground may be
+    anywhere. Set `flying` from the first take-off on: then a track is never given up, so that a drone which was lost
+    cannot come back as another one. In `refused`, an empty name stands for poses of nobody.
     """
 
-    def __init__(self, names: Iterable[str], limits: GateLimits) -> None:
+    def __init__(self, names: Iterable[str], limits: PositionsConfig, speed_m_s: float) -> None:
         self.flying = False
         self.refused: Counter[tuple[str, str]] = Counter()
         self.on_refusal: Callable[[str, str], None] = lambda name, reason: None
         self.doubts: dict[str, str] = {}
         self._names = frozenset(names)
-        self._limits = limits
+        self._limits, self._speed_m_s = limits, speed_m_s
         self._tracks: dict[str, _Track] = {}
         self._repeated: dict[str, tuple[Pose, float]] = {}  # the last pose that came, and when it first did
         self._delay: tuple[float, float] | None = None  # smallest arrival less stamp, and when it was seen
@@ -72,10 +58,10 @@ class PoseGate:
     def take(self, frame: PoseFrame, now: float) -> dict[str, Pose]:
         """The accepted poses of a frame that arrived at `now`, by name."""
         if not self.flying:
-            gone = [n for n, track in self._tracks.items() if now - track.came_s > self._limits.lost_s]
+            gone = [n for n, track in self._tracks.items() if now - track.came_s > self._limits.pose_lost_s]
             for name in gone:
                 del self._tracks[name]
-        late = self._late_s(frame.stamp_s, now) > self._limits.late_s
+        late = self._late_s(frame.stamp_s, now) > self._limits.pose_late_s
         before = {name: track.position for name, track in self._tracks.items()}
         accepted: dict[str, Pose] = {}
         for name, pose in frame.poses.items():
@@ -89,9 +75,9 @@ class PoseGate:
                 accepted[name] = pose
         for name, pose in accepted.items():
             past = self._tracks[name].past if name in self._tracks else deque[tuple[float, Position]]()
-            while len(past) > 1 and past[1][0] <= now - self._limits.lost_s:
+            while len(past) > 1 and past[1][0] <= now - self._limits.pose_lost_s:
                 past.popleft()
-            if not past or now - past[-1][0] >= self._limits.lost_s / STEPS:
+            if not past or now - past[-1][0] >= self._limits.pose_lost_s / STEPS:
                 past.append((now, pose.position))
             self.doubts.pop(name, None)
             self._tracks[name] = _Track(pose.position, frame.stamp_s, now, past)
@@ -106,10 +92,10 @@ class PoseGate:
         moved = math.dist(at, track.position)
         if any(math.dist(at, other) < moved for who, other in before.items() if who != name):
             return SWAP
-        if moved > limits.jump_m + limits.speed_m_s * min(now - track.came_s, limits.lost_s):
+        if moved > limits.pose_jump_m + self._speed_m_s * min(now - track.came_s, limits.pose_lost_s):
             return JUMP
         came_s, place = track.past[0]  # many small steps make a jump as well
-        if math.dist(at, place) > limits.jump_m + limits.speed_m_s * (now - came_s):
+        if math.dist(at, place) > limits.pose_jump_m + self._speed_m_s * (now - came_s):
             return JUMP
         return None
 
@@ -119,7 +105,7 @@ class PoseGate:
         if last != pose:
             since_s = now
         self._repeated[name] = pose, since_s
-        return 0.0 < self._limits.frozen_s < now - since_s
+        return 0.0 < self._limits.pose_frozen_s < now - since_s
 
     def _refuse(self, name: str, why: str) -> None:
         self.refused[name, why] += 1
@@ -133,7 +119,7 @@ class PoseGate:
         delay = now - stamp_s
         if self._delay is not None:
             least, seen_s = self._delay
-            restarted = not self.flying and delay - least > 2 * self._limits.lost_s and not self._tracks
+            restarted = not self.flying and delay - least > 2 * self._limits.pose_lost_s and not self._tracks
             if not restarted:
                 least += CLOCKS_DRIFT * (now - seen_s)
                 self._delay = min(least, delay), now

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 
@@ -42,16 +41,6 @@ class PlanClass(IntEnum):
     REFUSED = 0
     ACCEPTABLE = 1
     EXACT = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Expected:
-    """The reference for a mission's plans; `near` and `far` bound a place's distance from its nearest other place."""
-
-    target: metrics.ShapeTarget | None
-    points: Points | None
-    near: float
-    far: float
 
 
 def check_plan(mission: Mission, plan: Plan) -> str | None:
@@ -129,19 +118,14 @@ def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
 
 
 @lru_cache(maxsize=16)
-def _expected(mission: Mission) -> _Expected:
-    if mission.ideal is None or mission.n_places == 1:
-        points, distances = None, np.array([mission.spacing])
-    else:
+def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, float]:
+    """The ideal shape, and bounds of a place's distance from its nearest other place [units]."""
+    target, distances = None, np.array([mission.spacing])
+    if mission.ideal is not None and mission.n_places > 1:
         points = np.array(mission.ideal)
-        distances = _nearest(points)[0]
+        target, distances = metrics.ShapeTarget(points), _nearest(points)[0]
     tolerance = 0.1  # share by which the distance of a place from its nearest other place may differ from the shape's
-    return _Expected(
-        target=None if points is None else metrics.ShapeTarget(points),
-        points=points,
-        near=float(distances.min()) * (1 - tolerance),
-        far=float(distances.max()) * (1 + tolerance),
-    )
+    return target, float(distances.min()) * (1 - tolerance), float(distances.max()) * (1 + tolerance)
 
 
 def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
@@ -221,25 +205,25 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
         i, j = sorted((closest, int(others[closest])))
         least = number_text(mission.safe_distance)
         return f"points {i} and {j} are {number_text(distances[closest])} apart, at least {least} is required."
-    expected = _expected(mission)
+    _, near, far = _expected(mission)
     for i, (distance, j) in enumerate(zip(distances.tolist(), others.tolist(), strict=True)):
-        if not expected.near <= distance <= expected.far:
+        if not near <= distance <= far:
             return (
                 f"the point nearest to point {i} is point {j}, {number_text(distance)} away; "
-                f"from {number_text(expected.near)} to {number_text(expected.far)} is required."
+                f"from {number_text(near)} to {number_text(far)} is required."
             )
     return None
 
 
 def _residual(mission: Mission, plan: Plan) -> float | None:
     """Mean distance from the ideal shape [units], rounded so that the verdict does not depend on the machine."""
-    expected = _expected(mission)
-    if expected.target is None or expected.points is None:
+    target = _expected(mission)[0]
+    if target is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
+    quick = quick_error(plan.array, np.array(mission.ideal), exact) if mission.dim == 2 else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
-        quick = expected.target.error(plan.array).mean
+        quick = target.error(plan.array).mean
     return round(quick, DECIMALS)
 
 
