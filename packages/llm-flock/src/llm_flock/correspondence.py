@@ -22,7 +22,6 @@ import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -215,12 +214,6 @@ def _centred(rows: Points) -> Complex:
     return points - points.mean()
 
 
-@cache
-def _cube_rotations() -> NDArray[np.float64]:
-    """The 24 rotations of a cube, shape (24, 3, 3): every rotation is within 63 degrees of one of them."""
-    return scipy.spatial.transform.Rotation.create_group("O").as_matrix().round()
-
-
 def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """For each robot the index of its target point, and the rotation, shape (3, 3), of robots onto target points.
 
@@ -228,7 +221,8 @@ def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArr
         rows: centred positions, shape (n, 3) [units].
         target: centred target points, shape (n, 3) [units].
     """
-    starts = [*_cube_rotations(), *_anchored(rows, target)]
+    # Every rotation is within 63 degrees of one of the 24 of a cube.
+    starts = [*scipy.spatial.transform.Rotation.create_group("O").as_matrix().round(), *_anchored(rows, target)]
     fits = [_correspond(rows, target, rotation) for rotation in starts]
     order = sorted(range(len(fits)), key=lambda k: (-fits[k][0], k))
     best_fit, best = fits[order[0]]

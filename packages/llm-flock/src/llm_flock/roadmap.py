@@ -101,7 +101,12 @@ class Roadmap:
         self._centers = np.array([o.center for o in discs]).reshape(len(discs), dim)
         self._radii = np.array([o.radius or 0.0 for o in discs])
         self._angular = [o for o in self._obstacles if o.polygon is not None]
-        self._polygons = _united(self._angular)
+        self._polygons: shapely.Geometry | None = None
+        if self._angular:
+            import shapely
+
+            self._polygons = shapely.union_all([shapely.Polygon(o.polygon) for o in self._angular])
+            shapely.prepare(self._polygons)
         # Distances of corners from their discs' centres, and the largest from a polygon.
         self._out: list[float] = []
         self._out_angular = 0.0
@@ -279,16 +284,6 @@ def shortest_ways(
     roadmap = roadmap_of(arena, obstacles, radius, exact=True)
     lengths = np.array([roadmap.lengths(tuple(start), goals) for start in starts.tolist()])
     return np.where(np.isfinite(lengths), lengths, apart)
-
-
-def _united(found: Sequence[Obstacle]) -> shapely.Geometry | None:
-    if not found:
-        return None
-    import shapely
-
-    united = shapely.union_all([shapely.Polygon(o.polygon) for o in found])
-    shapely.prepare(united)
-    return united
 
 
 def _turns(outline: Sequence[Point]) -> Iterable[tuple[Point, float, float]]:

@@ -35,9 +35,6 @@ from llm_flock_flight._crazyflie.threads import Worker, in_thread, new_thread
 SILENCE_S, MOST_SILENCE_S = 1.0, 4.0
 """An attempt to open a link is given up after this silence [s]; each attempt has more patience, up to the second."""
 
-PAUSE_S = 0.1
-"""Between two attempts [s]."""
-
 AGAIN_S = 0.3
 """The version of the protocol is asked for again after this time [s]."""
 
@@ -47,9 +44,6 @@ SEND_S = 2.5
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
 NETWORK = ("udp://", "tcp://")
-
-JOIN_S = 1.5
-"""Longest wait for a thread of cflib's to end: it looks once a second [s]."""
 
 
 def host_and_port(uri: str) -> tuple[str, int] | None:
@@ -175,7 +169,7 @@ class CrazyflieLink:
             except (TimeoutError, RobotError) as error:
                 why = error.what if isinstance(error, RobotError) else "no answer"
                 await self.close()
-                await asyncio.sleep(min(PAUSE_S, max(0.0, end - time.monotonic())))
+                await asyncio.sleep(min(0.1, max(0.0, end - time.monotonic())))
             except BaseException:
                 await self.close()
                 raise
@@ -373,7 +367,7 @@ def shut(cf: Any) -> None:
             timer.cancel()
         cf._answer_patterns.clear()  # noqa: SLF001
     if cf.incoming.is_alive():
-        cf.incoming.join(JOIN_S)
+        cf.incoming.join(1.5)  # it looks once a second
     cf.disconnected.call(cf.link_uri)  # ends cflib's threads for parameters and statistics
 
 

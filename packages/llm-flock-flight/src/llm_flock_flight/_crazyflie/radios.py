@@ -40,9 +40,6 @@ MOST_SHARE = 0.7
 POSITION_HZ, VARIANCE_HZ, LIGHTHOUSE_HZ, PING_HZ = 20.0, 10.0, 2.0, 10.0
 """Packets of each drone a second: log blocks, and cflib's own pings with their echoes, which measure latency."""
 
-RESENT = 1.2
-"""Commands are sent this many times on average, resending included."""
-
 WIFI_MHZ: Mapping[int, int] = MappingProxyType({1: 2412, 6: 2437, 11: 2462})
 """Centres of the Wi-Fi channels that are used most."""
 
@@ -129,7 +126,7 @@ def address_of(uri: str) -> RadioAddress | None:
 
 def exchanges_of(*, round_s: float, pose_hz: float = 0.0) -> float:
     """Exchanges of a drone [1/s], each of one packet up and one down, with this many poses from outside a second."""
-    commands_hz = RESENT / round_s
+    commands_hz = 1.2 / round_s  # some are sent again
     up_hz = pose_hz + PING_HZ + commands_hz
     return max(up_hz, POSITION_HZ + VARIANCE_HZ + LIGHTHOUSE_HZ + PING_HZ + commands_hz)
 

@@ -52,7 +52,6 @@ FLYING = "flying"
 
 NEVER_UP = "never took off"
 CUT = "motors cut"
-CUT_UNCONFIRMED = "motors cut, not confirmed"
 SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
 """Ends after which a drone needs no attention."""
 
@@ -276,7 +275,7 @@ class Flight:
         ends: dict[str, str] = {}
         for robot, body in enumerate(self._robots):
             if robot in supervisor.confirmed:
-                ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
+                ends[body.name] = CUT if supervisor.confirmed[robot] else "motors cut, not confirmed"
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
         trouble, ordered = supervisor.trouble, self._ordered_home.is_set()

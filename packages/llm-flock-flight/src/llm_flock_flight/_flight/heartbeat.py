@@ -19,9 +19,6 @@ from llm_flock_flight._flight.config import FlightConfig
 
 logger = logging.getLogger(__name__)
 
-HEARTBEATS_PER_TIMEOUT = 5
-"""Heartbeats in the silence after which the deadman takes over."""
-
 READY_S = 60.0
 """Longest start of the deadman, which first imports everything that it may need [s]."""
 
@@ -93,7 +90,7 @@ class HeartbeatSender:
     async def _beat_periodically(self) -> None:
         while True:
             self.beat()
-            await asyncio.sleep(self._config.fleet.deadman_s / HEARTBEATS_PER_TIMEOUT)
+            await asyncio.sleep(self._config.fleet.deadman_s / 5)  # several may be lost
 
     def beat(self) -> None:
         """Send a heartbeat now. The deadman reads it even if this process dies right after: call before a take-off."""

@@ -18,9 +18,6 @@ ACCEPTED, TEMPORARILY, IN_PROGRESS = 0, 1, 5
 ANSWER_S = 0.2
 """Wait for an answer before a command is sent again [s]."""
 
-REASON_S = 0.3
-"""After a refusal, wait for the autopilot's text that says why [s]."""
-
 LOOK_S = 0.01
 
 
@@ -99,7 +96,7 @@ class Conversation:
                 del self._answers[command]
         if last is None:
             raise RobotError(self.name, f"did not answer to {what}, sent {sent} times in {timeout_s:g} s")
-        if await self.until(done, REASON_S):
+        if await self.until(done, 0.3):  # its text that says why comes after a refusal
             return
         raise CommandRefused(self.name, f"refused {what}: {result_name(last)}{self.telemetry.says(time.monotonic())}")
 

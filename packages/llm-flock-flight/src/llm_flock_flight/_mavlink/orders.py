@@ -25,9 +25,6 @@ STOP_S = 0.6
 AGAIN_S, NEWS_S = 0.2, 1.2
 """A heartbeat is asked for this often, and awaited for this long: one that cannot be asked for comes once a second."""
 
-WITHDRAWALS = 3
-"""Packets that withdraw an arming: nobody waits for an answer, and some may be lost."""
-
 logger = logging.getLogger(__name__)
 
 
@@ -80,7 +77,7 @@ async def refuse_armed_lately(talk: Conversation, flavour: Flavour) -> None:
 
 def withdraw_arming(talk: Conversation) -> None:
     """Undo an arming that may have been done and not confirmed; in the air the autopilot refuses. Waits for nothing."""
-    for again in range(WITHDRAWALS):
+    for again in range(3):  # some may be lost
         talk.tell(ARM_DISARM, (0.0, 0.0), again)
 
 

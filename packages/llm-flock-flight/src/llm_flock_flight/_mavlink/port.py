@@ -27,16 +27,9 @@ if TYPE_CHECKING:
 SCHEMES = ("udp", "udpin", "udpout", "serial")
 ADDRESSES = "udp://0.0.0.0:14540 to listen, udpout://HOST:PORT to call, or serial:///dev/ttyACM0:57600"
 
-HEARTBEAT_S = 0.5
-"""Time between our heartbeats [s]."""
-
-FORGET_S = 3.0
-"""A vehicle may answer from another address after this silence [s]."""
-
 STRANGERS = 200
 """Most datagrams of unknown senders that are parsed in a second: they may be vehicles that introduce themselves."""
 
-BAUD = 57_600
 
 MOST_BAUD = 20_000_000
 """Highest rate of a serial line that is believed [baud]."""
@@ -61,7 +54,7 @@ def parse_uri(uri: str) -> VehicleAddress:
     if scheme == "serial" and uri.startswith("serial://") and "\0" not in uri:
         path, _, rate = uri.removeprefix("serial://").rpartition(":")
         if not (rate.isascii() and rate.isdigit()):
-            path, rate = uri.removeprefix("serial://"), str(BAUD)
+            path, rate = uri.removeprefix("serial://"), "57600"
         if path and len(rate) <= len(str(MOST_BAUD)) and 0 < int(rate) <= MOST_BAUD:
             return VehicleAddress(scheme=scheme, host=path, port=int(rate))
     elif scheme in SCHEMES and host and port:
@@ -156,7 +149,7 @@ class Port:
         while True:
             for system_id in [*self._vehicles] if self._address.scheme == "udpin" else [0]:
                 self.send(system_id, "heartbeat", 6, 8, 0, 0, 4)
-            await asyncio.sleep(HEARTBEAT_S)
+            await asyncio.sleep(0.5)
 
     def _came(self, messages: list[Any], peer: Any) -> None:
         now = time.monotonic()
@@ -165,7 +158,7 @@ class Port:
             if system_id in (0, GROUND_STATION) or int(message.get_srcComponent()) != AUTOPILOT:
                 continue  # a ground station, a gimbal, a camera
             known, seen = self._peers.get(system_id, (None, 0.0))
-            if known is not None and peer != known and now - seen < FORGET_S:
+            if known is not None and peer != known and now - seen < 3.0:  # later it may answer from there
                 self.twice.add(system_id)
                 continue
             if message.get_type() != "HEARTBEAT" and known != peer:

@@ -32,17 +32,11 @@ from llm_flock_flight._mavlink.port import Ports
 from llm_flock_flight._mavlink.stream import SetPointStream
 from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
 
-STREAM_S = 1.0
-"""Set-points come for this long before PX4 is asked for Offboard, as its documentation requires [s]."""
-
 BELOW_M = 0.3
 """Until take-off, set-points are this far below the ground: PX4 would lift off for one above it [m]."""
 
 LIFT_M = 0.3
 """ArduPilot lifts off by a command of its own to this height; from there it follows set-points [m]."""
-
-PARAMETERS_S = 1.0
-"""Longest wait for parameters [s]: an autopilot does not answer for one that it does not have."""
 
 LIFT_S = 10.0
 TOUCH_DOWN_S = 30.0
@@ -120,7 +114,7 @@ class MavlinkRobot:
         try:
             frame = await introduce(talk, self._port, self.system_id, self._frame, self._origin, timeout_s)
             if log.flavour is not None and not log.armed:
-                await talk.parameters(names_for(log.flavour), min(PARAMETERS_S, max(0.0, end - time.monotonic())))
+                await talk.parameters(names_for(log.flavour), min(1.0, max(0.0, end - time.monotonic())))
         except BaseException:
             self._port.detach(self.system_id)
             raise
@@ -176,7 +170,7 @@ class MavlinkRobot:
                 self._waiting = True
                 stream.follow(Segment(start=below, target=below, duration_s=1.0), clamp=False)
                 stream.yaw = log.yaw
-                await asyncio.sleep(STREAM_S)
+                await asyncio.sleep(1.0)  # as PX4's documentation requires before Offboard
             await orders.refuse_armed_lately(self._talk, flavour)
             await orders.set_mode(self._talk, flavour, flavour.guided)
             self._in_charge = True

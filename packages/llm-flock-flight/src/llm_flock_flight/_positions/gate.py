@@ -15,9 +15,6 @@ from dataclasses import dataclass
 from llm_flock.robots import Pose, PoseFrame, Position
 from llm_flock_flight._flight.sections import PositionsConfig
 
-CLOCKS_DRIFT = 1e-3
-"""Largest difference in speed of the sender's clock and this one's."""
-
 STEPS = 10
 """Poses of a drone's last `lost_s` that are remembered."""
 
@@ -121,7 +118,7 @@ class PoseGate:
             least, seen_s = self._delay
             restarted = not self.flying and delay - least > 2 * self._limits.pose_lost_s and not self._tracks
             if not restarted:
-                least += CLOCKS_DRIFT * (now - seen_s)
+                least += 1e-3 * (now - seen_s)  # the clocks drift
                 self._delay = min(least, delay), now
                 return delay - self._delay[0]
         self._delay = delay, now

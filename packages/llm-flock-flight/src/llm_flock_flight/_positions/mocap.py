@@ -26,7 +26,6 @@ from llm_flock_flight._positions.udp import MOST_M, MOST_POSES, UdpPoses, datagr
 
 HOST = "127.0.0.1"
 
-ENDED = "mocap_ended"
 
 FAREWELL_S = 2.0
 """Longest wait for the process to end [s]."""
@@ -47,7 +46,7 @@ class MocapPoses:
     def refused(self) -> Counter[str]:
         """Input that was dropped, by reason; and `mocap_ended` if the process has ended."""
         ended = self._process is not None and self._process.poll() is not None
-        return self._port.refused + Counter({ENDED: int(ended)})
+        return self._port.refused + Counter({"mocap_ended": int(ended)})
 
     def senders(self, now: float) -> tuple[str, ...]:
         """Who sends to the port between the process and this one: the process, and nobody else."""

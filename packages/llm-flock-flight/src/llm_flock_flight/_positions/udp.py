@@ -26,9 +26,6 @@ from llm_flock_flight._positions.gate import UNKNOWN
 SILENT_S = 1.0
 """A sender that sends nothing usable for this long may be followed by another one [s]."""
 
-MOST_AT_ONCE = 256
-"""Most datagrams that are read before the event loop does something else."""
-
 MOST_A_SECOND = 2000
 """Most datagrams that are parsed in a second; the rest are dropped unread."""
 
@@ -44,12 +41,6 @@ MOST_POSES = 256
 
 MOST_M = 1000.0
 """Largest coordinate that is believed [m]."""
-
-MOST_S = 1e12
-"""Largest time stamp that is believed [s]."""
-
-UNIT = 0.01
-"""Largest deviation of a quaternion's length from 1."""
 
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
@@ -76,7 +67,7 @@ def frame_of(data: bytes) -> PoseFrame:
         found = _DECODER.decode(data)
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise MessageError("malformed", str(error)[:200]) from None
-    if not abs(found.time) <= MOST_S:
+    if not abs(found.time) <= 1e12:
         raise MessageError("out_of_range", f"time {found.time:g} s")
     poses = {pose.name: _pose(pose) for pose in found.poses}
     if len(poses) != len(found.poses):
@@ -87,7 +78,7 @@ def frame_of(data: bytes) -> PoseFrame:
 def _pose(text: _PoseText) -> Pose:
     if not all(abs(x) <= MOST_M for x in text.position):
         raise MessageError("out_of_range", f"position {text.position}")
-    if text.quaternion is not None and not abs(math.hypot(*text.quaternion) - 1.0) <= UNIT:
+    if text.quaternion is not None and not abs(math.hypot(*text.quaternion) - 1.0) <= 0.01:
         raise MessageError("not_unit", f"quaternion {text.quaternion}")
     return Pose(text.position, text.quaternion)
 
@@ -153,7 +144,7 @@ class UdpPoses:
             found.close()
 
     def _read(self) -> None:
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(256):  # then the event loop may do something else
             if self._socket is None:
                 return
             try:

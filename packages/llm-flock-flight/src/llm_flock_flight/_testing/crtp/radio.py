@@ -17,9 +17,6 @@ import numpy as np
 Delivery: TypeAlias = tuple[int, Literal["up", "down"], bytes]
 """A drone by its number, whether the packet is for it or from it, and the packet."""
 
-EMPTY_LIMIT = 10
-"""Empty answers in a row after which a drone is asked less often (cflib: `radiodriver.py`)."""
-
 RELAXED_S = 0.01
 """Time between two questions then [s] (cflib: `radiodriver.py`)."""
 
@@ -104,5 +101,5 @@ class ModelledRadio:
             link.empty = 0
         else:
             link.empty += 1
-        link.due_s = at + RELAXED_S if link.empty > EMPTY_LIMIT else at
+        link.due_s = at + RELAXED_S if link.empty > 10 else at  # as cflib does
         return found

@@ -18,10 +18,6 @@ ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = range(5)
 GAP_S = 0.5
 """PX4: set-points farther apart than this are no stream [s]."""
 
-WARM_S = 0.8
-"""PX4: a stream has to last this long before Offboard [s]."""
-
-QUADROTOR = 2
 HEALTHY, ASTRAY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20, 0x1 | 0x80
 """Reports of an estimator with a position, and of one that holds it constant for want of measurements."""
 
@@ -58,7 +54,7 @@ class Autopilot:
     def __init__(self, flavour: str, system_id: int) -> None:
         self.px4 = {"px4": True, "ardupilot": False}[flavour]
         self.flavour = PX4_FLAVOUR if self.px4 else ARDUPILOT_FLAVOUR
-        self.kind, self.autopilot = QUADROTOR, PX4 if self.px4 else ARDUPILOT
+        self.kind, self.autopilot = 2, PX4 if self.px4 else ARDUPILOT  # a quadrotor
         self.mode = px4(4, 3) if self.px4 else 0
         self.body = Airframe()
         self.battery_v = 15.6
@@ -222,7 +218,7 @@ class Autopilot:
             return DENIED
         if self.px4 and mode == self.flavour.guided:
             since, until = self._stream or (now, now)
-            if until - since < WARM_S or now - until > GAP_S:
+            if until - since < 0.8 or now - until > GAP_S:  # a stream has to last
                 self.say("Switching to mode 'Offboard' is currently not possible")
                 return TEMPORARILY
         self.switch(mode)
