@@ -287,7 +287,6 @@ def _radio_tables(settings: FlightConfig) -> list[Table]:
 
 
 def _radios(plan: RadioPlan) -> dict[str, Any]:
-    """Plain values for JSON."""
     return {
         "radios": [asdict(load) for load in plan.loads],
         "radio_warnings": plan.warnings,
@@ -295,7 +294,6 @@ def _radios(plan: RadioPlan) -> dict[str, Any]:
 
 
 def _plan(plan: DryRun) -> dict[str, Any]:
-    """Plain values for JSON."""
     return {
         "drones": [drone.model_dump() for drone in plan.drones],
         "rounds": [
@@ -317,7 +315,6 @@ def _plan(plan: DryRun) -> dict[str, Any]:
 
 
 def _plain(result: FlightResult) -> dict[str, Any]:
-    """Plain values for JSON."""
     return {
         "preflight": {
             "passed": result.report.passed,

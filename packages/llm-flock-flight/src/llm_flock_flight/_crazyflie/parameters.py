@@ -39,7 +39,6 @@ class FirmwareParameters:
         self._waiting: dict[tuple[int, int], asyncio.Future[bytes]] = {}
 
     def hear(self, channel: int, data: bytes) -> None:
-        """Take an answer."""
         if len(data) >= 2 and channel in (READ, WRITE):
             waiting = self._waiting.get((channel, struct.unpack_from("<H", data)[0]))
             if waiting is not None and not waiting.done():

@@ -255,7 +255,6 @@ class CrazyflieRobot:
         return self._flies(start, sent)
 
     async def hold(self) -> None:
-        """Stop where the robot is."""
         state = self._ready()
         if not self._aloft and not state.flying:
             return

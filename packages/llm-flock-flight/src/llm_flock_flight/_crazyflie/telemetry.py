@@ -108,7 +108,6 @@ class Telemetry:
         self._variance_stamp_s = now
 
     def take_lighthouse(self, data: Mapping[str, float], now: float) -> None:
-        """Take a packet of `LIGHTHOUSE_LOG`."""
         self.lighthouse = lighthouse_in_words(data)
 
     def settled(self, now: float) -> bool:

@@ -33,7 +33,6 @@ class FlightLog:
         self._sampled = -math.inf
 
     def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
-        """Record an event."""
         seconds = round(time.monotonic() - self._began, 3)
         self._sink.write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
 

@@ -67,7 +67,6 @@ class PreflightReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every check was passed."""
         return all(check.passed for check in self.checks)
 
 

@@ -179,7 +179,6 @@ class PositionsConfig(ConfigSection):
 
     @property
     def outside(self) -> bool:
-        """Whether poses come from outside."""
         return self.pose_source != "none"
 
     @model_validator(mode="after")

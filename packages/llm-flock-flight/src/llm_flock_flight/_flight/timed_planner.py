@@ -22,11 +22,9 @@ class TimedPlanner:
         self._silent: set[int] = set()
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """Propose a formation, in time."""
         return await self._in_time(question.round, self._planner.plan(question))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Propose a waypoint, in time."""
         return await self._in_time(question.round, self._planner.step(question))
 
     async def _in_time(self, number: int, answer: Awaitable[T | NoAnswer]) -> T | NoAnswer:

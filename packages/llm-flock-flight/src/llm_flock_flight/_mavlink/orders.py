@@ -29,7 +29,6 @@ logger = logging.getLogger(__name__)
 
 
 async def set_mode(talk: Conversation, flavour: Flavour, mode: int) -> None:
-    """Change the mode."""
     what, log = f"mode {flavour.name_of(mode)}", talk.telemetry
     await talk.command(SET_MODE, flavour.set_mode(mode), what, ORDER_S, lambda: log.mode == mode)
     log.confirm(time.monotonic(), mode=mode)

@@ -215,7 +215,6 @@ class MavlinkRobot:
         return sent
 
     async def hold(self) -> None:
-        """Stop where the robot is."""
         state = self._ready()
         if not state.flying:
             return

@@ -137,7 +137,6 @@ class UdpPoses:
         loop.add_reader(found, self._read)
 
     async def close(self) -> None:
-        """Free the port."""
         found, self._socket = self._socket, None
         if found is not None:
             asyncio.get_running_loop().remove_reader(found)

@@ -74,7 +74,6 @@ class PointMass:
 
     @property
     def flying(self) -> bool:
-        """Motors turn."""
         return self.mode != "idle"
 
     def advance(self, now: float) -> None:

@@ -50,7 +50,6 @@ class ExternalPosition:
         return True
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
         last_s = self.taken[-1][0] if self.taken else 0.0
         if not self._standing and now - last_s > SILENT_S:
             self._standing = True

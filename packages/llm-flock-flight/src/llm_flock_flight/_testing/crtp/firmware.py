@@ -78,7 +78,6 @@ class Parameter:
     value: float
 
     def packed(self) -> bytes:
-        """The bytes of the value."""
         code = PARAMETER_TYPES[self.kind]
         return struct.pack(code, self.value if code == "<f" else int(self.value))
 
@@ -93,7 +92,6 @@ def contents(names: Sequence[str], kinds: Sequence[int]) -> tuple[int, list[byte
 
 
 def packet(port: int, channel: int, data: bytes | Sequence[int]) -> bytes:
-    """The bytes of a packet."""
     return bytes([port << 4 | 3 << 2 | channel]) + bytes(data)
 
 
@@ -326,7 +324,6 @@ class Firmware:
         return self.body.flying or (self._flew is not None and now < self._flew + FLYING_LINGERS_S)
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
         self.body.advance(now)
         if self.outside is not None:
             self.outside.advance(now)

@@ -72,7 +72,6 @@ class StandIn:
 
     @property
     def flying(self) -> bool:
-        """Whether the motors turn."""
         return self._at_once(lambda body, _: body.flying)
 
     @property
@@ -94,7 +93,6 @@ class StandIn:
         self._mute = mute
 
     def set_battery(self, volts: float) -> None:
-        """Set the voltage [V]."""
         self._at_once(lambda body, _: setattr(body, "battery_v", volts))
 
     def jump(self, offset: Position) -> None:
@@ -211,7 +209,6 @@ class StandIns:
 
     @property
     def uris(self) -> list[str]:
-        """Addresses for cflib."""
         return [drone.uri for drone in self._drones]
 
     def __getitem__(self, index: int) -> StandIn:

@@ -78,7 +78,6 @@ class Autopilot:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors may turn."""
         return self.body.motors
 
     @property
@@ -91,7 +90,6 @@ class Autopilot:
         self.mode, self._climb_to = mode, None
 
     def say(self, text: str) -> None:
-        """Send a warning."""
         self._out.append(self._codec.encode("statustext", 4, text.encode()[:50]))
 
     def handle(self, message: Any, now: float) -> list[bytes]:

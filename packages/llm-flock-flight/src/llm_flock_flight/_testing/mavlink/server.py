@@ -60,13 +60,11 @@ class AutopilotStandIn:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors turn."""
         with self.lock:
             return self.autopilot.armed
 
     @property
     def mode(self) -> str:
-        """The mode, in words."""
         with self.lock:
             return self.autopilot.flavour.name_of(self.autopilot.mode)
 
@@ -151,7 +149,6 @@ class AutopilotStandIns:
 
     @property
     def uris(self) -> list[str]:
-        """Addresses for the driver."""
         return [vehicle.uri for vehicle in self._vehicles]
 
     def __getitem__(self, index: int) -> AutopilotStandIn:
