@@ -207,10 +207,6 @@ def _check_drones(config: FlightConfig) -> None:
     for uri, number in links:
         if links.count((uri, number)) > 1:
             raise InputError("system_id", number, f"one that no other drone at {uri} has")
-    for drone in drones:
-        for name in drone.parameters:
-            if not all(part and not any(map(str.isspace, part)) for part in name.partition(".")[::2]):
-                raise InputError("parameters", name, f"names such as stabilizer.controller for {drone.name}")
     _check_batteries(config)
 
 

@@ -95,10 +95,9 @@ class Proposals:
         self, question: PlanQuestion, asked: PlanAnswer | NoAnswer, plan: PlanAnswer, by: Literal["model", "geometry"]
     ) -> list[Note]:
         """Propose a plan that passed its checks, as asked or enlarged."""
-        notes = self._agreement.propose(self._in_frame(question, plan), by)
-        if isinstance(asked, PlanAnswer) and asked.plan != plan.plan:
-            return [Note("enlarged", {"asked": asked.plan.digest}), *notes]
-        return [*notes]
+        given = asked.plan if isinstance(asked, PlanAnswer) else plan.plan
+        enlarged = [] if given == plan.plan else [Note("enlarged", {"asked": given.digest})]
+        return [*enlarged, *self._agreement.propose(self._in_frame(question, plan), by)]
 
     def _in_frame(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
         """A plan of the world frame in the frame of the mission."""
