@@ -64,7 +64,7 @@ def pose_source(config: FlightConfig) -> PoseSource | None:
 async def feeding(
     config: FlightConfig, robots: Sequence[Robot], source: PoseSource | None = None
 ) -> AsyncGenerator[PoseFeed | None]:
-    """Send poses meanwhile, from `source` or the configuration's; None where there is none. Robots connect later."""
+    """Send poses meanwhile, from `source` or the configuration's; None without one. Robots may connect later."""
     found = pose_source(config) if source is None else source
     if found is None:
         yield None

@@ -33,7 +33,8 @@ class Radio:
     """What one robot receives and senses of the others, within the ranges of the mission.
 
     Faults are injected by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference between
-    two wall clocks of the swarm, `speed` the largest of a body [units/s]. The sensors have `contradicted` beacons.
+    two wall clocks of the swarm, `speed` the largest of a body [units/s]. `contradicted` counts beacons that the
+    sensors refuted.
     """
 
     def __init__(

@@ -104,8 +104,6 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
     radius = mission.body_radius
     if noise > 0.0:
         radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
-    if not still:
-        return roadmap_of(mission.arena, mission.obstacles, radius) if mission.obstacles else None
     # To build a map takes a while: it has at most 40 bodies, and noise must not change it in every round.
     near = sorted(still, key=lambda body: math.dist(body, position))[:40]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
