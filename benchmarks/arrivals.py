@@ -39,7 +39,7 @@ from llm_flock.protocol._motion.projection import static_half_spaces
 from llm_flock.protocol._motion.right_of_way import RightOfWay
 from llm_flock.protocol._motion.safety import ShieldedSafety
 from llm_flock.protocol._parts import Observation
-from llm_flock.protocol._verification.steps import shortened
+from llm_flock.protocol._verification.steps import towards
 from llm_flock_lab._experiments.statistics import wilson
 
 
@@ -102,8 +102,7 @@ def _rows(positions: Points) -> list[Point]:
 
 def _wish(mission: Mission, position: Point, stop: Point) -> Point:
     """One step straight to a point."""
-    longest = mission.max_step
-    return stop if math.dist(position, stop) <= longest else shortened(position, stop, longest)
+    return towards(position, stop, mission.max_step)
 
 
 def ours(switch: Callable[[], AbstractContextManager[Any]] = nullcontext, **changes: Any) -> Method:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import csv
 import json
 import math
 import os
@@ -30,7 +31,6 @@ from llm_flock.robots._base import Position
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import build_fleet
 from llm_flock_flight._flight.flight import Flight, FlightResult
-from llm_flock_flight._flight.reaction_times import reaction_times
 from llm_flock_flight._flight.timed_planner import TimedPlanner
 from llm_flock_flight._testing.crtp import StandIn, StandIns
 from llm_flock_flight._testing.poses import PoseStream
@@ -164,7 +164,7 @@ async def fly_case(name: str, after_s: float = 1.5, **fields: Any) -> dict[str, 
         looking.cancel()
         # A drone that hovers out of reach is as safe as it can be once everybody else is down and it is named.
         until = time.monotonic() - 0.1 if watch.all_off_s is None else watch.all_off_s
-        return _row(name, config, result, until - began, watch.nearest_m)
+        return _row(name, result, until - began, watch.nearest_m)
 
 
 def _flight(config: FlightConfig) -> tuple[Flight, asyncio.Event]:
@@ -214,7 +214,7 @@ async def fly_through_a_pause(name: str, **fields: Any) -> dict[str, Any]:
         took_s = time.monotonic() - began
         result = await task
         looking.cancel()
-        row = _row(name, config, result, took_s, watch.nearest_m)
+        row = _row(name, result, took_s, watch.nearest_m)
         assert row["ended"] == "mission", row
         return row
 
@@ -230,7 +230,7 @@ async def stay_on_the_floor(name: str) -> dict[str, Any]:
     reason = "; ".join(str(check) for check in result.report.checks if not check.passed)
     ends = "4 never took off" if result.result is None and not flown else f"{flown} commands were sent"
     row = {"case": name, "ended": "preflight", "reason": reason, "ends": ends, "took_s": 0.0, "nearest_m": None}
-    return row | _stated(name, config)
+    return row | _stated(name)
 
 
 @contextlib.contextmanager
@@ -249,7 +249,7 @@ def _mute() -> Any:
         TimedPlanner._in_time = plain  # noqa: SLF001
 
 
-def _row(name: str, config: FlightConfig, result: FlightResult, took_s: float, nearest_m: float) -> dict[str, Any]:
+def _row(name: str, result: FlightResult, took_s: float, nearest_m: float) -> dict[str, Any]:
     assert result.result is not None and result.result.summary.flight is not None
     found = result.result.summary.flight
     ends = list(found.ends.values())
@@ -261,12 +261,14 @@ def _row(name: str, config: FlightConfig, result: FlightResult, took_s: float, n
         "ends": said,
         "took_s": took_s,
         "nearest_m": nearest_m,
-    } | _stated(name, config)
+    } | _stated(name)
 
 
-def _stated(name: str, config: FlightConfig) -> dict[str, Any]:
-    reaction = reaction_times(config)[name]
-    return {"what": reaction.case, "does": reaction.does, "stated_s": reaction.stated_s}
+def _stated(name: str) -> dict[str, Any]:
+    """What the docs say of a case: what happens, what the flight does, and the time until every drone is safe [s]."""
+    with (Path(__file__).parents[1] / "docs" / "data" / "flight-cases.csv").open(encoding="utf-8", newline="") as file:
+        row = next(row for row in csv.DictReader(file) if row["Name"] == name)
+    return {"what": row["Case"], "does": row["What is done"], "stated_s": float(row["Stated [s]"])}
 
 
 async def fly_and_lose_the_process(name: str, **fields: Any) -> dict[str, Any]:
@@ -310,7 +312,7 @@ async def fly_and_lose_the_process(name: str, **fields: Any) -> dict[str, Any]:
         motors = sum(stand_ins[k].flying for k in range(len(stand_ins)))
         ends = f"{landed} fell, {motors} hover" if name == "power_lost" else f"{landed} landed"
         row = {"case": name, "ended": name, "ends": ends, "took_s": took_s, "nearest_m": watch.nearest_m}
-        return row | _stated(name, config)
+        return row | _stated(name)
 
 
 def _children(pid: int) -> list[int]:
@@ -320,12 +322,12 @@ def _children(pid: int) -> list[int]:
 
 def show_cases(rows: Sequence[dict[str, Any]]) -> None:
     """The table of the safety cases (Markdown)."""
-    print("\n| Case | What is done | Stated [s] | Measured [s] | In the end | Smallest distance [m] |")
-    print("|---|---|---|---|---|---|")
+    print("\n| Name | Case | What is done | Stated [s] | Measured [s] | In the end | Smallest distance [m] |")
+    print("|---|---|---|---|---|---|---|")
     for row in rows:
         print(
-            f"| {row['what']} | {row['does']} | {row['stated_s']:.1f} | {row['took_s']:.1f} | {row['ends']} "
-            f"| {'' if row['nearest_m'] is None else format(row['nearest_m'], '.2f')} |",
+            f"| {row['case']} | {row['what']} | {row['does']} | {row['stated_s']:.1f} | {row['took_s']:.1f} "
+            f"| {row['ends']} | {'' if row['nearest_m'] is None else format(row['nearest_m'], '.2f')} |",
             flush=True,
         )
 

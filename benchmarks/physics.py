@@ -24,7 +24,6 @@ from llm_flock.robots._base import Equipment, MotionLimits
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import start_of, with_drones
 from llm_flock_flight._flight.flight import Flight
-from llm_flock_flight._flight.lag import STOCK_LAG_S
 from llm_flock_flight._physics import STEP_S, PhysicsWorld
 
 FLIGHTS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
@@ -107,7 +106,7 @@ def fly(shape: str, n: int, controller: Literal["mellinger", "pid"] = "mellinger
     began = time.perf_counter()
     world = clock.world = Watched(homes, clock=clock, controller=controller)
     limits: MotionLimits = config.driver_limits
-    stock = Equipment(controller="PID", lag_s=STOCK_LAG_S, max_speed_m_s=1.0)
+    stock = Equipment(controller="PID", lag_s=0.5, max_speed_m_s=1.0)  # the gain of its position is 2 per second
     kind = stock if controller == "pid" else None
     robots = [world.robot(k, f"cf{k}", limits, kind) for k in range(n)]
     with mock.patch("time.monotonic", clock):

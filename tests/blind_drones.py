@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
-from llm_flock.robots._base import RobotError
-from llm_flock.robots._pose import Pose
+from llm_flock.robots._base import Pose, RobotError
 from llm_flock.robots._simulated_robot import SimulatedRobot
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import start_of

@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from llm_flock.errors import MessageError
-from llm_flock.robots._pose import Pose, PoseFrame
-from llm_flock_flight._positions import GateLimits
+from llm_flock.robots._base import Pose, PoseFrame
+from llm_flock_flight._flight.sections import PositionsConfig
 
-LIMITS = GateLimits(late_s=0.1, lost_s=0.5, jump_m=0.1, speed_m_s=1.0)
+LIMITS = PositionsConfig(pose_late_s=0.1, pose_lost_s=0.5, pose_jump_m=0.1, pose_frozen_s=0.0)
 NAMES = ("a", "b", "c")
 
 

@@ -22,7 +22,7 @@ from ros2_messages import SAMPLES, definition, points, same
 from zenoh_router import listener, router
 
 from llm_flock.errors import MessageError
-from llm_flock.robots._pose import PoseFrame
+from llm_flock.robots._base import PoseFrame
 from llm_flock.runtime._ros2_config import Ros2Config
 from llm_flock_swarm._network.swarm import free_port
 from llm_flock_swarm._ros2 import drawing

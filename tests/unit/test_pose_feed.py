@@ -18,9 +18,8 @@ from pose_frames import LIMITS, NAMES, frame, reason
 from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing
-from llm_flock.robots._base import RobotError, RobotState
+from llm_flock.robots._base import Pose, PoseFrame, RobotError, RobotState
 from llm_flock.robots._point_mass import PointMass
-from llm_flock.robots._pose import Pose, PoseFrame
 from llm_flock.runtime._ros2_config import Ros2Config
 from llm_flock_flight._crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
 from llm_flock_flight._flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source
@@ -62,7 +61,7 @@ class Taker:
 def test_each_drone_gets_its_newest_pose_at_a_bounded_rate() -> None:
     async def run() -> None:
         source, taker = Source(), Taker()
-        async with PoseFeed(source, PoseGate(["a"], LIMITS), {"a": taker}, 20.0) as feed:
+        async with PoseFeed(source, PoseGate(["a"], LIMITS, 1.0), {"a": taker}, 20.0) as feed:
             assert feed.age_s("a", time.monotonic()) is None
             began = time.monotonic()
             for k in range(100):
@@ -93,7 +92,7 @@ def test_each_drone_gets_its_newest_pose_at_a_bounded_rate() -> None:
 def test_orientations_are_sent_only_if_they_are_asked_for(attitude: bool) -> None:
     async def run() -> Pose:
         source, taker = Source(), Taker()
-        async with PoseFeed(source, PoseGate(["a"], LIMITS), {"a": taker}, 20.0, attitude=attitude):
+        async with PoseFeed(source, PoseGate(["a"], LIMITS, 1.0), {"a": taker}, 20.0, attitude=attitude):
             source.take(PoseFrame(stamp_s=0.0, poses={"a": Pose((0, 0, 0), (0, 0, 0, 1))}))
             await asyncio.sleep(0.01)
         return taker.taken[0]
@@ -113,7 +112,7 @@ class Deaf(Taker):
 def test_the_feed_ends_although_a_cancellation_is_swallowed() -> None:
     async def run() -> None:
         source = Source()
-        async with PoseFeed(source, PoseGate(["a"], LIMITS), {"a": Deaf()}, 20.0):
+        async with PoseFeed(source, PoseGate(["a"], LIMITS, 1.0), {"a": Deaf()}, 20.0):
             source.take(frame(0.0, a=(0, 0, 0)))
             await asyncio.sleep(0.1)
 
@@ -173,7 +172,7 @@ def test_the_preflight_says_how_old_each_pose_is_and_whether_it_agrees() -> None
     async def run() -> None:
         source, taker = Source(), Taker()
         robots: Any = [taker]
-        async with PoseFeed(source, PoseGate(["a"], LIMITS), {"a": taker}, 20.0) as feed:
+        async with PoseFeed(source, PoseGate(["a"], LIMITS, 1.0), {"a": taker}, 20.0) as feed:
             look = checks_of(config, robots, feed)
 
             def check(position: Any) -> Any:
@@ -210,7 +209,7 @@ def test_a_preflight_listens_for_a_second_and_names_two_senders() -> None:
 
     async def run(*heard: str) -> list[Any]:
         source, robots = Crowd(*heard), list[Any]()
-        async with PoseFeed(source, PoseGate(["a"], LIMITS), {}, 20.0) as feed:
+        async with PoseFeed(source, PoseGate(["a"], LIMITS, 1.0), {}, 20.0) as feed:
             look, found = checks_of(config, robots, feed), list[Any]()
             for _ in range(2):
                 found += look([], time.monotonic())

@@ -21,7 +21,7 @@ from llm_flock.llm._port import Call, ChatMessage
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import FAILURES, PROFILES, Profile, parse_profile
-from llm_flock.metrics import procrustes
+from llm_flock.metrics import ShapeTarget
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._geometry import turned
@@ -55,7 +55,7 @@ def test_an_ideal_model_draws_every_shape_from_words_alone(mission: Mission) -> 
     ideal = np.array(mission.ideal)
     tolerance = 0.02 if mission.max_step > 1 else 0.002
     np.testing.assert_allclose(plan.array.mean(axis=0), mission.center, atol=tolerance)
-    assert procrustes(plan.array, ideal).mean < tolerance
+    assert ShapeTarget(ideal).error(plan.array).mean < tolerance
     # A random orientation, in the plane only.
     assert np.abs(plan.array - ideal).max() > 0.05 * mission.spacing
     if mission.dim == 3:
@@ -81,7 +81,7 @@ def test_a_shape_in_words_becomes_a_circle() -> None:
     mission = build_mission(shape="text:the letter A", n_robots=6)
     plan, _ = parse_plan(responder().answer(plan_talk(mission, robot=0)), 6, 2)
     circle = formations.ideal_points("circle", 6, (50, 50), 10)
-    assert circle is not None and procrustes(plan.array, circle).mean < 0.02
+    assert circle is not None and ShapeTarget(circle).error(plan.array).mean < 0.02
     space = build_mission(shape="text:a ring", n_robots=6, center=(5, 6, 7), arena=((-50,) * 3, (50,) * 3))
     plan, _ = parse_plan(responder().answer(plan_talk(space, robot=0)), 6, 3)
     np.testing.assert_allclose(plan.array[:, 2], 7)
@@ -157,7 +157,7 @@ def test_distorted_plans_can_be_read_and_are_wrong() -> None:
     ideal = np.array(CIRCLE.ideal)
     thinker = responder("distorted")
     plans = [parse_plan(thinker.answer(plan_talk()), 10, 2)[0].array for _ in range(30)]
-    errors = [procrustes(plan, ideal).mean for plan in plans]
+    errors = [ShapeTarget(ideal).error(plan).mean for plan in plans]
     assert min(errors) > 0.1 * CIRCLE.spacing
     nearest = [formations.smallest_distance(plan) for plan in plans]
     assert np.ptp(nearest) > 2.0

@@ -19,11 +19,7 @@ HERE = "127.0.0.1"
 def one_spelling(uri: str, resolve: Callable[[str], str] = str) -> str:
     """An address without what does not tell drones apart: radio, data rate, options, the rate of a line, letters' case.
 
-    `resolve` gives the address of a host that is a name; without it, hosts with different names are different ones.
-    Words that are no address are their own spelling.
-
-    Raises:
-        ValueError: it begins with `radio://`, and is no radio's address.
+    `resolve` gives the address of a host that is a name. Raises ValueError for a radio's address that is none.
     """
     uri = uri.strip()
     radio = address_of(uri)

@@ -21,9 +21,6 @@ STEP_S = 0.01
 GRAVITY = 9.81
 """[m/s^2]"""
 
-TILT_DELAY_S = 0.08
-"""Time constant with which tilt and thrust follow what is asked for [s]."""
-
 MOST_TILT_DEG = 20.0
 MOST_SPEED_M_S = 1.1
 """Limits of what is asked for: `PID_VEL_ROLL_MAX`, and `PID_POS_VEL_X_MAX` with its overhead of 10 %."""
@@ -65,18 +62,14 @@ class _Axis:
     def step(self, target: float, gain: float) -> None:
         """One step of controller and body."""
         pull = self.ask(target, gain)
-        self.pull += (pull - self.pull) * STEP_S / TILT_DELAY_S
+        self.pull += (pull - self.pull) * STEP_S / 0.08  # tilt and thrust follow with a delay
         self.speed += self.pull * STEP_S
         self.place += self.speed * STEP_S
 
 
 @dataclass(slots=True, kw_only=True)
 class Cascade:
-    """A body with the stock PID controller, from rest at `place` [m] at the time `now` [s].
-
-    Attributes:
-        gain: `posCtlPid.xKp` and its sisters, the same for all axes [1/s].
-    """
+    """A body with the stock controller, at rest at `place` [m] at `now` [s]; `gain` is `posCtlPid.xKp` [1/s]."""
 
     place: Position
     now: float

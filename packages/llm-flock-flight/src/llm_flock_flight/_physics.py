@@ -66,23 +66,11 @@ class PhysicalBody(PointMass):
 
 
 class PhysicsWorld:
-    """All drones of a flight in one simulation.
+    """All drones of a flight in one simulation, from `homes` above the ground at z = 0; InputError without crazyflow.
 
-    Time passes only in `run_until`. After `start`, or in its context, a thread calls it at the pace of `clock`.
-
-    Args:
-        homes: position of each before take-off [m]; the ground is at z = 0.
-        drone: crazyflow's name of the kind of drone.
-        clock: returns the time [s].
-        controller: of the position: crazyflow's Mellinger, or the firmware's PID (`llm_flock_flight._cascade`) above
-            crazyflow's control of the attitude.
-
-    Attributes:
-        positions: true positions at the last step, shape (n, 3) [m].
-        targets: set-points of the same moment, shape (n, 3) [m].
-
-    Raises:
-        InputError: crazyflow is not installed, or does not know the drone.
+    Time passes only in `run_until`. After `start`, or in its context, a thread calls it at the pace of `clock`. The
+    controller of the position is crazyflow's Mellinger, or the firmware's PID above crazyflow's control of the
+    attitude. `positions` and `targets` are those of the last step, shape (n, 3) [m].
     """
 
     def __init__(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from llm_flock.robots._base import RobotError, TakenOver
 from llm_flock_flight._mavlink import MavlinkRobot, Ports
-from llm_flock_flight._mavlink.codec import Codec, Take
+from llm_flock_flight._mavlink.codec import Codec
 from llm_flock_flight._mavlink.port import Port
 from llm_flock_flight._testing.mavlink.autopilot import Autopilot
 
@@ -29,9 +30,9 @@ class DirectPort(Port):
         self.autopilot = Autopilot("ardupilot", 1)
         self.ahead_s = 0.0
         self._own, self._other = Codec(), Codec()
-        self._hears: Take | None = None
+        self._hears: Callable[[Any], None] | None = None
 
-    async def attach(self, system_id: int, take: Take) -> None:
+    async def attach(self, system_id: int, take: Callable[[Any], None]) -> None:
         self._hears = take
         self.tick(2.0)
 
@@ -64,7 +65,7 @@ class OnePort(Ports):
         super().__init__()
         self.port = DirectPort()
 
-    def at(self, uri: str) -> Port:
+    def __missing__(self, uri: str) -> Port:
         return self.port
 
 

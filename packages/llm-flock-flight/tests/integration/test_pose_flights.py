@@ -12,7 +12,7 @@ import pytest
 from flights import figures, flight_config, yes
 
 from llm_flock.errors import InputError
-from llm_flock.robots._pose import Pose, PoseFrame
+from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock.robots._simulated_robot import SimulatedRobot
 from llm_flock_flight._flight import deadman, positions
 from llm_flock_flight._flight.config import FlightConfig

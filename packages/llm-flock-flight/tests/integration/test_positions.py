@@ -19,7 +19,7 @@ from flights import figures
 
 from llm_flock.errors import InputError
 from llm_flock.record._reader import read_record
-from llm_flock.robots._pose import Pose, PoseFrame
+from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock.testing._robots import wait_until
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._positions.mocap import MocapPoses

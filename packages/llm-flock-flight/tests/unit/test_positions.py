@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from pose_frames import LIMITS, NAMES, frame, reason, text
 
 from llm_flock.errors import MessageError
-from llm_flock.robots._pose import Pose, PoseFrame
-from llm_flock_flight._positions import GateLimits, PoseGate
+from llm_flock.robots._base import Pose, PoseFrame
+from llm_flock_flight._positions import PoseGate
 from llm_flock_flight._positions.udp import (
     MOST_A_SECOND,
     MOST_BYTES,
@@ -139,8 +139,8 @@ def test_a_flood_is_not_parsed() -> None:
 
 
 def gate(**limits: float) -> PoseGate:
-    fields = {name: getattr(LIMITS, name) for name in ("late_s", "lost_s", "jump_m", "speed_m_s")}
-    return PoseGate(NAMES, GateLimits(**{**fields, **limits}))
+    changed = {f"pose_{name}": value for name, value in limits.items() if name != "speed_m_s"}
+    return PoseGate(NAMES, LIMITS.model_copy(update=changed), limits.get("speed_m_s", 1.0))
 
 
 def test_a_drone_that_flies_is_let_through() -> None:

@@ -22,7 +22,6 @@ import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -39,9 +38,6 @@ ROUNDING = 4 * float(np.finfo(np.float64).eps)
 
 PIECES = 5
 """Initial intervals of directions in the full circle, each less than 90 degrees so that support lines intersect."""
-
-ANCHORS = 16
-"""Number of target points that are tried as the partner of the outermost point."""
 
 INTERVALS, MAX_INTERVALS = 64, 8192
 """Initial number of intervals of directions, and the number after which the search gives up."""
@@ -194,7 +190,7 @@ def _candidates(x: Complex, y: Complex) -> Iterator[Correspondence]:
     if outermost == 0.0:
         return
     tree = scipy.spatial.KDTree(_columns(y))
-    partners = np.argsort(np.abs(np.abs(y) - abs(outermost)), kind="stable")[:ANCHORS]
+    partners = np.argsort(np.abs(np.abs(y) - abs(outermost)), kind="stable")[:16]
     for partner in y[partners]:
         turn = complex(partner) / complex(outermost)
         if turn == 0.0:
@@ -218,22 +214,6 @@ def _centred(rows: Points) -> Complex:
     return points - points.mean()
 
 
-ANCHORED_STARTS = 24
-"""Number of pairs of robots that are rotated onto the target's two anchor points."""
-
-REFINED_STARTS = 6
-"""Number of starting rotations, the best ones, that are refined."""
-
-GAIN = 1e-12
-"""Smallest gain for which a refinement continues, as a share."""
-
-
-@cache
-def _cube_rotations() -> NDArray[np.float64]:
-    """The 24 rotations of a cube, shape (24, 3, 3): every rotation is within 63 degrees of one of them."""
-    return scipy.spatial.transform.Rotation.create_group("O").as_matrix().round()
-
-
 def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """For each robot the index of its target point, and the rotation, shape (3, 3), of robots onto target points.
 
@@ -241,15 +221,16 @@ def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArr
         rows: centred positions, shape (n, 3) [units].
         target: centred target points, shape (n, 3) [units].
     """
-    starts = [*_cube_rotations(), *_anchored(rows, target)]
+    # Every rotation is within 63 degrees of one of the 24 of a cube.
+    starts = [*scipy.spatial.transform.Rotation.create_group("O").as_matrix().round(), *_anchored(rows, target)]
     fits = [_correspond(rows, target, rotation) for rotation in starts]
     order = sorted(range(len(fits)), key=lambda k: (-fits[k][0], k))
     best_fit, best = fits[order[0]]
-    for k in order[:REFINED_STARTS]:
+    for k in order[:6]:
         fit, columns = fits[k]
         while True:
             better, refined = _correspond(rows, target, proper_rotation(rows, target[columns]))
-            gained = better > fit * (1 + GAIN)
+            gained = better > fit * (1 + 1e-12)
             fit, columns = better, refined
             if not gained:
                 break
@@ -289,7 +270,7 @@ def _anchored(rows: Points, target: Points) -> list[NDArray[np.float64]]:
     apart = np.linalg.norm(rows[:, None] - rows[None], axis=2)
     cost = (out - np.linalg.norm(a))[:, None] ** 2 + (out - np.linalg.norm(b))[None] ** 2
     cost += (apart - np.linalg.norm(a - b)) ** 2
-    cheapest = np.argsort(cost, axis=None, kind="stable")[:ANCHORED_STARTS]
+    cheapest = np.argsort(cost, axis=None, kind="stable")[:24]
     pairs = [divmod(int(k), len(rows)) for k in cheapest]
     frames = [frame for i, j in pairs if (frame := _frame(rows[i], rows[j])) is not None]
     goal = _frame(a, b)

@@ -187,9 +187,6 @@ class FormedTracker:
 ROUNDING = 1e-6
 """A pair nearer than allowed by up to this still counts as separated [units]."""
 
-ALL_PAIRS_UP_TO = 200
-"""Largest team for which all pairs are examined; beyond it, a k-d tree selects the pairs that can come near."""
-
 
 def min_separation(positions: ArrayLike) -> float:
     """Distance of the closest pair [units]; infinite for a single robot."""
@@ -206,7 +203,7 @@ def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[t
     start, end = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
     if len(start) < 2:
         return math.inf
-    few = len(start) <= ALL_PAIRS_UP_TO or bool(without)
+    few = len(start) <= 200 or bool(without)  # beyond, a k-d tree selects the pairs that can come near
     one, two = _pairs(len(start)) if few else _near_pairs(start, end)
     if without:
         kept = np.array([pair not in without for pair in zip(one.tolist(), two.tolist(), strict=True)])
@@ -280,9 +277,6 @@ class StartSeparation:
             self.separated_at = round_number
 
 
-SYMMETRY_TOLERANCE = 1e-12
-"""A shape counts as symmetric if a rotation maps its points to within this share of its radius."""
-
 LARGE = 300
 """Number of points above which `proven_match` is tried first, since `longest` takes the cube of it, many times."""
 
@@ -317,7 +311,7 @@ class ShapeTarget:
     def __init__(self, target: ArrayLike) -> None:
         rows = _rows("target", target)
         self._target = rows - rows.mean(axis=0)
-        self._symmetry = formations.rotational_symmetry(rows, SYMMETRY_TOLERANCE)
+        self._symmetry = formations.rotational_symmetry(rows, tolerance=1e-12)
 
     def error(self, positions: ArrayLike) -> ShapeError:
         """The team's distance from the shape: the global minimum for d = 2, a local minimum for d = 3.
@@ -356,15 +350,6 @@ class ShapeTarget:
         angle = cmath.phase(best.z)
         cos, sin = math.cos(angle), math.sin(angle)
         return best.columns, np.array([[cos, -sin], [sin, cos]])
-
-
-def procrustes(positions: ArrayLike, target: ArrayLike) -> ShapeError:
-    """The team's distance from an ideal shape, d = 2 or 3. To compare many teams with one shape, use `ShapeTarget`.
-
-    Raises:
-        InputError: the arrays do not have this shape, or are not finite.
-    """
-    return ShapeTarget(target).error(positions)
 
 
 def _rows(field: str, values: ArrayLike) -> Points:

@@ -14,9 +14,6 @@ from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.bounds import MAX_POLYGON_CORNERS
 from llm_flock.errors import InputError
 
-FLAT = 1e-12
-"""Smallest area of a valid polygon, as a share of its squared size."""
-
 
 def cross(a: Point, b: Point, c: Point) -> float:
     """Twice the signed area of the triangle a, b, c: positive where it turns left [units^2]."""
@@ -55,38 +52,14 @@ def nearest_on_segment(point: Point, a: Point, b: Point) -> Point:
     return tuple(x + share * d for x, d in zip(a, along, strict=True))
 
 
-def segments_cross(a: Point, b: Point, c: Point, d: Point) -> bool:
-    """Whether the segments a .. b and c .. d have a point in common."""
-    one, two, three, four = cross(a, b, c), cross(a, b, d), cross(c, d, a), cross(c, d, b)
-    if ((one > 0) != (two > 0)) and ((three > 0) != (four > 0)) and one * two * three * four != 0.0:
-        return True
-    touching = ((one, a, b, c), (two, a, b, d), (three, c, d, a), (four, c, d, b))
-    return any(turn == 0.0 and math.dist(nearest_on_segment(p, q, r), p) == 0.0 for turn, q, r, p in touching)
-
-
-def segment_distance(a: Point, b: Point, c: Point, d: Point) -> float:
-    """Distance between the segments a .. b and c .. d in the plane [units]."""
-    if segments_cross(a, b, c, d):
-        return 0.0
-    pairs = ((a, c, d), (b, c, d), (c, a, b), (d, a, b))
-    return min(math.dist(p, nearest_on_segment(p, q, r)) for p, q, r in pairs)
-
-
 def is_simple(polygon: Sequence[Point]) -> bool:
     """Whether the polygon has an area and no two sides meet, except neighbouring sides at their common corner."""
-    n = len(polygon)
+    import shapely  # here: missions without polygons start faster without it
+
     size = max(math.dist(polygon[0], p) for p in polygon)
-    if abs(signed_area(polygon)) <= FLAT * size * size:
+    if len(set(polygon)) < len(polygon) or abs(signed_area(polygon)) <= 1e-12 * size * size:
         return False
-    sides = list(edges(polygon))
-    for i, (a, b) in enumerate(sides):
-        c = sides[(i + 1) % n][1]
-        forward = (b[0] - a[0]) * (c[0] - b[0]) + (b[1] - a[1]) * (c[1] - b[1])
-        if a == b or (cross(a, b, c) == 0.0 and forward < 0.0):
-            return False  # a repeated corner, or a side that runs back over the previous one
-        if any(segments_cross(a, b, *sides[j]) for j in range(i + 2, n) if (j + 1) % n != i):
-            return False
-    return True
+    return shapely.Polygon(polygon).is_valid
 
 
 def convex_pieces(polygon: Sequence[Point]) -> tuple[tuple[Point, ...], ...]:
@@ -145,9 +118,6 @@ def _joined(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...]
 
 Finite = Annotated[float, Field(ge=-MAX_COORDINATE, le=MAX_COORDINATE, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, le=MAX_COORDINATE, allow_inf_nan=False)]
-
-TOUCHING = 1e-9
-"""A point nearer to the boundary than this counts as on it [units]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -224,7 +194,9 @@ class Obstacle(BaseModel):
             return self.distance(nearest_on_segment(self._disc()[0], start, end))
         if contains(self.polygon, start) or contains(self.polygon, end):
             return min(0.0, self.distance(start), self.distance(end))
-        return min(segment_distance(start, end, a, b) for a, b in edges(self.polygon))
+        import shapely
+
+        return shapely.Polygon(self.polygon).distance(shapely.LineString((start, end)))
 
     def _disc(self) -> tuple[Point, float]:
         assert self.center is not None and self.radius is not None, "an obstacle is a disc or a polygon"
@@ -238,9 +210,9 @@ def _nearest_on_outline(corners: tuple[Point, ...], point: Point, *, inside: boo
         key=lambda found: math.dist(found[0], point),
     )
     gap = math.dist(point, foot)
-    if gap > TOUCHING:
+    if gap > 1e-9:  # nearer counts as on the boundary
         return Nearest(-gap, _direction(point, foot)) if inside else Nearest(gap, _direction(foot, point))
-    # On the boundary, the outward direction is the normal of the side.
+    # There the outward direction is the normal of the side.
     length = math.dist(a, b)
     return Nearest(0.0, ((b[1] - a[1]) / length, (a[0] - b[0]) / length))
 

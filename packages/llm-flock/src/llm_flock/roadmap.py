@@ -62,12 +62,6 @@ def _shape(obstacle: Obstacle, radius: float) -> shapely.Geometry:
     return shapely.buffer(shapely.Point(obstacle.center), obstacle.radius + radius, quad_segs=ARC)
 
 
-AWAY = 0.5
-"""Largest distance of a corner from the shortest way, as a share of a body's radius: few corners for short ways."""
-
-SECTOR_RAD = math.pi / 18
-"""Largest angle that one corner goes round where lengths matter, and not the number of corners."""
-
 AROUND = 48
 """Corners round a ball in space."""
 
@@ -107,7 +101,12 @@ class Roadmap:
         self._centers = np.array([o.center for o in discs]).reshape(len(discs), dim)
         self._radii = np.array([o.radius or 0.0 for o in discs])
         self._angular = [o for o in self._obstacles if o.polygon is not None]
-        self._polygons = _united(self._angular)
+        self._polygons: shapely.Geometry | None = None
+        if self._angular:
+            import shapely
+
+            self._polygons = shapely.union_all([shapely.Polygon(o.polygon) for o in self._angular])
+            shapely.prepare(self._polygons)
         # Distances of corners from their discs' centres, and the largest from a polygon.
         self._out: list[float] = []
         self._out_angular = 0.0
@@ -144,8 +143,8 @@ class Roadmap:
         return np.concatenate(corners), np.concatenate(normals), np.concatenate(bends)
 
     def _sector(self, out: float) -> float:
-        """Largest angle that one corner goes round at this distance [rad]."""
-        return SECTOR_RAD if self._exact else 2.0 * math.acos(out / (out + AWAY * self._radius))
+        """Largest angle that one corner goes round at this distance [rad]: few corners, or exact lengths."""
+        return math.pi / 18 if self._exact else 2.0 * math.acos(out / (out + 0.5 * self._radius))
 
     def _clear(self, starts: Points, ends: Points, radius: float) -> NDArray[np.bool_]:
         """Whether the segments, each from a row to a row, keep this distance from every obstacle."""
@@ -287,16 +286,6 @@ def shortest_ways(
     return np.where(np.isfinite(lengths), lengths, apart)
 
 
-def _united(found: Sequence[Obstacle]) -> shapely.Geometry | None:
-    if not found:
-        return None
-    import shapely
-
-    united = shapely.union_all([shapely.Polygon(o.polygon) for o in found])
-    shapely.prepare(united)
-    return united
-
-
 def _turns(outline: Sequence[Point]) -> Iterable[tuple[Point, float, float]]:
     """The convex corners of a polygon: where, from which direction away from it, and round by how much [rad]."""
     corners = outline if signed_area(outline) > 0.0 else outline[::-1]
@@ -339,10 +328,15 @@ def _at_walls(
 
 
 def _round_ball(center: Point, out: float) -> tuple[Points, Points, Vector]:
-    """The same round a ball, on a Fibonacci lattice."""
-    k = np.arange(AROUND) + 0.5
-    height, turn = 1.0 - 2.0 * k / AROUND, math.pi * (1.0 + math.sqrt(5.0)) * k
-    flat = np.sqrt(1.0 - height * height)
-    away = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
+    """The same round a ball."""
+    away = on_sphere(AROUND)
     half = 2.0 * math.acos(1.0 - 2.0 / AROUND)
     return np.array(center) + out / math.cos(half) * away, away, np.full(AROUND, math.sin(half))
+
+
+def on_sphere(count: int) -> Points:
+    """Points evenly spread on the unit sphere, on a Fibonacci lattice, shape (count, 3)."""
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - 2.0 * k / count, math.pi * (1.0 + math.sqrt(5.0)) * k
+    flat = np.sqrt(1.0 - height * height)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)

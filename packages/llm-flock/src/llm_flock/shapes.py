@@ -168,25 +168,21 @@ class ShapeInfo:
         legal: its legal team sizes, in words that follow "N is".
         description: the shape in words that follow "form".
         examples: a few legal team sizes (for `polygon:K`: with K = 5).
+        layout: its points, by n and the argument K (0 without one); None if they are given otherwise.
+        is_legal: whether it exists for n and K.
     """
 
     name: str
     legal: str
     description: str
     examples: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Shape(ShapeInfo):
-    """A shape with its layout, and the test of a team size; both take n and the argument K (0 without one)."""
-
     layout: Callable[[int, int], Points] | None = None
     is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1
 
 
 _LISTED = (
-    _Shape("line", "any number", "a straight line", (2, 5, 10), line),
-    _Shape(
+    ShapeInfo("line", "any number", "a straight line", (2, 5, 10), line),
+    ShapeInfo(
         "triangle",
         "divisible by 3",
         "an equilateral triangle (robots along its perimeter)",
@@ -194,7 +190,7 @@ _LISTED = (
         triangle,
         lambda n, _: n % 3 == 0,
     ),
-    _Shape(
+    ShapeInfo(
         "square",
         "divisible by 4",
         "a square (robots along its perimeter)",
@@ -202,8 +198,8 @@ _LISTED = (
         square,
         lambda n, _: n % 4 == 0,
     ),
-    _Shape("circle", "any number", "a circle", (3, 5, 10), circle),
-    _Shape(
+    ShapeInfo("circle", "any number", "a circle", (3, 5, 10), circle),
+    ShapeInfo(
         "polygon:K",
         "divisible by K",
         "a regular polygon with K sides (robots along its perimeter)",
@@ -211,7 +207,7 @@ _LISTED = (
         polygon,
         lambda n, sides: n % sides == 0,
     ),
-    _Shape(
+    ShapeInfo(
         "cross",
         "5, 9, 13, ... (the centre and four equal arms)",
         "a cross with four equal arms at right angles and one robot at its centre",
@@ -219,7 +215,7 @@ _LISTED = (
         cross,
         lambda n, _: n >= 5 and n % 4 == 1,
     ),
-    _Shape(
+    ShapeInfo(
         "wedge",
         "at least 3",
         "a wedge like the letter V (two straight arms that meet at 90 degrees, one robot at the tip)",
@@ -227,8 +223,8 @@ _LISTED = (
         wedge,
         lambda n, _: n >= 3,
     ),
-    _Shape("grid", "any number", "a square grid (rows and columns at right angles)", (4, 9, 12), grid),
-    _Shape(
+    ShapeInfo("grid", "any number", "a square grid (rows and columns at right angles)", (4, 9, 12), grid),
+    ShapeInfo(
         "star",
         "divisible by 10",
         "a five-pointed star (robots along its outline: ten equal edges, tips of 60 degrees)",
@@ -236,11 +232,9 @@ _LISTED = (
         star,
         lambda n, _: n % 10 == 0,
     ),
-    _Shape("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
-    _Shape("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
+    ShapeInfo("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
+    ShapeInfo("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
 )
-MOST_TRIED = 10_000
-"""Largest number of robots that an error tries in order to list the numbers that a shape takes."""
 
 _SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
 
@@ -313,7 +307,7 @@ def ideal_points(
         points = _custom(n, len(center), custom)
     else:
         if not (n >= 1 and shape.is_legal(n, argument)):
-            legal = [str(k) for k in range(1, MOST_TRIED) if shape.is_legal(k, argument)][:4]
+            legal = [str(k) for k in range(1, 10_000) if shape.is_legal(k, argument)][:4]
             sizes = ", ".join([*legal, "..."]) if legal else shape.legal.replace(" K", f" {argument}")
             raise InputError("n_robots", n, says=f"a {spec} takes {sizes} robots")
         if shape.layout is None:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, moved
 from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, relaxed_move
 
 Sides = Callable[[float], Sequence[HalfSpace]]
@@ -102,17 +102,13 @@ def project(
         )
         if also is not None:
             sides.extend(also(longest))
-        return _within(position, waypoint, sides, longest)
+        wish = tuple(w - p for w, p in zip(waypoint, position, strict=True))
+        move = relaxed_move(wish, sides, longest)
+        # An unchanged waypoint is returned as given, without the rounding of position + (waypoint - position).
+        return waypoint if move is wish else moved(position, move)
 
     if noise_bound == 0.0:
         return within(max_step)
     # The margin for the direction grows with the step, so a shorter step may lead farther through a narrow gap.
     shares = (1.0, 0.5, 0.25, 0.125)
     return min((within(max_step * share) for share in shares), key=lambda target: math.dist(target, waypoint))
-
-
-def _within(position: Point, waypoint: Point, sides: Sequence[HalfSpace], longest: float) -> Point:
-    wish = tuple(w - p for w, p in zip(waypoint, position, strict=True))
-    move = relaxed_move(wish, sides, longest)
-    # An unchanged waypoint is returned as given, without the rounding of position + (waypoint - position).
-    return waypoint if move is wish else tuple(p + u for p, u in zip(position, move, strict=True))

@@ -18,7 +18,7 @@ def test_it_is_the_exact_error_where_the_correspondence_is_plain(shape: str, n: 
         rows = formations.rotated(target, (50, 50), rng.uniform(0, 7)) + rng.uniform(-noise, noise, target.shape)
         rows = rng.permutation(rows)
         quick = correspondence.quick_error(rows, target)
-        assert quick == pytest.approx(metrics.procrustes(rows, target).mean, rel=1e-6, abs=1e-9)
+        assert quick == pytest.approx(metrics.ShapeTarget(target).error(rows).mean, rel=1e-6, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -52,10 +52,10 @@ def test_a_crowd_has_no_proven_match() -> None:
 def test_a_large_team_has_the_same_error_either_way(monkeypatch: pytest.MonkeyPatch) -> None:
     target = np.array(Mission(shape="grid", n_robots=49, center=(100, 100), arena=((0, 0), (200, 200))).ideal)
     rows = formations.rotated(target, (50, 50), 1.0) + np.random.default_rng(2).uniform(-0.3, 0.3, target.shape)
-    slow = metrics.procrustes(rows, target)
+    slow = metrics.ShapeTarget(target).error(rows)
     monkeypatch.setattr(metrics, "LARGE", 48)
     monkeypatch.setattr(metrics, "longest", None)
-    fast = metrics.procrustes(rows, target)
+    fast = metrics.ShapeTarget(target).error(rows)
     assert fast.mean == pytest.approx(slow.mean, rel=1e-9)
     assert fast.mean_squared == pytest.approx(slow.mean_squared, rel=1e-9)
 

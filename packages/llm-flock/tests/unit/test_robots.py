@@ -149,15 +149,6 @@ def test_a_stalled_estimate_stands_still_and_is_not_settled():
     assert body.estimate(3.0)[2] == pytest.approx(1.0) and body.variance(3.0) < 0.001
 
 
-def test_a_battery_drains_in_flight_only():
-    body = PointMass(home=(0.0, 0.0, 0.0), auto_arm=True, battery_v=4.0, drain_v_s=0.01)
-    body.position(10.0)
-    assert body.battery_v == 4.0
-    body.take_off(1.0, 1.0, now=10.0)
-    body.position(30.0)
-    assert body.battery_v == pytest.approx(3.8)
-
-
 def test_the_simulated_robot_keeps_the_contract():
     asyncio.run(check_robot(SimulatedRobot("one", (0.0, 0.0, 0.0)), patience_s=1.0))
 

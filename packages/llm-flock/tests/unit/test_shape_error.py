@@ -9,13 +9,17 @@ from numpy.typing import ArrayLike
 from llm_flock import shapes as formations
 from llm_flock.correspondence import proper_rotation
 from llm_flock.errors import InputError
-from llm_flock.metrics import ShapeTarget, procrustes
+from llm_flock.metrics import ShapeError, ShapeTarget
 
 
 def ideal(spec: str, n: int) -> np.ndarray:
     points = formations.ideal_points(spec, n, (50, 50), 10)
     assert points is not None
     return points
+
+
+def procrustes(team: ArrayLike, target: ArrayLike) -> ShapeError:
+    return ShapeTarget(target).error(team)
 
 
 def turn(rng: np.random.Generator, dim: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from contextlib import AsyncExitStack
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -286,24 +287,13 @@ def _radio_tables(settings: FlightConfig) -> list[Table]:
 
 
 def _radios(plan: RadioPlan) -> dict[str, Any]:
-    """Plain values for JSON."""
     return {
-        "radios": [
-            {
-                "dongle": load.dongle,
-                "channels": load.channels,
-                "drones": load.drones,
-                "needed_hz": load.needed_hz,
-                "capacity_hz": load.capacity_hz,
-            }
-            for load in plan.loads
-        ],
+        "radios": [asdict(load) for load in plan.loads],
         "radio_warnings": plan.warnings,
     }
 
 
 def _plan(plan: DryRun) -> dict[str, Any]:
-    """Plain values for JSON."""
     return {
         "drones": [drone.model_dump() for drone in plan.drones],
         "rounds": [
@@ -325,7 +315,6 @@ def _plan(plan: DryRun) -> dict[str, Any]:
 
 
 def _plain(result: FlightResult) -> dict[str, Any]:
-    """Plain values for JSON."""
     return {
         "preflight": {
             "passed": result.report.passed,

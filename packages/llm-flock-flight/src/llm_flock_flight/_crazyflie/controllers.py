@@ -42,9 +42,6 @@ CONTROLLERS: Mapping[int, FirmwareController] = MappingProxyType(
 
 ESTIMATORS: Mapping[int, str] = MappingProxyType({1: "complementary", 2: "Kalman", 3: "UKF"})
 
-NO_POSITION = 1
-"""The estimator that knows heights only: with it a drone cannot hold its place."""
-
 READ: tuple[str, ...] = (
     CONTROLLER,
     ESTIMATOR,
@@ -76,7 +73,7 @@ def equipment(values: Mapping[str, float], unwatched: tuple[str, ...], complaint
     if ESTIMATOR in values:
         number = int(values[ESTIMATOR])
         estimator = ESTIMATORS.get(number, f"number {number}")
-        if number == NO_POSITION:
+        if number == 1:  # it knows heights only
             wrong.append(f"its estimator ({ESTIMATOR}) is {estimator}: set estimator = 'kalman' in the flight file")
     return Equipment(
         controller=name,

@@ -29,15 +29,7 @@ class YamlBattery(BaseModel):
 
 
 class YamlDrone(BaseModel):
-    """One enabled drone of the file.
-
-    Attributes:
-        name: its key under `robots`.
-        uri: `radio://0/80/2M/E7E7E7E701` and so on.
-        home: position before take-off [m].
-        firmware_params: by group and name.
-        battery: limits for a drone at rest.
-    """
+    """One enabled drone: its key under `robots`, place before take-off [m], and voltage limits for a drone at rest."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -56,11 +48,7 @@ class YamlDrone(BaseModel):
 
 
 def read_crazyflies(path: Path) -> tuple[YamlDrone, ...]:
-    """The enabled drones of a file, in order.
-
-    Raises:
-        InputError: no such file, not YAML, another version, or an entry that cannot be used; the field tells which.
-    """
+    """The enabled drones of a file, in order; InputError names the field that cannot be used."""
     require("crazyflie", "--crazyflies")
     import yaml
 
@@ -73,11 +61,7 @@ def read_crazyflies(path: Path) -> tuple[YamlDrone, ...]:
 
 
 def parse_crazyflies(content: object) -> tuple[YamlDrone, ...]:
-    """The enabled drones of a file's content.
-
-    Raises:
-        InputError: as for `read_crazyflies`.
-    """
+    """As `read_crazyflies`, by a file's content."""
     top = _table("crazyflies", content)
     version = top.get("fileversion", FILEVERSION)
     if version != FILEVERSION:

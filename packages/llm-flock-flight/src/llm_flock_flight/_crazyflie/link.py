@@ -35,9 +35,6 @@ from llm_flock_flight._crazyflie.threads import Worker, in_thread, new_thread
 SILENCE_S, MOST_SILENCE_S = 1.0, 4.0
 """An attempt to open a link is given up after this silence [s]; each attempt has more patience, up to the second."""
 
-PAUSE_S = 0.1
-"""Between two attempts [s]."""
-
 AGAIN_S = 0.3
 """The version of the protocol is asked for again after this time [s]."""
 
@@ -47,9 +44,6 @@ SEND_S = 2.5
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")
 NETWORK = ("udp://", "tcp://")
-
-JOIN_S = 1.5
-"""Longest wait for a thread of cflib's to end: it looks once a second [s]."""
 
 
 def host_and_port(uri: str) -> tuple[str, int] | None:
@@ -80,13 +74,7 @@ def library() -> Any:
 
 
 def in_reach() -> tuple[str, ...]:
-    """Addresses of the Crazyflies that answer by radio, by cable or at UDP ports of this machine; takes seconds.
-
-    By radio only those are found that have the address with which they are shipped, E7E7E7E7E7.
-
-    Raises:
-        InputError: cflib is not installed.
-    """
+    """Addresses of the Crazyflies that answer by radio (as shipped), by cable or at local UDP ports; takes seconds."""
     library()
     from cflib import crtp  # pyright: ignore[reportMissingTypeStubs]
 
@@ -142,22 +130,14 @@ class CrazyflieLink:
 
     @property
     def parameters(self) -> FirmwareParameters:
-        """The parameters of the drone.
-
-        Raises:
-            RobotError: the link is not open.
-        """
+        """The parameters of the drone; raises RobotError unless the link is open."""
         if self._parameters is None:
             self._parameters = FirmwareParameters(self._name, self.cf.param.toc, self.send_packet)
         return self._parameters
 
     @property
     def cf(self) -> Any:
-        """The `Crazyflie` of cflib.
-
-        Raises:
-            RobotError: the link is not open.
-        """
+        """The `Crazyflie` of cflib; raises RobotError unless the link is open."""
         if not self.open:
             raise RobotError(self._name, self.why_closed)
         return self._cf
@@ -172,12 +152,7 @@ class CrazyflieLink:
         return now - self._heard_s
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link and fetch the tables; retry as long as time allows.
-
-        Raises:
-            InputError: cflib is not installed.
-            RobotError: not done within `timeout_s`.
-        """
+        """Open the link and fetch the tables; retry for `timeout_s`, then raise RobotError."""
         library()
         self._loop = asyncio.get_running_loop()
         end = time.monotonic() + timeout_s
@@ -194,7 +169,7 @@ class CrazyflieLink:
             except (TimeoutError, RobotError) as error:
                 why = error.what if isinstance(error, RobotError) else "no answer"
                 await self.close()
-                await asyncio.sleep(min(PAUSE_S, max(0.0, end - time.monotonic())))
+                await asyncio.sleep(min(0.1, max(0.0, end - time.monotonic())))
             except BaseException:
                 await self.close()
                 raise
@@ -262,10 +237,7 @@ class CrazyflieLink:
         """Start a log block of variables, given by name with their types in packets; returns those it cannot log.
 
         Its period is a multiple of 10 ms. `take` gets the values by name and their arrival [s], in cflib's thread.
-
-        Raises:
-            Unusable: the firmware does not know one of `needed`.
-            RobotError: the link takes no packet.
+        Raises Unusable without one of `needed`, and RobotError as `send`.
         """
 
         def came(_stamp: int, data: dict[str, float], _block: object) -> None:
@@ -295,11 +267,7 @@ class CrazyflieLink:
         return self.cf.log.toc.get_element_by_complete_name(variable) is not None
 
     async def send(self, call: Callable[[Any], None], *, urgent: bool = False) -> None:
-        """Send something with cflib's `Crazyflie`, in order; something urgent overtakes the queue.
-
-        Raises:
-            RobotError: the link is not open, or does not take the packet.
-        """
+        """Send something with cflib's `Crazyflie` or raise RobotError; something urgent overtakes the queue."""
         cf = self.cf
         worker = self._worker = self._worker or Worker()
         try:
@@ -399,7 +367,7 @@ def shut(cf: Any) -> None:
             timer.cancel()
         cf._answer_patterns.clear()  # noqa: SLF001
     if cf.incoming.is_alive():
-        cf.incoming.join(JOIN_S)
+        cf.incoming.join(1.5)  # it looks once a second
     cf.disconnected.call(cf.link_uri)  # ends cflib's threads for parameters and statistics
 
 

@@ -39,7 +39,6 @@ class FirmwareParameters:
         self._waiting: dict[tuple[int, int], asyncio.Future[bytes]] = {}
 
     def hear(self, channel: int, data: bytes) -> None:
-        """Take an answer."""
         if len(data) >= 2 and channel in (READ, WRITE):
             waiting = self._waiting.get((channel, struct.unpack_from("<H", data)[0]))
             if waiting is not None and not waiting.done():
@@ -54,22 +53,13 @@ class FirmwareParameters:
         return self._table.get_element(group, own)
 
     async def read(self, name: str, until_s: float) -> float:
-        """The value of a parameter that the firmware has.
-
-        Raises:
-            RobotError: no answer until then.
-        """
+        """The value of a parameter that the firmware has; RobotError if none comes until then."""
         element = self._element(name)
         data = await self._ask(READ, element.ident, b"", name, until_s)
         return float(struct.unpack(element.pytype, data[1:])[0])
 
     async def write(self, values: Mapping[str, float], until_s: float) -> tuple[str, ...]:
-        """Set parameters, and read each back; returns those that have another value, in words.
-
-        Raises:
-            InputError: one cannot be set.
-            RobotError: no answer until then.
-        """
+        """Set parameters or raise, and read each back; returns those that have another value, in words."""
         differ: list[str] = []
         for name, value in values.items():
             element = self._element(name)

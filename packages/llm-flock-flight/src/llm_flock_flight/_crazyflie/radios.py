@@ -40,9 +40,6 @@ MOST_SHARE = 0.7
 POSITION_HZ, VARIANCE_HZ, LIGHTHOUSE_HZ, PING_HZ = 20.0, 10.0, 2.0, 10.0
 """Packets of each drone a second: log blocks, and cflib's own pings with their echoes, which measure latency."""
 
-RESENT = 1.2
-"""Commands are sent this many times on average, resending included."""
-
 WIFI_MHZ: Mapping[int, int] = MappingProxyType({1: 2412, 6: 2437, 11: 2462})
 """Centres of the Wi-Fi channels that are used most."""
 
@@ -67,15 +64,7 @@ class RadioAddress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadioLoad:
-    """What one radio has to carry.
-
-    Attributes:
-        dongle: its number or serial number.
-        drones: their names.
-        channels: each once, in order.
-        needed_hz: exchanges that its drones need [1/s].
-        capacity_hz: exchanges that it can do, by the model [1/s].
-    """
+    """What one radio has to carry: exchanges a second that its drones need, and that it can do by the model [1/s]."""
 
     dongle: str
     drones: tuple[str, ...]
@@ -111,11 +100,7 @@ class RadioPlan:
 
 
 def address_of(uri: str) -> RadioAddress | None:
-    """The parts of a radio's URI, with cflib's defaults; None for every other link.
-
-    Raises:
-        ValueError: it begins with `radio://` and is not one; the text says what is expected.
-    """
+    """The parts of a radio's URI, with cflib's defaults; None for other links. ValueError says what is expected."""
     try:
         parts = urlsplit(uri)
     except ValueError:
@@ -140,11 +125,8 @@ def address_of(uri: str) -> RadioAddress | None:
 
 
 def exchanges_of(*, round_s: float, pose_hz: float = 0.0) -> float:
-    """Exchanges of a drone in a flight with rounds of this duration, and this many poses from outside a second [1/s].
-
-    Each carries one packet up and one down, so the direction with more packets counts.
-    """
-    commands_hz = RESENT / round_s
+    """Exchanges of a drone [1/s], each of one packet up and one down, with this many poses from outside a second."""
+    commands_hz = 1.2 / round_s  # some are sent again
     up_hz = pose_hz + PING_HZ + commands_hz
     return max(up_hz, POSITION_HZ + VARIANCE_HZ + LIGHTHOUSE_HZ + PING_HZ + commands_hz)
 
@@ -157,12 +139,7 @@ def capacity_hz(addresses: Sequence[RadioAddress]) -> float:
 
 
 def plan_radios(drones: Sequence[tuple[str, str]], each_hz: float) -> RadioPlan:
-    """The load of each radio, and the faults of an allocation.
-
-    Args:
-        drones: name and URI of each. Those that are not called by radio are left out.
-        each_hz: exchanges of each of them [1/s].
-    """
+    """The load of each radio, and the faults, for drones by name and URI with this many exchanges each [1/s]."""
     found: dict[str, RadioAddress] = {}
     faults: list[str] = []
     for name, uri in drones:
@@ -239,11 +216,7 @@ def radios_for(n_drones: int, each_hz: float) -> int:
 
 
 def proposed_uris(n_drones: int, n_radios: int) -> list[str]:
-    """URIs for drones spread over radios: one channel a radio, beside Wi-Fi and 2 MHz apart; one address a drone.
-
-    Raises:
-        ValueError: more radios than there are such channels, or more drones than addresses.
-    """
+    """URIs, or ValueError: one channel a radio, beside Wi-Fi and 2 MHz apart; one address a drone."""
     channels = [c for c in range(LAST_IN_BAND, -1, -2) if wifi_over(c) is None]
     if not 1 <= n_radios <= len(channels):
         raise ValueError(f"1 to {len(channels)} radios")

@@ -45,17 +45,11 @@ from llm_flock_flight._crazyflie.telemetry import (
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
 """Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
 
-GO_TO_VERSION = 8
-"""First version of the protocol that knows `GO_TO`."""
-
 ANSWER_S = 0.2
 """Wait for the answer to a command before it is resent [s]."""
 
 ATTEMPTS = 8
 """Tries of a command: with a tenth of all packets lost, four fail once in 800 commands, eight once in 600,000."""
-
-SHORTEST_S = 0.1
-"""Least duration of a command that is resent [s]."""
 
 ARM_S = 2.0
 STOP_S = 1.0
@@ -67,17 +61,11 @@ REFUSED = 1
 RELAX_TIMES, RELAX_S = 4, 0.02
 """How often the drone is told that no set-points come from here, and the time in between [s]: nothing confirms it."""
 
-WATCHDOG_S = 0.2
-"""Time between two packets for the emergency stop watchdog, which wants one a second [s]."""
-
 UNPREPARED = "it was flying, or had landed less than 2 s ago, as it was connected: try again"
 """Why a drone is not ready whose parameters were left alone."""
 
 LINK_TIMEOUT_S = 1.0
 """A link is lost after this silence, unless a flight puts up with more [s]."""
-
-PREPARE_S = 5.0
-"""Longest time from an open link to the first position and the parameters, before the link is opened again [s]."""
 
 
 class _Refused(RobotError):
@@ -87,15 +75,9 @@ class _Refused(RobotError):
 class CrazyflieRobot:
     """One Crazyflie. The firmware confirms each command; it is resent with the rest of its duration until then.
 
-    Args:
-        name: for reports and errors.
-        uri: where it is: `radio://0/80/2M/E7E7E7E701`, `udp://127.0.0.1:19850`.
-        limits: enforced by the driver.
-        link_timeout_s: a link is lost after this silence [s].
-        parameters: firmware parameters to set and read back on connect, by `group.name`; never in flight.
-        stop_watchdog: feed the emergency stop watchdog from take-off on. Without a packet for a second the motors stop,
-            and the drone falls; and as nothing ends the watchdog, the drone is locked after `close`.
-        cache: folder for the drones' tables, which save seconds at every connect but the first; None: the user's.
+    `parameters` of the firmware, by `group.name`, are set and read back on connect, never in flight. With
+    `stop_watchdog` the motors stop after a second without a packet, from take-off on, and the drone falls; as nothing
+    ends the watchdog, it is locked after `close`. `cache` is a folder for the drones' tables; None: the user's.
     """
 
     def __init__(
@@ -130,12 +112,7 @@ class CrazyflieRobot:
         self._feeding: asyncio.Task[None] | None = None
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link and wait for the first estimate; reopens a lost link, also in flight.
-
-        Raises:
-            InputError: cflib is not installed, or a parameter cannot be set.
-            RobotError: not done within `timeout_s`.
-        """
+        """Open the link and wait for the first estimate, or raise RobotError; reopens a lost link, also in flight."""
         end = time.monotonic() + timeout_s
         while True:
             try:
@@ -153,7 +130,7 @@ class CrazyflieRobot:
         self._link, log = CrazyflieLink(self.name, self.uri, self._cache), Telemetry()
         self._set_point, self._segment = None, None
         await self._link.connect(max(0.0, end - time.monotonic()))
-        until = min(end, time.monotonic() + PREPARE_S)
+        until = min(end, time.monotonic() + 5.0)  # then the link is opened again
         missing = await self._link.log("position", POSITION_PERIOD_MS, POSITION_LOG, log.take_position, NEEDED)
         missing += await self._link.log("variance", VARIANCE_PERIOD_MS, VARIANCE_LOG, log.take_variance)
         log.without_variance = any(name in missing for name in VARIANCE_LOG)
@@ -278,7 +255,6 @@ class CrazyflieRobot:
         return self._flies(start, sent)
 
     async def hold(self) -> None:
-        """Stop where the robot is."""
         state = self._ready()
         if not self._aloft and not state.flying:
             return
@@ -317,7 +293,7 @@ class CrazyflieRobot:
         while True:
             with contextlib.suppress(RobotError):
                 await self._link.send(lambda cf: cf.supervisor.send_emergency_stop_watchdog())
-            await asyncio.sleep(WATCHDOG_S)
+            await asyncio.sleep(0.2)  # the watchdog wants one a second
 
     def _flies(self, start: Position, sent: Commanded) -> Commanded:
         now = time.monotonic()
@@ -327,7 +303,7 @@ class CrazyflieRobot:
 
     async def _go(self, target: Position, duration_s: float) -> None:
         x, y, z = target
-        old = self._link.cf.platform.get_protocol_version() < GO_TO_VERSION
+        old = self._link.cf.platform.get_protocol_version() < 8  # which knows `GO_TO`
         number = GO_TO_OLD if old else GO_TO
         await self._command(number, lambda cf, left: cf.go_to(x, y, z, self._yaw, left), duration_s, "a way-point")
 
@@ -335,7 +311,7 @@ class CrazyflieRobot:
         """Send until the firmware answers, each time with the rest of the duration; raises RobotError."""
         began = time.monotonic()
         for attempt in range(ATTEMPTS):
-            left = max(SHORTEST_S, duration_s - (time.monotonic() - began))
+            left = max(0.1, duration_s - (time.monotonic() - began))
             answer = await self._link.ask(number, lambda cf, left=left: send(cf.high_level_commander, left), ANSWER_S)
             if answer == 0:
                 return

@@ -93,10 +93,7 @@ class Telemetry:
         self.without_variance = False
 
     def take_position(self, data: Mapping[str, float], now: float) -> None:
-        """Take a packet of `POSITION_LOG` that arrived at `now`.
-
-        An estimate that is no number, as of an estimator that has diverged, is none: it grows old.
-        """
+        """Take a packet of `POSITION_LOG` that arrived at `now`. An estimate that is no number is none: it ages."""
         volts = float(data.get("pm.vbat", math.nan))
         self.battery_v = volts if math.isfinite(volts) else None
         self.info = int(data["supervisor.info"])
@@ -111,7 +108,6 @@ class Telemetry:
         self._variance_stamp_s = now
 
     def take_lighthouse(self, data: Mapping[str, float], now: float) -> None:
-        """Take a packet of `LIGHTHOUSE_LOG`."""
         self.lighthouse = lighthouse_in_words(data)
 
     def settled(self, now: float) -> bool:

@@ -36,11 +36,7 @@ class Worker:
 async def in_thread(
     call: Callable[[], T], timeout_s: float, start: Callable[[Callable[[], None]], None] = new_thread
 ) -> T:
-    """Run a blocking call in a thread that `start` provides, and wait for it with a time limit.
-
-    Raises:
-        TimeoutError: not done in time; the thread is abandoned.
-    """
+    """Run a blocking call in a thread that `start` provides; it is abandoned with a TimeoutError after `timeout_s`."""
     future: Future[T] = Future()
     future.set_running_or_notify_cancel()  # so that giving up the wait leaves the call as it is
 

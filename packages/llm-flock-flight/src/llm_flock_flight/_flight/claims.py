@@ -31,11 +31,7 @@ def claims_folder() -> Path:
 
 
 def identity(drone: DroneConfig, *, shared: bool) -> str | None:
-    """What tells a drone from all others on this computer; None if it has no address.
-
-    It is the same however its address is written. Where several share an address, each has a system id. That a radio, a
-    cable and a port lead to one drone is not known.
-    """
+    """What tells a drone from all others on this computer, however its address is written; None without an address."""
     if drone.uri is None:
         return None
     address = one_spelling(drone.uri, _resolved)
@@ -52,13 +48,10 @@ def _resolved(host: str) -> str:
 
 @contextmanager
 def claimed(config: FlightConfig, folder: Path | None = None) -> Generator[Sequence[int]]:
-    """Claim all drones of a flight, and give them back at the end; yields the handles of the locked files.
+    """Claim all drones of a flight, or raise InputError, and give them back; yields the handles of the locked files.
 
-    A process that inherits the handles keeps the drones claimed as long as it runs. Drones that are simulated in the
-    flight's own process need no claim. Where the folder cannot be written to there is none, which is logged.
-
-    Raises:
-        InputError: another flight has one of them.
+    A process that inherits the handles keeps the drones claimed. Drones simulated in this process need no claim, and
+    where the folder cannot be written to there is none, which is logged.
     """
     fleet = config.fleet
     with ExitStack() as stack:

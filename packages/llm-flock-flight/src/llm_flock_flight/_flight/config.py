@@ -33,11 +33,7 @@ ON_FLOOR_M = 0.3
 
 
 class FlightConfig(RunConfig):
-    """Everything that defines a flight.
-
-    Raises:
-        InputError: the mission cannot be flown safely, or not within the given limits.
-    """
+    """Everything that defines a flight; raises InputError if it cannot be flown safely within the given limits."""
 
     world: WorldConfig = Field(default_factory=WorldConfig)
     fleet: FleetConfig = Field(default_factory=FleetConfig, title="Drones")
@@ -187,11 +183,7 @@ class FlightConfig(RunConfig):
 
 
 def _check_drones(config: FlightConfig) -> None:
-    """Drones are one for each robot, told apart by their names and addresses, and may fly longer than they take off.
-
-    Raises:
-        InputError: they are not.
-    """
+    """Drones are one for each robot, told apart by names and addresses, and may fly longer than they take off."""
     drones, n = config.fleet.drones, config.mission.n_robots
     if drones and config.fleet.crazyflies is not None:
         raise InputError("drones", f"{len(drones)} drones", "either drones, or crazyflies")
@@ -215,10 +207,6 @@ def _check_drones(config: FlightConfig) -> None:
     for uri, number in links:
         if links.count((uri, number)) > 1:
             raise InputError("system_id", number, f"one that no other drone at {uri} has")
-    for drone in drones:
-        for name in drone.parameters:
-            if not all(part and not any(map(str.isspace, part)) for part in name.partition(".")[::2]):
-                raise InputError("parameters", name, f"names such as stabilizer.controller for {drone.name}")
     _check_batteries(config)
 
 
@@ -237,11 +225,7 @@ def _check_batteries(config: FlightConfig) -> None:
 
 
 def _check_starts(config: FlightConfig) -> None:
-    """Starts are on the floor and apart, and drones may fly above them: they take off from there, and return to there.
-
-    Raises:
-        InputError: they are not, or may not.
-    """
+    """Starts are on the floor and apart, and drones may fly above them, where they take off and return to."""
     least, floor_m = config.safe_distance_m, config.world.floor_m
     starts = [(drone.name, drone.start) for drone in config.fleet.drones if drone.start is not None]
     for k, (one, here) in enumerate(starts):

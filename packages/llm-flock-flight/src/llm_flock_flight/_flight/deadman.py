@@ -63,10 +63,7 @@ class HeartbeatListener:
 
 
 async def land_all(config: FlightConfig, robots: Sequence[Robot], say: Callable[[str], None]) -> dict[str, str]:
-    """Connect to drones in the air and land them; returns how each ended, by name.
-
-    Calls `say` with a line of text at each step.
-    """
+    """Connect to drones in the air and land them, telling `say` each step; returns how each ended, by name."""
     until = time.monotonic() + config.safety.reach_s
     missing, longest_s = list(robots), CONNECT_S
     landings: list[asyncio.Task[dict[str, str]]] = []

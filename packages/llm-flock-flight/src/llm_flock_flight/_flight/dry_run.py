@@ -24,12 +24,7 @@ from llm_flock_flight._flight.setpoints import SetPointCheck
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannedMotion:
-    """One joint motion: set-points at its end, and the highest speeds on the way, by robot.
-
-    Attributes:
-        separation_m: smallest distance of two set-points during it, heights scaled by the vertical rule [m].
-        faults: limits that it breaks, in words.
-    """
+    """One joint motion: set-points at its end, highest speeds, smallest distance with heights scaled, and faults."""
 
     round: int
     targets: tuple[Position, ...]
@@ -40,12 +35,9 @@ class PlannedMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DryRun:
-    """The plan of a whole flight: drones with starts, every motion, groups that land at once, and the trial.
+    """The plan of a whole flight, which takes `air_s` if no model takes any time to answer.
 
-    Attributes:
-        away_m: how far from their starts those land that should return and do not get there, by robot [m].
-        air_s: time in the air if no model took any time to answer [s].
-        most_s: longest flight that the file allows [s].
+    `away_m` has how far from their starts those land that should return and do not get there, by robot [m].
     """
 
     drones: tuple[DroneConfig, ...]
@@ -100,11 +92,7 @@ class DryRunTeam(InstantBodies):
 
 
 async def dry_run(config: FlightConfig) -> DryRun:
-    """Fly on paper, with the models that the flight would ask. Call before a flight, to see every set-point.
-
-    Raises:
-        InputError: a drone has no start, or an address that its driver refuses, or there is no such driver.
-    """
+    """Fly on paper, with the models that the flight would ask; raises InputError for drones that cannot be flown."""
     config = with_drones(config)
     driver_of(config.fleet.robot)
     if config.fleet.robot in ("crazyflie", "mavlink"):

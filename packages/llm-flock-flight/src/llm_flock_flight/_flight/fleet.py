@@ -30,11 +30,7 @@ def _loaded(critical_v: float | None, least_v: float) -> float | None:
 
 
 def with_drones(config: FlightConfig) -> FlightConfig:
-    """The same flight with its drones listed: those of the file, those of `crazyflies.yaml`, or else drawn starts.
-
-    Raises:
-        InputError: the file cannot be used, or has another number of drones than the mission.
-    """
+    """The same flight with its drones listed: those of the file, those of `crazyflies.yaml`, or else drawn starts."""
     if config.fleet.drones:
         return config
     found: list[dict[str, object]]
@@ -63,11 +59,7 @@ def with_drones(config: FlightConfig) -> FlightConfig:
 
 
 def build_fleet(config: FlightConfig) -> Sequence[Robot]:
-    """The robots of a flight, not connected yet.
-
-    Raises:
-        InputError: there is no such driver, or it cannot drive these drones.
-    """
+    """The robots of a flight, not connected yet; raises InputError if no driver can drive these drones."""
     wanted = config.fleet.drones
     if not wanted:
         raise InputError("drones", None, "one for each robot of the mission")
@@ -79,11 +71,7 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
 
 
 def start_of(config: FlightConfig, drone: DroneConfig) -> Position:
-    """Position of a drone before take-off [m].
-
-    Raises:
-        InputError: the file does not say it.
-    """
+    """Position of a drone before take-off [m]; raises InputError if the file does not say it."""
     if drone.start is None:
         raise InputError("drones", drone.name, "a start for each drone of this driver")
     return (drone.start[0], drone.start[1], config.world.floor_m if len(drone.start) < 3 else drone.start[2])
@@ -173,11 +161,7 @@ def physics(config: FlightConfig, wanted: Sequence[DroneConfig]) -> Sequence[Rob
 
 
 def driver_of(name: str) -> Driver:
-    """The driver of this name: a plug-in, or a function of one's own as package.module:function.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The driver of this name, or InputError: a plug-in, or a function of one's own as package.module:function."""
     if ":" in name:
         found = load_own("robot", name, f"{DRIVER} and can be imported")
         if isinstance(found, type) or not callable(found):

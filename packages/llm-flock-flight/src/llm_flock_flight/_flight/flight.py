@@ -52,17 +52,13 @@ FLYING = "flying"
 
 NEVER_UP = "never took off"
 CUT = "motors cut"
-CUT_UNCONFIRMED = "motors cut, not confirmed"
 SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
 """Ends after which a drone needs no attention."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FlightResult:
-    """The preflight, and the trial that was flown with the flight in its summary (None if nothing took off).
-
-    `broken_record` is the error at which the record broke off; None if it is whole, or there is none.
-    """
+    """The preflight, the trial that was flown (None if nothing took off), and the error that ended the record early."""
 
     report: PreflightReport
     result: RunResult | None = None
@@ -72,14 +68,9 @@ class FlightResult:
 class Flight:
     """Flies one mission. Call `run` once; `abort`, `return_home` and `emergency` at any time meanwhile.
 
-    Args:
-        config: of the flight.
-        robots: one for each robot of the mission, not connected yet.
-        on_round: called after each round, for a live display.
-        on_stage: called with the name of each stage as it begins.
-        on_connect: called with the result of each drone's connection, as soon as it is known.
-        sink: takes every message of a record, whether a record is written or not; it must not raise.
-        poses: source of the drones' poses; None for the one that the configuration names, if it names one.
+    Listeners hear of each round, each stage as it begins, and each drone's connection. The `sink` takes every message
+    of a record, whether one is written or not, and must not raise. `poses` replace the source that the configuration
+    names.
     """
 
     def __init__(
@@ -141,13 +132,8 @@ class Flight:
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
         """Fly. Nothing takes off unless `confirm` returns True; it gets a preflight that was passed.
 
-        A record that cannot be written any more breaks off, and the flight goes on without it.
-
-        Raises:
-            InputError: the file, or a path to write to, cannot be used, or another flight has a drone; nothing has
-                moved.
-            FlockError: the deadman did not start, or the record cannot even be begun, and nothing has taken off; or a
-                file of answers cannot be written any more, and all drones were landed.
+        A record that breaks off ends no flight. Raises InputError or FlockError, and nothing has taken off; or
+        FlockError when answers can be written no more, and all drones were landed.
         """
         with claimed(self._config) as claims:
             return await self._run(confirm, claims)
@@ -289,7 +275,7 @@ class Flight:
         ends: dict[str, str] = {}
         for robot, body in enumerate(self._robots):
             if robot in supervisor.confirmed:
-                ends[body.name] = CUT if supervisor.confirmed[robot] else CUT_UNCONFIRMED
+                ends[body.name] = CUT if supervisor.confirmed[robot] else "motors cut, not confirmed"
             else:
                 ends[body.name] = landing.ends.get(robot, NEVER_UP)
         trouble, ordered = supervisor.trouble, self._ordered_home.is_set()

@@ -19,9 +19,6 @@ from llm_flock_flight._flight.config import FlightConfig
 
 logger = logging.getLogger(__name__)
 
-HEARTBEATS_PER_TIMEOUT = 5
-"""Heartbeats in the silence after which the deadman takes over."""
-
 READY_S = 60.0
 """Longest start of the deadman, which first imports everything that it may need [s]."""
 
@@ -34,10 +31,7 @@ class NoDeadman(FlockError):
 
 
 class Heartbeat(BaseModel):
-    """A sign of life of the flight process, one line of JSON: ids of the drones in the air, for the deadman to land.
-
-    With a farewell the flight is over, and the deadman ends.
-    """
+    """A sign of life: ids of the drones in the air, for the deadman to land. With a farewell it ends instead."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -46,10 +40,9 @@ class Heartbeat(BaseModel):
 
 
 class HeartbeatSender:
-    """Runs a deadman as long as its context lasts; its heartbeats stop when this process's event loop does.
+    """Runs a deadman, if the flight needs one, as long as its context lasts; heartbeats stop when the event loop does.
 
-    No process is started for a flight that needs none. `aloft` returns the drones in the air. The deadman keeps the
-    files open whose handles are `kept`.
+    `aloft` returns the drones in the air. The deadman keeps the files open whose handles are `kept`.
     """
 
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]], kept: Collection[int] = ()) -> None:
@@ -97,7 +90,7 @@ class HeartbeatSender:
     async def _beat_periodically(self) -> None:
         while True:
             self.beat()
-            await asyncio.sleep(self._config.fleet.deadman_s / HEARTBEATS_PER_TIMEOUT)
+            await asyncio.sleep(self._config.fleet.deadman_s / 5)  # several may be lost
 
     def beat(self) -> None:
         """Send a heartbeat now. The deadman reads it even if this process dies right after: call before a take-off."""

@@ -22,10 +22,7 @@ STEPS, STEPS_EACH = 20, 4
 
 
 def homes_of(config: FlightConfig, starts: Points) -> Points:
-    """Where each drone returns to, shape (n, d) [units]: above its start by the flight file, or else where it stood.
-
-    `starts` are the places above where they stood, shape (n, d) [units].
-    """
+    """Where each drone returns to, shape (n, d) [units]: above its start by the flight file, or else where it stood."""
     homes = starts.copy()
     for robot, drone in enumerate(config.fleet.drones):
         if drone.start is not None:
@@ -76,11 +73,7 @@ class WayHome:
 async def fly_home(
     config: FlightConfig, team: Readings, move: Callable[[Points], Awaitable[None]], homes: Points
 ) -> Sequence[int]:
-    """Fly all drones home by joint motions that `move` flies; returns those that did not get there, to be landed.
-
-    Raises:
-        SetPointRefused, NotArrived, RobotError: as `move` does.
-    """
+    """Fly all drones home by `move`, which may raise; returns those that did not get there, to be landed."""
     way = WayHome(config.mission, homes, config.safety.tracking_m / config.world.scale_m)
     for _ in range(way.most_steps(team.places)):
         if not way.far(team.places):

@@ -22,9 +22,6 @@ LAG_MARGIN_S = 0.25
 """The longest delay allowed is that expected of the controller, times the factor, plus the margin [s]: the loops below
 the position's add to it, and estimates arrive late."""
 
-STOCK_LAG_S = 0.5
-"""Of a Crazyflie with its stock controller: one over the gain of its position (2 per second) [s]."""
-
 TRIES = 17
 """Delays tried at once, twice: the step is 1/128 of the longest one."""
 
@@ -44,13 +41,7 @@ def distance_m(config: FlightConfig, a: Position, b: Position) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tracking:
-    """Where each robot should have been when its estimate came, and how far it was from there.
-
-    Attributes:
-        delay_s: of each robot, the same for all in one motion [s].
-        expected: its set-point that long ago [m].
-        off_m: its distance from there, as `distance_m` has it [m].
-    """
+    """Of each robot: its delay [s], its set-point that long ago [m], and how far it was from there by `distance_m`."""
 
     delay_s: tuple[float, ...]
     expected: tuple[Position, ...]
@@ -65,10 +56,7 @@ class LagTracker:
         self._scale = np.array([1.0, 1.0, config.safety.tracking_m / config.height_tracking_m])
 
     def look(self, states: Sequence[RobotState], motions: Sequence[Segment], robots: Iterable[int]) -> Tracking:
-        """Compare the estimates of all robots with their motions.
-
-        The delay is common to those of `robots` that began a motion together; others get none.
-        """
+        """Compare all estimates with their motions; those of `robots` that began a motion together have one delay."""
         n = len(states)
         together: dict[tuple[float, float], list[int]] = {}
         for robot in sorted(robots):

@@ -43,17 +43,11 @@ LOOK_S = 0.05
 SINKS_M, SINKS_S = 0.1, 1.5
 """A drone that still comes down by this much [m] in this time [s] is on its way, at a speed of its own."""
 
-FALL_M = 2.0
-"""Farthest from the floor that motors are cut of a drone that did not land [m]: from higher it is called down again."""
-
 AGAIN_S = 0.5
 """Time between two calls of a drone that is out of reach [s]."""
 
 CONNECT_S = 3.0
 """Longest wait for one connection to a drone out of reach; the deadman's first [s]."""
-
-MOST_SEND_S = 4.0
-"""Longest wait for a drone that is called down to take the order [s]."""
 
 CALL_S = 0.5
 """Time between two calls of the deadman to drones that do not answer [s]."""
@@ -74,15 +68,10 @@ class Descent:
 def plan_landing(
     config: FlightConfig, places: Mapping[int, Position], standing: Sequence[Position]
 ) -> list[list[Descent]]:
-    """Groups of drones that land at once, one group after another.
+    """Groups of drones that land at once, by set-points of those in the air [m] and positions of the others [m].
 
     The lowest drone lands first, so none sinks past another or lands under one that hovers near by. Drones side by
     side, as in every mission in the plane, land straight down all at once.
-
-    Args:
-        config: distances and geofence.
-        places: set-points of those in the air, by robot [m].
-        standing: positions of the other drones, on the floor or last seen there [m].
     """
     apart = config.safety.min_separation_m + 2 * config.safety.tracking_m
     order = sorted(places, key=lambda robot: (places[robot][2], robot))
@@ -137,11 +126,7 @@ def _descent(
 
 
 class Landing:
-    """Lands drones, and keeps calling those out of reach until they answer or the time is up.
-
-    Attributes:
-        ends: how each drone ended: LANDED, STOPPED, FELL, TOLD or LOST.
-    """
+    """Lands drones, and calls those out of reach until they answer or the time is up; `ends` says how each ended."""
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
         self.ends: dict[int, str] = {}
@@ -223,7 +208,7 @@ class Landing:
         if state.taken_over is not None:
             raise TakenOver(body.name, state.taken_over)
         above = state.position[2] - self._config.world.floor_m
-        if above > FALL_M and not state.link_lost:
+        if above > 2.0 and not state.link_lost:  # from higher it is called down again
             raise RobotError(body.name, f"was told to land, and is still {above:.1f} m high")
 
     def _taken(self, robot: int, error: TakenOver) -> None:
@@ -261,7 +246,7 @@ class Landing:
         body = self._team.robots[robot]
         until, send_s = time.monotonic() + safety.reach_s, SEND_S
         while time.monotonic() < until:
-            send_s = min(2.0 * send_s, MOST_SEND_S)  # one that is slow to answer is given longer each time
+            send_s = min(2.0 * send_s, 4.0)  # one that is slow to answer is given longer each time
             try:
                 await body.close()
                 await body.connect(min(self._config.fleet.connect_s, CONNECT_S, max(0.1, until - time.monotonic())))

@@ -19,11 +19,7 @@ SAMPLE_S = 0.1
 
 
 class FlightLog:
-    """Writes the entries of a record that only flights have, and keeps measurements over drones in the air.
-
-    Attributes:
-        lag_s: longest delay of drones behind their set-points so far [s].
-    """
+    """Writes the entries of a record that only flights have, and keeps measurements over drones in the air."""
 
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
         self.round = 0
@@ -37,7 +33,6 @@ class FlightLog:
         self._sampled = -math.inf
 
     def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
-        """Record an event."""
         seconds = round(time.monotonic() - self._began, 3)
         self._sink.write(FlightEvent(round=self.round, time_s=seconds, kind=kind, robot=robot, detail=detail))
 

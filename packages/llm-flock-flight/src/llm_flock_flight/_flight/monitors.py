@@ -45,10 +45,6 @@ class TroubleKind(Enum):
     EMERGENCY = "emergency"
 
 
-CAUSES = frozenset({TroubleKind.LINK_LOST, TroubleKind.FAULT})
-"""Troubles of which others are effects."""
-
-
 @dataclass(frozen=True, slots=True)
 class Trouble:
     """A reason to end the flight: the drone concerned (None for all), and drones whose motors must be cut at once."""
@@ -86,7 +82,7 @@ class Monitors:
         for robot, state in enumerate(states):
             found += self._one(now_s, robot, state, tracking.off_m[robot], robot in airborne)
         found += self._pairs(states, airborne)
-        return sorted(found, key=lambda trouble: trouble.kind not in CAUSES)
+        return sorted(found, key=lambda trouble: trouble.kind not in (TroubleKind.LINK_LOST, TroubleKind.FAULT))
 
     def _one(self, now: float, robot: int, state: RobotState, off: float, airborne: bool) -> list[Trouble]:
         safety = self._safety

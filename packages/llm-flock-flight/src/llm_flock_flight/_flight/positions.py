@@ -17,7 +17,7 @@ from llm_flock_flight._flight.monitors import PERIOD_S, Trouble, TroubleKind
 from llm_flock_flight._flight.preflight import Check
 from llm_flock_flight._flight.shown import ros2_bridge
 from llm_flock_flight._flight.team import FlyingTeam
-from llm_flock_flight._positions import GateLimits, PoseFeed, PoseGate, TakesPoses
+from llm_flock_flight._positions import PoseFeed, PoseGate, TakesPoses
 from llm_flock_flight._positions.mocap import MocapPoses
 from llm_flock_flight._positions.udp import UdpPoses
 
@@ -48,11 +48,7 @@ class TellsLocalisation(Protocol):
 
 
 def pose_source(config: FlightConfig) -> PoseSource | None:
-    """The source of a flight's poses; None if the drones know where they are.
-
-    Raises:
-        ExtraMissing: it is ROS 2, which is not installed.
-    """
+    """The source of a flight's poses, or ExtraMissing; None if the drones know where they are."""
     positions, names = config.positions, [drone.name for drone in config.fleet.drones]
     if positions.pose_source == "udp":
         return UdpPoses(positions.pose_host, positions.pose_port, names)
@@ -68,16 +64,7 @@ def pose_source(config: FlightConfig) -> PoseSource | None:
 async def feeding(
     config: FlightConfig, robots: Sequence[Robot], source: PoseSource | None = None
 ) -> AsyncGenerator[PoseFeed | None]:
-    """Send the drones their poses meanwhile; None where they come from no outside source.
-
-    Args:
-        config: of the flight.
-        robots: which may connect later.
-        source: None for the one that the configuration names.
-
-    Raises:
-        InputError: the source cannot be opened, or a robot takes no poses.
-    """
+    """Send poses meanwhile, from `source` or the configuration's; None without one. Robots may connect later."""
     found = pose_source(config) if source is None else source
     if found is None:
         yield None
@@ -89,15 +76,9 @@ async def feeding(
                 "pose_source", config.positions.pose_source, f"a driver that takes poses; {robot.name} has none"
             )
         takers[robot.name] = robot
-    limits = GateLimits(
-        late_s=config.positions.pose_late_s,
-        lost_s=config.positions.pose_lost_s,
-        jump_m=config.positions.pose_jump_m,
-        speed_m_s=config.safety.max_speed_m_s,
-        frozen_s=config.positions.pose_frozen_s,
-    )
+    gate = PoseGate(takers, config.positions, config.safety.max_speed_m_s)
     rate_hz, attitude = config.positions.pose_rate_hz, config.positions.pose_attitude
-    async with PoseFeed(found, PoseGate(takers, limits), takers, rate_hz, attitude=attitude) as feed:
+    async with PoseFeed(found, gate, takers, rate_hz, attitude=attitude) as feed:
         yield feed
 
 
@@ -157,10 +138,7 @@ def _doubt(feed: PoseFeed, name: str) -> str:
 def watching(
     config: FlightConfig, feed: PoseFeed, team: FlyingTeam, log: FlightLog, trip: Callable[[Trouble], None]
 ) -> asyncio.Task[None]:
-    """A task that records what is refused, and ends the flight when a drone gets no poses; cancel it in the end.
-
-    The first look is taken at once, so that a flight whose poses stopped after the preflight does not begin.
-    """
+    """A task that ends the flight when a drone gets no poses, if need be at once, and records refusals."""
     numbers = {name: robot for robot, name in enumerate(team.names)}
 
     def note(name: str, reason: str) -> None:

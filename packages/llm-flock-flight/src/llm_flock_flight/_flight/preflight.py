@@ -67,17 +67,13 @@ class PreflightReport:
 
     @property
     def passed(self) -> bool:
-        """Whether every check was passed."""
         return all(check.passed for check in self.checks)
 
 
 async def connect(
     robots: Sequence[Robot], timeout_s: float, on_connect: Callable[[Check], None] = lambda _: None
 ) -> tuple[list[Check], float]:
-    """Connect to all drones at once; returns a check of each connection, and the time taken [s].
-
-    Calls `on_connect` with each check as soon as it is known.
-    """
+    """Connect to all drones at once, telling `on_connect` of each; returns the checks, and the time taken [s]."""
     began = time.monotonic()
 
     async def one(robot: Robot) -> Check:

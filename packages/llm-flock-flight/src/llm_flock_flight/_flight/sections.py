@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, Self
+from functools import partial
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from llm_flock.errors import InputError
 from llm_flock.runtime import ConfigSection, Metres, metres, seconds
 
-
-def _seconds(default: float, description: str) -> Any:
-    return seconds(default, description, most=3600)
+_seconds = partial(seconds, most=3600)
 
 
 class DroneConfig(ConfigSection):
@@ -71,21 +70,9 @@ class FleetConfig(ConfigSection):
     deadman: bool = Field(default=True, description="Start a process that lands the drones if this one dies or hangs")
     deadman_s: float = _seconds(1.5, "Let the deadman take over after this silence of the flight process")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _check_empty(cls, given: Any) -> Any:
-        # A list that a file leaves empty is an oversight; no list at all asks for drawn starts.
-        if isinstance(given, dict) and given.get("drones") == [] and given.get("crazyflies") is None:  # pyright: ignore[reportUnknownMemberType]
-            raise InputError("drones", "[]", "one for each of the mission's robots, or no list: then starts are drawn")
-        return given  # pyright: ignore[reportUnknownVariableType]
-
     @property
     def watched(self) -> bool:
-        """Whether to start a deadman.
-
-        Drones simulated in the flight process end with it anyway; those with the stop watchdog have fallen before it
-        could call them.
-        """
+        """Whether to start a deadman: simulated drones end with the process, and the stop watchdog would be faster."""
         return self.deadman and not self.stop_watchdog and self.robot not in ("simulated", "physics")
 
 
@@ -183,7 +170,6 @@ class PositionsConfig(ConfigSection):
 
     @property
     def outside(self) -> bool:
-        """Whether poses come from outside."""
         return self.pose_source != "none"
 
     @model_validator(mode="after")

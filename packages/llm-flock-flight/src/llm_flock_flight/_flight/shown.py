@@ -2,46 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractAsyncContextManager
-from typing import Protocol, cast
+from typing import Any
 
 from llm_flock import plugins
 from llm_flock.extras import ExtraMissing
-from llm_flock.record import RecordSink
-from llm_flock.robots import PoseSource
-from llm_flock.runtime import MissionFrame, Ros2Config
 
 
-class FlightBridge(Protocol):
-    """What the plug-in has to offer."""
-
-    def prepare(self) -> None:
-        """Load what takes time. Call before drones take off."""
-        ...
-
-    def poses_of(self, config: Ros2Config, drones: Sequence[str]) -> PoseSource:
-        """The source of these drones' poses."""
-        ...
-
-    def showing_flight(
-        self, config: Ros2Config, drones: Sequence[str], frame: MissionFrame, low_battery_v: float
-    ) -> AbstractAsyncContextManager[RecordSink]:
-        """A sink that shows a flight; no fault of it reaches a drone.
-
-        Raises:
-            InputError: the router does not answer, or another bridge shows this team.
-        """
-        ...
-
-
-def ros2_bridge() -> FlightBridge:
-    """The bridge to ROS 2. Call only for a flight that uses it.
-
-    Raises:
-        ExtraMissing: it is not installed.
-    """
+def ros2_bridge() -> Any:
+    """The bridge to ROS 2, `llm_flock_swarm._ros2.flight`, for a flight that uses it; or ExtraMissing."""
     try:
-        return cast("FlightBridge", plugins.load("flights", "ros2"))
+        return plugins.load("flights", "ros2")
     except KeyError:
         raise ExtraMissing("ROS 2", "ros2") from None

@@ -16,18 +16,8 @@ from llm_flock_flight._flight.team import FlyingTeam
 
 T = TypeVar("T")
 
-CUT_FOR_S = 4.0
-"""Longest time to repeat an emergency stop until it is confirmed [s]."""
-
-CUT_TRY_S = 1.5
-"""Longest wait for one confirmation [s]."""
-
-
 LATE_S = 0.25
 """After a pause of this length this process is behind with reading what has arrived [s]."""
-
-CATCH_UP = 10
-"""Longest time to read it, in periods."""
 
 
 class FlightEnded(Exception):
@@ -35,11 +25,9 @@ class FlightEnded(Exception):
 
 
 class FlightSupervisor:
-    """The one place where a flight is ended before its mission.
+    """The one place where a flight is ended before its mission, by its first `trouble`.
 
-    Attributes:
-        trouble: the first one, which ended the flight; None as long as all is well.
-        confirmed: whether each drone whose motors were cut confirmed it.
+    `confirmed` says whether each drone whose motors were cut confirmed it.
     """
 
     def __init__(self, config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
@@ -91,7 +79,7 @@ class FlightSupervisor:
 
     async def _catch_up(self) -> None:
         """This process stood still: give its threads time to read what the drones have sent, before blaming those."""
-        for _ in range(CATCH_UP):
+        for _ in range(10):
             await asyncio.sleep(PERIOD_S)
             now = time.monotonic()
             if all(now - state.stamp_s <= self._config.safety.stall_s for state in self._team.states()):
@@ -133,11 +121,11 @@ class FlightSupervisor:
                 self._cuts[robot] = asyncio.create_task(self._cut_one(robot))
 
     async def _cut_one(self, robot: int) -> None:
-        until = time.monotonic() + CUT_FOR_S
+        until = time.monotonic() + 4.0  # until then it is repeated
         confirmed = False
         while not confirmed and time.monotonic() < until:
             try:
-                async with asyncio.timeout(CUT_TRY_S):
+                async with asyncio.timeout(1.5):  # for one confirmation
                     confirmed = await self._team.robots[robot].stop_motors()
             except (RobotError, TimeoutError):
                 await asyncio.sleep(PERIOD_S)

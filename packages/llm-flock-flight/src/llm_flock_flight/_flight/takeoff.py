@@ -26,12 +26,7 @@ class TakeOffFailed(Exception):
 
 
 async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> None:
-    """Take off with all drones, in groups.
-
-    Raises:
-        TakeOffFailed: a drone did not reach its altitude in time.
-        RobotError: a drone refused, or did not answer.
-    """
+    """Take off with all drones, in groups; raises TakeOffFailed, or RobotError as drivers do."""
     robots, size = range(len(team.robots)), config.fleet.take_off_group
     for first in robots[::size]:
         group = robots[first : first + size]

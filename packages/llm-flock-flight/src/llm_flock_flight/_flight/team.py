@@ -51,14 +51,8 @@ class FlyingTeam:
 
     Agents read set-points (`readings`), not measurements: a drone begins each motion at its last set-point, whatever
     its estimate, so the shield's guarantee holds for set-points at every moment. Drones follow some time later, the
-    same time for all, each within the tracking error of its own set-point then. The record gets measurements.
-
-    Attributes:
-        motions: the current motion of each drone.
-        airborne: drones that have taken off, and were not told to land.
-        aloft: those, and the drones on the way down.
-        in_motion: held during each joint motion; whoever holds it keeps the next one from beginning.
-        on_take_off: called when a drone is about to take off.
+    same time for all, each within the tracking error of its own set-point then. `airborne` are those that were not told
+    to land, `aloft` also those on the way down. Whoever holds `in_motion` keeps the next joint motion from beginning.
     """
 
     def __init__(self, config: FlightConfig, robots: Sequence[Robot], log: FlightLog) -> None:
@@ -110,13 +104,7 @@ class FlyingTeam:
         await self.fly_together(displacements)
 
     async def fly_together(self, displacements: Points) -> None:
-        """Fly one joint motion, from rest to rest.
-
-        Raises:
-            SetPointRefused: it would break a limit; no drone was told to move.
-            NotArrived: a drone is not where the motion ends.
-            RobotError: a command to a drone failed.
-        """
+        """Fly one joint motion from rest to rest; raises SetPointRefused before it, NotArrived, or RobotError."""
         async with self.in_motion:
             await self._fly(displacements)
 
@@ -156,11 +144,7 @@ class FlyingTeam:
         return [result for result in results if not isinstance(result, BaseException)]
 
     async def _settle(self) -> None:
-        """Wait until all drones have arrived, within half of `tracking_m`; after `settle_s` all of it is near enough.
-
-        Raises:
-            NotArrived: a drone is farther away than that for longer than the longest delay.
-        """
+        """Wait until all are within half of `tracking_m`, or all of it after `settle_s`; or raise NotArrived."""
         config, began = self._config, time.monotonic()
         safety = config.safety
         while True:

@@ -12,11 +12,7 @@ T = TypeVar("T")
 
 
 class TimedPlanner:
-    """A planner whose answers come within `longest_s`, retries included.
-
-    After `most` rounds in a row without an answer (an unusable one counts as an answer) it calls `on_silence`; never
-    if `most` is None.
-    """
+    """A planner whose answers come within `longest_s`; calls `on_silence` after `most` rounds in a row without any."""
 
     def __init__(self, planner: Planner, longest_s: float, most: int | None, on_silence: Callable[[], None]) -> None:
         self._planner = planner
@@ -26,11 +22,9 @@ class TimedPlanner:
         self._silent: set[int] = set()
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
-        """Propose a formation, in time."""
         return await self._in_time(question.round, self._planner.plan(question))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
-        """Propose a waypoint, in time."""
         return await self._in_time(question.round, self._planner.step(question))
 
     async def _in_time(self, number: int, answer: Awaitable[T | NoAnswer]) -> T | NoAnswer:

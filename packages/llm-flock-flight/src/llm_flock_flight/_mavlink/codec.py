@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -30,11 +29,7 @@ INTEGERS = {1: "<B3x", 2: "<b3x", 3: "<H2x", 4: "<h2x", 5: "<I", 6: "<i"}
 
 
 def dialect() -> Any:
-    """Pymavlink's messages: those of MAVLink's common set, and ArduPilot's.
-
-    Raises:
-        InputError: pymavlink is not installed.
-    """
+    """Pymavlink's messages, or InputError: those of MAVLink's common set, and ArduPilot's."""
     require("mavlink", "a vehicle that speaks MAVLink")
     return import_module("pymavlink.dialects.v20.ardupilotmega")
 
@@ -56,12 +51,7 @@ def introduces(data: bytes) -> bool:
 
 
 class Codec:
-    """Writes packets of one sender, and reads packets of anybody.
-
-    Args:
-        system_id: of the sender.
-        component: of the sender.
-    """
+    """Writes packets of one sender, and reads packets of anybody."""
 
     def __init__(self, system_id: int = GROUND_STATION, component: int = COMPONENT) -> None:
         self._dialect = dialect()
@@ -130,7 +120,3 @@ def parameter_value(message: Any, integers_as_bits: bool) -> float:
     if layout is None or not integers_as_bits:
         return value
     return float(struct.unpack(layout, struct.pack("<f", value))[0])
-
-
-Take = Callable[[Any], None]
-"""Takes one message."""

@@ -19,28 +19,14 @@ of ArduPilot's and of PX4's estimator, EXTENDED_SYS_STATE. An autopilot that doe
 SET_INTERVAL, REQUEST_MESSAGE = 511, 512
 """Commands (MAV_CMD)."""
 
-GPS_ORIGIN = 49
-"""Message that says where the zero of the local frame is (GPS_GLOBAL_ORIGIN)."""
-
-REPORTS_S = 2.0
-"""Longest wait for the reports of the land detector and of the estimator, which an autopilot may not have [s]."""
-
-ASK_S = 0.5
-"""Time between two requests for what has not come yet [s]."""
-
 
 async def introduce(
     talk: Conversation, port: Port, system_id: int, frame: LocalFrame, origin: Geodetic | None, timeout_s: float
 ) -> LocalFrame:
-    """Ask for everything that a flight needs until it comes; returns the local frame in the world.
-
-    Raises:
-        RobotError: something did not come within `timeout_s`, the vehicle cannot be driven, or its zero is too far from
-            `origin`.
-    """
+    """Ask for all that a flight needs until it comes, or raise RobotError; returns the local frame in the world."""
     log = talk.telemetry
     end = time.monotonic() + timeout_s
-    patient_s = time.monotonic() + min(REPORTS_S, timeout_s / 2.0)
+    patient_s = time.monotonic() + min(2.0, timeout_s / 2.0)
     asked = False
 
     def missing_now() -> list[str]:
@@ -62,8 +48,8 @@ async def introduce(
             for number, period_ms in PERIODS_MS.items():
                 talk.tell(SET_INTERVAL, (float(number), 1000.0 * period_ms))
             if origin is not None and log.gps_origin is None:
-                talk.tell(REQUEST_MESSAGE, (float(GPS_ORIGIN),))
-        await talk.until(going_on, min(ASK_S, max(0.0, end - time.monotonic())))
+                talk.tell(REQUEST_MESSAGE, (49.0,))  # GPS_GLOBAL_ORIGIN
+        await talk.until(going_on, min(0.5, max(0.0, end - time.monotonic())))
     refuse_a_second(talk, port, system_id)
     if origin is None:
         return frame

@@ -18,9 +18,6 @@ ACCEPTED, TEMPORARILY, IN_PROGRESS = 0, 1, 5
 ANSWER_S = 0.2
 """Wait for an answer before a command is sent again [s]."""
 
-REASON_S = 0.3
-"""After a refusal, wait for the autopilot's text that says why [s]."""
-
 LOOK_S = 0.01
 
 
@@ -31,11 +28,7 @@ class CommandRefused(RobotError):
 class Conversation:
     """Commands to the autopilot with `system_id` behind a port, one of a kind at a time.
 
-    Attributes:
-        telemetry: what the autopilot said last.
-        name: of the robot, for errors.
-        taken: why the autopilot is out of this program's hands, in words; None as long as it obeys. Once set, no
-            command is sent or repeated any more, but an emergency stop.
+    Once `taken` says why the autopilot is out of this program's hands, only an emergency stop is sent.
     """
 
     def __init__(self, name: str, port: Port, system_id: int) -> None:
@@ -73,21 +66,10 @@ class Conversation:
         *,
         anyway: bool = False,
     ) -> None:
-        """Send a command until the autopilot accepts it.
+        """Send a command, `what` in words, until the autopilot accepts it; raises TakenOver or another RobotError.
 
-        Args:
-            command: its number.
-            parameters: its first parameters; the others are 0.
-            what: the command in words, for errors.
-            timeout_s: longest time to try.
-            done: whether the autopilot is seen to have done it: its answer may have been lost, and it may refuse the
-                same command again.
-            anyway: send it also to an autopilot that was taken over.
-
-        Raises:
-            TakenOver: a pilot or a failsafe flies it, perhaps since the command was first sent.
-            CommandRefused: with the autopilot's reason.
-            RobotError: no answer within `timeout_s`.
+        `done` sees whether the autopilot has done it: its answer may have been lost, and it may refuse the same command
+        again. What has to be sent `anyway` goes also to one that was taken over.
         """
         answers = self._answers[command] = asyncio.Queue()
         end = time.monotonic() + timeout_s
@@ -114,7 +96,7 @@ class Conversation:
                 del self._answers[command]
         if last is None:
             raise RobotError(self.name, f"did not answer to {what}, sent {sent} times in {timeout_s:g} s")
-        if await self.until(done, REASON_S):
+        if await self.until(done, 0.3):  # its text that says why comes after a refusal
             return
         raise CommandRefused(self.name, f"refused {what}: {result_name(last)}{self.telemetry.says(time.monotonic())}")
 
@@ -126,10 +108,7 @@ class Conversation:
             return None
 
     async def parameters(self, names: Sequence[str], timeout_s: float) -> None:
-        """Ask for parameters until all are there, or for `timeout_s`: an autopilot may not have one of them.
-
-        Of "A|B", either will do.
-        """
+        """Ask for parameters until all are there, or for `timeout_s`: one may not exist. Of "A|B", either will do."""
         end, known = time.monotonic() + timeout_s, self.telemetry.parameters
 
         def missing() -> list[str]:

@@ -38,11 +38,7 @@ class Geodetic:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalFrame:
-    """The autopilot's local frame in the world.
-
-    Attributes:
-        origin: place of its zero [m; world frame].
-    """
+    """The autopilot's local frame, which has its zero at `origin` [m; world frame]."""
 
     origin: Position = (0.0, 0.0, 0.0)
 
@@ -70,11 +66,7 @@ def ned_of(vector: Position) -> Position:
 
 
 def between(origin: Geodetic, place: Geodetic) -> Position:
-    """From a common origin to a place: east, north and up [m], on the plane that touches the ellipsoid at the origin.
-
-    Raises:
-        InputError: farther away than `FARTHEST_M`.
-    """
+    """From an origin to a place: east, north, up [m] on the plane that touches the ellipsoid there; not too far."""
     sin = math.sin(math.radians(origin.latitude_deg))
     bend = 1.0 - ECCENTRICITY_2 * sin * sin
     meridian_m = EQUATOR_M * (1.0 - ECCENTRICITY_2) / bend**1.5

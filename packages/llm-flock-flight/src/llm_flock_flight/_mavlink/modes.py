@@ -23,15 +23,9 @@ def px4(main: int, sub: int = 0) -> int:
 class Flavour:
     """What differs between the autopilots.
 
-    Attributes:
-        name: of the autopilot.
-        guided: the mode that follows set-points of a computer.
-        land: the mode that lands and stops the motors.
-        holds: modes in which the autopilot hovers by itself: after a lost stream it may be landed from them.
-        names: of all modes known.
-        needs_stream: set-points have to come before `guided` and all the time in it.
-        takes_off_by_command: set-points do not lift it; MAV_CMD_NAV_TAKEOFF does.
-        integers_as_bits: a parameter's float holds the bits of an integer, not its value.
+    The mode `guided` follows set-points of a computer; from those that it `holds` in by itself after a lost stream it
+    may be landed. `needs_stream`: set-points have to come before `guided` and all the time in it. `integers_as_bits`: a
+    parameter's float holds the bits of an integer, not its value.
     """
 
     name: str

@@ -1,7 +1,4 @@
-"""The orders that a flight needs, each confirmed by the autopilot: modes, arming, lift-off, emergency stop.
-
-All raise `RobotError` with the autopilot's reason, or if it does not answer in time.
-"""
+"""The orders that a flight needs, each confirmed by the autopilot, or RobotError with its reason."""
 
 from __future__ import annotations
 
@@ -28,14 +25,10 @@ STOP_S = 0.6
 AGAIN_S, NEWS_S = 0.2, 1.2
 """A heartbeat is asked for this often, and awaited for this long: one that cannot be asked for comes once a second."""
 
-WITHDRAWALS = 3
-"""Packets that withdraw an arming: nobody waits for an answer, and some may be lost."""
-
 logger = logging.getLogger(__name__)
 
 
 async def set_mode(talk: Conversation, flavour: Flavour, mode: int) -> None:
-    """Change the mode."""
     what, log = f"mode {flavour.name_of(mode)}", talk.telemetry
     await talk.command(SET_MODE, flavour.set_mode(mode), what, ORDER_S, lambda: log.mode == mode)
     log.confirm(time.monotonic(), mode=mode)
@@ -56,11 +49,7 @@ async def disarm(talk: Conversation) -> None:
 
 
 def refuse_armed(talk: Conversation, flavour: Flavour) -> None:
-    """Leave a vehicle alone whose motors somebody else has started.
-
-    Raises:
-        TakenOver: it is armed.
-    """
+    """Raise TakenOver for a vehicle whose motors somebody else has started."""
     if talk.telemetry.armed:
         mode = flavour.name_of(talk.telemetry.mode)
         raise TakenOver(talk.name, f"is armed already, in mode {mode}, and not by this program")
@@ -70,10 +59,6 @@ async def refuse_armed_lately(talk: Conversation, flavour: Flavour) -> None:
     """As `refuse_armed`, by a heartbeat that comes from now on: the last one may be a second old.
 
     ArduPilot accepts to be armed also when it is already, so its answer does not tell whose arming it was.
-
-    Raises:
-        TakenOver: it is armed.
-        RobotError: no heartbeat came.
     """
     log, asked_s = talk.telemetry, time.monotonic()
     end = asked_s + NEWS_S
@@ -91,7 +76,7 @@ async def refuse_armed_lately(talk: Conversation, flavour: Flavour) -> None:
 
 def withdraw_arming(talk: Conversation) -> None:
     """Undo an arming that may have been done and not confirmed; in the air the autopilot refuses. Waits for nothing."""
-    for again in range(WITHDRAWALS):
+    for again in range(3):  # some may be lost
         talk.tell(ARM_DISARM, (0.0, 0.0), again)
 
 

@@ -13,25 +13,23 @@ import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import urlsplit
 
 from llm_flock.errors import InputError
-from llm_flock_flight._mavlink.codec import AUTOPILOT, GROUND_STATION, Codec, Take, introduces
+from llm_flock_flight._mavlink.codec import AUTOPILOT, GROUND_STATION, Codec, introduces
+
+if TYPE_CHECKING:
+    from llm_flock_flight._mavlink.serial_line import SerialLine
+
+    Line: TypeAlias = "_Udp | SerialLine"
 
 SCHEMES = ("udp", "udpin", "udpout", "serial")
 ADDRESSES = "udp://0.0.0.0:14540 to listen, udpout://HOST:PORT to call, or serial:///dev/ttyACM0:57600"
 
-HEARTBEAT_S = 0.5
-"""Time between our heartbeats [s]."""
-
-FORGET_S = 3.0
-"""A vehicle may answer from another address after this silence [s]."""
-
 STRANGERS = 200
 """Most datagrams of unknown senders that are parsed in a second: they may be vehicles that introduce themselves."""
 
-BAUD = 57_600
 
 MOST_BAUD = 20_000_000
 """Highest rate of a serial line that is believed [baud]."""
@@ -47,11 +45,7 @@ class VehicleAddress:
 
 
 def parse_uri(uri: str) -> VehicleAddress:
-    """The parts of a connection URI.
-
-    Raises:
-        InputError: it is none.
-    """
+    """The parts of a connection URI, or InputError."""
     try:
         parts = urlsplit(uri)
         scheme, host, port = parts.scheme, parts.hostname or "", parts.port
@@ -60,24 +54,12 @@ def parse_uri(uri: str) -> VehicleAddress:
     if scheme == "serial" and uri.startswith("serial://") and "\0" not in uri:
         path, _, rate = uri.removeprefix("serial://").rpartition(":")
         if not (rate.isascii() and rate.isdigit()):
-            path, rate = uri.removeprefix("serial://"), str(BAUD)
+            path, rate = uri.removeprefix("serial://"), "57600"
         if path and len(rate) <= len(str(MOST_BAUD)) and 0 < int(rate) <= MOST_BAUD:
             return VehicleAddress(scheme=scheme, host=path, port=int(rate))
     elif scheme in SCHEMES and host and port:
         return VehicleAddress(scheme="udpin" if scheme == "udp" else scheme, host=host, port=port)
     raise InputError("uri", uri, ADDRESSES)
-
-
-class Line(Protocol):
-    """An open socket or serial line."""
-
-    def send(self, packet: bytes, to: Any) -> None:
-        """Send a packet, without waiting."""
-        ...
-
-    def close(self) -> None:
-        """Close it."""
-        ...
 
 
 class Port:
@@ -88,7 +70,7 @@ class Port:
         self.heard: set[int] = set()
         self.twice: set[int] = set()
         self._address = parse_uri(uri)
-        self._vehicles: dict[int, Take] = {}
+        self._vehicles: dict[int, Callable[[Any], None]] = {}
         self._peers: dict[int, tuple[Any, float]] = {}
         self._strangers = (0, 0)  # a second, and the datagrams of unknown senders that were parsed in it
         self._codec: Codec | None = None
@@ -96,13 +78,8 @@ class Port:
         self._opening = asyncio.Lock()
         self._beating: asyncio.Task[None] | None = None
 
-    async def attach(self, system_id: int, take: Take) -> None:
-        """Hand the messages of one autopilot to `take`, until `detach`.
-
-        Raises:
-            InputError: pymavlink or pyserial is not installed.
-            OSError: the address cannot be opened.
-        """
+    async def attach(self, system_id: int, take: Callable[[Any], None]) -> None:
+        """Hand the messages of one autopilot to `take`, until `detach`; InputError or OSError if it cannot open."""
         if system_id in self._vehicles:
             raise OSError(f"system id {system_id} is in use there")
         async with self._opening:
@@ -172,7 +149,7 @@ class Port:
         while True:
             for system_id in [*self._vehicles] if self._address.scheme == "udpin" else [0]:
                 self.send(system_id, "heartbeat", 6, 8, 0, 0, 4)
-            await asyncio.sleep(HEARTBEAT_S)
+            await asyncio.sleep(0.5)
 
     def _came(self, messages: list[Any], peer: Any) -> None:
         now = time.monotonic()
@@ -181,7 +158,7 @@ class Port:
             if system_id in (0, GROUND_STATION) or int(message.get_srcComponent()) != AUTOPILOT:
                 continue  # a ground station, a gimbal, a camera
             known, seen = self._peers.get(system_id, (None, 0.0))
-            if known is not None and peer != known and now - seen < FORGET_S:
+            if known is not None and peer != known and now - seen < 3.0:  # later it may answer from there
                 self.twice.add(system_id)
                 continue
             if message.get_type() != "HEARTBEAT" and known != peer:
@@ -193,21 +170,12 @@ class Port:
                 take(message)
 
 
-class Ports:
-    """The ports of a fleet: robots with the same URI share one."""
+class Ports(dict[str, Port]):
+    """The ports of a fleet by their URIs, not opened yet: robots with the same URI share one."""
 
-    def __init__(self) -> None:
-        self._ports: dict[str, Port] = {}
-
-    def at(self, uri: str) -> Port:
-        """The port of a URI, not opened yet.
-
-        Raises:
-            InputError: the URI is none.
-        """
-        if uri not in self._ports:
-            self._ports[uri] = Port(uri)
-        return self._ports[uri]
+    def __missing__(self, uri: str) -> Port:
+        self[uri] = Port(uri)
+        return self[uri]
 
 
 class _Udp(asyncio.DatagramProtocol):
@@ -234,11 +202,7 @@ class _Udp(asyncio.DatagramProtocol):
 
 
 async def open_udp(address: VehicleAddress, came: Callable[[bytes, Any], None]) -> Line:
-    """A UDP socket: listening, or calling one address.
-
-    Raises:
-        OSError: the port is taken, or the host unknown.
-    """
+    """A UDP socket, listening or calling one address; OSError says why not."""
     try:
         return await _endpoint(address, came)
     except OSError as error:

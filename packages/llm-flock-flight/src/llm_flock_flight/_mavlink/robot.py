@@ -32,17 +32,11 @@ from llm_flock_flight._mavlink.port import Ports
 from llm_flock_flight._mavlink.stream import SetPointStream
 from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
 
-STREAM_S = 1.0
-"""Set-points come for this long before PX4 is asked for Offboard, as its documentation requires [s]."""
-
 BELOW_M = 0.3
 """Until take-off, set-points are this far below the ground: PX4 would lift off for one above it [m]."""
 
 LIFT_M = 0.3
 """ArduPilot lifts off by a command of its own to this height; from there it follows set-points [m]."""
-
-PARAMETERS_S = 1.0
-"""Longest wait for parameters [s]: an autopilot does not answer for one that it does not have."""
 
 LIFT_S = 10.0
 TOUCH_DOWN_S = 30.0
@@ -58,19 +52,9 @@ class MavlinkRobot:
     """One copter. The driver streams set-points along each segment; every command is confirmed by the autopilot.
 
     A change of mode that the driver did not ask for is a pilot's, or a failsafe's: the driver stops its stream, and
-    sends nothing but an emergency stop until `connect`.
-
-    Args:
-        name: for reports and errors.
-        uri: where it is: `udp://0.0.0.0:14540`, `udpout://192.168.4.1:14550`, `serial:///dev/ttyACM0:57600`.
-        ports: of the fleet; robots of one fleet with the same URI share a socket.
-        system_id: of its autopilot, 1 to 254.
-        frame: its local frame in the world.
-        origin: place of the world's zero on the Earth. The driver then asks for the place of the autopilot's own zero,
-            and `frame` is not used.
-        limits: enforced by the driver.
-        link_timeout_s: a link is lost after this silence [s].
-        heartbeat_timeout_s: or after this time without a heartbeat [s].
+    sends nothing but an emergency stop until `connect`. With `origin`, the place of the world's zero on the Earth, it
+    asks for that of the autopilot's own zero instead of using `frame`. Robots with the same URI share a socket of
+    `ports`.
     """
 
     def __init__(
@@ -91,7 +75,7 @@ class MavlinkRobot:
         self.name = name
         self.uri = uri
         self.system_id = system_id
-        self._port = (ports or Ports()).at(uri)
+        self._port = (Ports() if ports is None else ports)[uri]
         self._frame = frame or LocalFrame()
         self._origin = origin
         self._limits = limits or MotionLimits()
@@ -117,13 +101,7 @@ class MavlinkRobot:
         return self._log.flavour
 
     async def connect(self, timeout_s: float) -> None:
-        """Open the link, and wait for the first estimate; reopens a lost link, also in flight.
-
-        Raises:
-            InputError: pymavlink is not installed.
-            RobotError: not done within `timeout_s`, or a vehicle that is refused: another autopilot, no copter, too far
-                from the origin.
-        """
+        """Open the link, and wait for the first estimate, or raise RobotError; reopens a lost link, also in flight."""
         end = time.monotonic() + timeout_s
         await self.close()
         talk = Conversation(self.name, self._port, self.system_id)
@@ -136,7 +114,7 @@ class MavlinkRobot:
         try:
             frame = await introduce(talk, self._port, self.system_id, self._frame, self._origin, timeout_s)
             if log.flavour is not None and not log.armed:
-                await talk.parameters(names_for(log.flavour), min(PARAMETERS_S, max(0.0, end - time.monotonic())))
+                await talk.parameters(names_for(log.flavour), min(1.0, max(0.0, end - time.monotonic())))
         except BaseException:
             self._port.detach(self.system_id)
             raise
@@ -192,7 +170,7 @@ class MavlinkRobot:
                 self._waiting = True
                 stream.follow(Segment(start=below, target=below, duration_s=1.0), clamp=False)
                 stream.yaw = log.yaw
-                await asyncio.sleep(STREAM_S)
+                await asyncio.sleep(1.0)  # as PX4's documentation requires before Offboard
             await orders.refuse_armed_lately(self._talk, flavour)
             await orders.set_mode(self._talk, flavour, flavour.guided)
             self._in_charge = True
@@ -237,7 +215,6 @@ class MavlinkRobot:
         return sent
 
     async def hold(self) -> None:
-        """Stop where the robot is."""
         state = self._ready()
         if not state.flying:
             return

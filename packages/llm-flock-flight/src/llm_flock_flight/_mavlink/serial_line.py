@@ -13,9 +13,6 @@ from typing import Any
 
 from llm_flock.extras import require
 
-FREE_S = 1.0
-"""A line of our own that was just closed is free within this time [s]."""
-
 LONGEST = 200
 """Packets that may wait to be written; more than that are dropped, as a radio does."""
 
@@ -60,15 +57,10 @@ class SerialLine:
 
 
 def open_serial(path: str, baud: int, came: Callable[[bytes], None]) -> SerialLine:
-    """Open a line.
-
-    Raises:
-        InputError: pyserial is not installed.
-        OSError: no such device, it is in use, or it does not know this rate.
-    """
+    """Open a line; OSError says why not."""
     require("mavlink", "a serial line")
     library: Any = import_module("serial")
-    end = time.monotonic() + FREE_S
+    end = time.monotonic() + 1.0  # a line of our own that was just closed is free by then
     while True:
         try:
             device = library.Serial(path, baud, timeout=0.1, write_timeout=1.0, exclusive=True)

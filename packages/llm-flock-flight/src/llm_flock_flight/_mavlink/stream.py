@@ -30,15 +30,9 @@ WITHOUT_YAW, WITH_YAW = 0x0DC0, 0x09C0
 
 
 class SetPointStream:
-    """Sends set-points while it runs.
+    """Sends set-points while it runs, none outside the box of the `limits`; the first False of `allowed` ends it.
 
-    Args:
-        conversation: with the autopilot.
-        system_id: of the autopilot.
-        frame: its local frame.
-        limits: no set-point is outside their box.
-        allowed: asked before each set-point; the first False ends the stream.
-        yaw: heading to keep, clockwise from north [rad]; None leaves it to the autopilot.
+    It keeps the heading `yaw`, clockwise from north [rad]; None leaves it to the autopilot.
     """
 
     def __init__(

@@ -18,9 +18,6 @@ FARTHEST_M = 100_000.0
 ARMED = 0x80
 """Bit of a heartbeat's `base_mode` (MAV_MODE_FLAG_SAFETY_ARMED)."""
 
-ON_GROUND = 1
-"""Of EXTENDED_SYS_STATE (MAV_LANDED_STATE)."""
-
 NEEDED = 0x01 | 0x02 | 0x20
 """Bits of an estimator's report that must be set: attitude, horizontal velocity, height."""
 
@@ -33,12 +30,6 @@ FORBIDDEN = 0x80 | 0x800
 REPORT_S = 3.0
 """Oldest report of an estimator that counts [s]."""
 
-GRACE_S = 0.3
-"""After a confirmed command, heartbeats that were under way are not asked for the mode [s]."""
-
-TEXT_S = 3.0
-"""A warning of the autopilot explains what happens within this time [s]."""
-
 WARNING = 4
 """Least urgent severity that explains something (MAV_SEVERITY)."""
 
@@ -49,14 +40,8 @@ SAMPLES = 100
 class VehicleTelemetry:
     """What one autopilot said last. All times are those of arrival on `time.monotonic` [s].
 
-    Attributes:
-        flavour: which autopilot; None before the first heartbeat, or if it is another.
-        refusal: why the vehicle cannot be driven, in words; None if it can.
-        ned: position in its local frame, (north, east, down) [m].
-        yaw: heading, clockwise from north [rad].
-        gps_origin: where its local frame has its zero; None if it did not say.
-        parameters: values by name, of those that were asked for.
-        certain_s: heartbeats tell mode and arming from then on; until then a confirmed command counts.
+    `refusal` says why it cannot be driven; `ned` is (north, east, down) [m]; `yaw` is clockwise from north [rad].
+    Heartbeats tell mode and arming from `certain_s` on: until then a confirmed command counts.
     """
 
     def __init__(self) -> None:
@@ -101,7 +86,7 @@ class VehicleTelemetry:
 
     def confirm(self, now: float, *, mode: int | None = None, armed: bool | None = None) -> None:
         """Note what the autopilot has just confirmed, ahead of its next heartbeat."""
-        self.certain_s = now + GRACE_S
+        self.certain_s = now + 0.3  # heartbeats before were under way already
         self.mode = self.mode if mode is None else mode
         self.armed = self.armed if armed is None else armed
 
@@ -126,7 +111,7 @@ class VehicleTelemetry:
 
     def says(self, now: float) -> str:
         """The autopilot's last warnings, as an end of a sentence; empty without."""
-        texts = dict.fromkeys(text for stamp, text in self._texts if now - stamp <= TEXT_S)
+        texts = dict.fromkeys(text for stamp, text in self._texts if now - stamp <= 3.0)
         return f" ({'; '.join(texts)})" if texts else ""
 
     def _count(self, seq: int) -> None:
@@ -167,7 +152,7 @@ class VehicleTelemetry:
 
     def _landed(self, message: Any, _now: float) -> None:
         state = int(message.landed_state)
-        self.on_ground = None if state == 0 else state == ON_GROUND
+        self.on_ground = None if state == 0 else state == 1  # MAV_LANDED_STATE_ON_GROUND
 
     def _estimator(self, message: Any, now: float) -> None:
         self._flags = (int(message.flags), now)

@@ -5,6 +5,6 @@ feed (`PoseFeed`) sends the newest accepted pose to each drone at a bounded rate
 """
 
 from llm_flock_flight._positions.feed import PoseFeed, TakesPoses
-from llm_flock_flight._positions.gate import GateLimits, PoseGate
+from llm_flock_flight._positions.gate import PoseGate
 
-__all__ = ["GateLimits", "PoseFeed", "PoseGate", "TakesPoses"]
+__all__ = ["PoseFeed", "PoseGate", "TakesPoses"]

@@ -28,24 +28,14 @@ class TakesPoses(Protocol):
     """A robot whose estimator takes poses from outside."""
 
     async def take_pose(self, pose: Pose) -> None:
-        """Send a pose to the robot, which confirms nothing.
-
-        Raises:
-            RobotError: the link is not open, or does not take the packet.
-        """
+        """Send a pose to the robot, which confirms nothing, or raise RobotError."""
         ...
 
 
 class PoseFeed:
     """Runs as long as its context lasts: before the preflight until the last drone is down.
 
-    Args:
-        source: opened and closed here.
-        gate: judges every frame.
-        robots: by name, as the source names them.
-        rate_hz: most poses a second to one drone. Of several that came meanwhile only the newest is sent.
-        attitude: whether orientations are sent too.
-        clock: the time of arrivals [s], `time.monotonic` if not given.
+    Each drone gets at most `rate_hz` poses a second that the gate let through: of several only the newest is sent.
     """
 
     def __init__(
@@ -97,11 +87,7 @@ class PoseFeed:
         return None if sent is None else now - sent[1]
 
     async def __aenter__(self) -> Self:
-        """Begin.
-
-        Raises:
-            InputError: the source cannot be opened.
-        """
+        """Begin; raises InputError if the source cannot be opened."""
         await self._source.open(self._take)
         self._open, self._opened_s = True, self._clock()
         self._tasks = [asyncio.create_task(self._send(name, robot)) for name, robot in self._robots.items()]

@@ -13,36 +13,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from llm_flock.robots import Pose, PoseFrame, Position
-
-CLOCKS_DRIFT = 1e-3
-"""Largest difference in speed of the sender's clock and this one's."""
+from llm_flock_flight._flight.sections import PositionsConfig
 
 STEPS = 10
 """Poses of a drone's last `lost_s` that are remembered."""
 
 LATE, OUT_OF_ORDER, JUMP, SWAP, FROZEN, UNKNOWN = "late", "out_of_order", "jump", "swap", "frozen", "unknown_name"
 """Reasons to refuse a pose."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GateLimits:
-    """What a drone can have done between two poses.
-
-    Attributes:
-        late_s: largest delay of a frame, over that of the fastest one [s].
-        lost_s: after this time without an accepted pose, a drone on the ground may be anywhere [s].
-        jump_m: distance that is allowed at any time, for noise: from the last accepted pose, and from one
-            of `lost_s` ago [m].
-        speed_m_s: and per second since then [m/s].
-        frozen_s: a pose that came with the very same numbers for longer than this is no measurement, which has noise
-            [s]; 0 lets any pose repeat itself for ever.
-    """
-
-    late_s: float
-    lost_s: float
-    jump_m: float
-    speed_m_s: float
-    frozen_s: float = 0.0
 
 
 @dataclass(slots=True)
@@ -57,23 +34,20 @@ class _Track:
 
 
 class PoseGate:
-    """Judges frames one by one.
+    """Judges frames one by one; `doubts` has why the newest pose of a drone was refused, by name.
 
-    Attributes:
-        flying: set it from the first take-off on: then a track is never given up, so that a drone which was lost cannot
-            come back as another one.
-        refused: poses that were refused, by drone (an empty name for those of nobody) and reason.
-        on_refusal: called with drone and reason when a drone is first refused for this reason.
-        doubts: why the newest pose of a drone was refused, by name; nothing where it was accepted.
+    A drone flies no faster than `speed_m_s`. After `pose_lost_s` without an accepted pose, one on the ground may be
+    anywhere. Set `flying` from the first take-off on: then a track is never given up, so that a drone which was lost
+    cannot come back as another one. In `refused`, an empty name stands for poses of nobody.
     """
 
-    def __init__(self, names: Iterable[str], limits: GateLimits) -> None:
+    def __init__(self, names: Iterable[str], limits: PositionsConfig, speed_m_s: float) -> None:
         self.flying = False
         self.refused: Counter[tuple[str, str]] = Counter()
         self.on_refusal: Callable[[str, str], None] = lambda name, reason: None
         self.doubts: dict[str, str] = {}
         self._names = frozenset(names)
-        self._limits = limits
+        self._limits, self._speed_m_s = limits, speed_m_s
         self._tracks: dict[str, _Track] = {}
         self._repeated: dict[str, tuple[Pose, float]] = {}  # the last pose that came, and when it first did
         self._delay: tuple[float, float] | None = None  # smallest arrival less stamp, and when it was seen
@@ -81,10 +55,10 @@ class PoseGate:
     def take(self, frame: PoseFrame, now: float) -> dict[str, Pose]:
         """The accepted poses of a frame that arrived at `now`, by name."""
         if not self.flying:
-            gone = [n for n, track in self._tracks.items() if now - track.came_s > self._limits.lost_s]
+            gone = [n for n, track in self._tracks.items() if now - track.came_s > self._limits.pose_lost_s]
             for name in gone:
                 del self._tracks[name]
-        late = self._late_s(frame.stamp_s, now) > self._limits.late_s
+        late = self._late_s(frame.stamp_s, now) > self._limits.pose_late_s
         before = {name: track.position for name, track in self._tracks.items()}
         accepted: dict[str, Pose] = {}
         for name, pose in frame.poses.items():
@@ -98,9 +72,9 @@ class PoseGate:
                 accepted[name] = pose
         for name, pose in accepted.items():
             past = self._tracks[name].past if name in self._tracks else deque[tuple[float, Position]]()
-            while len(past) > 1 and past[1][0] <= now - self._limits.lost_s:
+            while len(past) > 1 and past[1][0] <= now - self._limits.pose_lost_s:
                 past.popleft()
-            if not past or now - past[-1][0] >= self._limits.lost_s / STEPS:
+            if not past or now - past[-1][0] >= self._limits.pose_lost_s / STEPS:
                 past.append((now, pose.position))
             self.doubts.pop(name, None)
             self._tracks[name] = _Track(pose.position, frame.stamp_s, now, past)
@@ -115,10 +89,10 @@ class PoseGate:
         moved = math.dist(at, track.position)
         if any(math.dist(at, other) < moved for who, other in before.items() if who != name):
             return SWAP
-        if moved > limits.jump_m + limits.speed_m_s * min(now - track.came_s, limits.lost_s):
+        if moved > limits.pose_jump_m + self._speed_m_s * min(now - track.came_s, limits.pose_lost_s):
             return JUMP
         came_s, place = track.past[0]  # many small steps make a jump as well
-        if math.dist(at, place) > limits.jump_m + limits.speed_m_s * (now - came_s):
+        if math.dist(at, place) > limits.pose_jump_m + self._speed_m_s * (now - came_s):
             return JUMP
         return None
 
@@ -128,7 +102,7 @@ class PoseGate:
         if last != pose:
             since_s = now
         self._repeated[name] = pose, since_s
-        return 0.0 < self._limits.frozen_s < now - since_s
+        return 0.0 < self._limits.pose_frozen_s < now - since_s
 
     def _refuse(self, name: str, why: str) -> None:
         self.refused[name, why] += 1
@@ -142,9 +116,9 @@ class PoseGate:
         delay = now - stamp_s
         if self._delay is not None:
             least, seen_s = self._delay
-            restarted = not self.flying and delay - least > 2 * self._limits.lost_s and not self._tracks
+            restarted = not self.flying and delay - least > 2 * self._limits.pose_lost_s and not self._tracks
             if not restarted:
-                least += CLOCKS_DRIFT * (now - seen_s)
+                least += 1e-3 * (now - seen_s)  # the clocks drift
                 self._delay = min(least, delay), now
                 return delay - self._delay[0]
         self._delay = delay, now

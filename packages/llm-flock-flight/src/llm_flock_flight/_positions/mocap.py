@@ -26,19 +26,15 @@ from llm_flock_flight._positions.udp import MOST_M, MOST_POSES, UdpPoses, datagr
 
 HOST = "127.0.0.1"
 
-ENDED = "mocap_ended"
 
 FAREWELL_S = 2.0
 """Longest wait for the process to end [s]."""
 
 
 class MocapPoses:
-    """A source that follows a motion capture; its rigid bodies have the drones' names.
+    """A source that follows a motion capture, whose rigid bodies have the drones' names.
 
-    Args:
-        system: vicon, optitrack, qualisys, vrpn or mock: those that the wheels of motioncapture 1.1 know.
-        host: of the motion capture's server.
-        names: of the drones.
+    Its system is vicon, optitrack, qualisys, vrpn or mock: those that the wheels of motioncapture 1.1 know.
     """
 
     def __init__(self, system: str, host: str, names: Iterable[str]) -> None:
@@ -50,18 +46,14 @@ class MocapPoses:
     def refused(self) -> Counter[str]:
         """Input that was dropped, by reason; and `mocap_ended` if the process has ended."""
         ended = self._process is not None and self._process.poll() is not None
-        return self._port.refused + Counter({ENDED: int(ended)})
+        return self._port.refused + Counter({"mocap_ended": int(ended)})
 
     def senders(self, now: float) -> tuple[str, ...]:
         """Who sends to the port between the process and this one: the process, and nobody else."""
         return self._port.senders(now)
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
-        """Start the process. Whether the system answers shows in the poses: the library does not tell.
-
-        Raises:
-            InputError: the extra is not installed.
-        """
+        """Start the process, or raise InputError. Whether the system answers shows only in the poses."""
         require("mocap", "positions by a motion capture")
         await self._port.open(take)
         self._process = self._start()
@@ -71,7 +63,6 @@ class MocapPoses:
         return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
 
     async def close(self) -> None:
-        """End the process."""
         process, self._process = self._process, None
         if process is not None:
             assert process.stdin is not None

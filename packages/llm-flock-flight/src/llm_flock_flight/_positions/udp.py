@@ -26,9 +26,6 @@ from llm_flock_flight._positions.gate import UNKNOWN
 SILENT_S = 1.0
 """A sender that sends nothing usable for this long may be followed by another one [s]."""
 
-MOST_AT_ONCE = 256
-"""Most datagrams that are read before the event loop does something else."""
-
 MOST_A_SECOND = 2000
 """Most datagrams that are parsed in a second; the rest are dropped unread."""
 
@@ -44,12 +41,6 @@ MOST_POSES = 256
 
 MOST_M = 1000.0
 """Largest coordinate that is believed [m]."""
-
-MOST_S = 1e12
-"""Largest time stamp that is believed [s]."""
-
-UNIT = 0.01
-"""Largest deviation of a quaternion's length from 1."""
 
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
@@ -69,19 +60,14 @@ _DECODER = msgspec.json.Decoder(_FrameText)
 
 
 def frame_of(data: bytes) -> PoseFrame:
-    """The frame in a datagram.
-
-    Raises:
-        MessageError: `oversized`, `malformed` (not JSON of this form, or a name twice), `out_of_range` (a coordinate or
-            a time too large), or `not_unit` (a quaternion that is no rotation). JSON has no NaN and no infinity.
-    """
+    """The frame in a datagram, or MessageError: oversized, malformed, out_of_range, or not_unit for a quaternion."""
     if len(data) > MOST_BYTES:
         raise MessageError("oversized", f"{len(data)} bytes")
     try:
         found = _DECODER.decode(data)
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
         raise MessageError("malformed", str(error)[:200]) from None
-    if not abs(found.time) <= MOST_S:
+    if not abs(found.time) <= 1e12:
         raise MessageError("out_of_range", f"time {found.time:g} s")
     poses = {pose.name: _pose(pose) for pose in found.poses}
     if len(poses) != len(found.poses):
@@ -92,7 +78,7 @@ def frame_of(data: bytes) -> PoseFrame:
 def _pose(text: _PoseText) -> Pose:
     if not all(abs(x) <= MOST_M for x in text.position):
         raise MessageError("out_of_range", f"position {text.position}")
-    if text.quaternion is not None and not abs(math.hypot(*text.quaternion) - 1.0) <= UNIT:
+    if text.quaternion is not None and not abs(math.hypot(*text.quaternion) - 1.0) <= 0.01:
         raise MessageError("not_unit", f"quaternion {text.quaternion}")
     return Pose(text.position, text.quaternion)
 
@@ -109,12 +95,9 @@ def datagram_of(frame: PoseFrame) -> bytes:
 
 
 class UdpPoses:
-    """A source that listens at an address of this machine; port 0 takes a free one.
+    """A source that listens at an address of this machine; `port` 0 becomes a free one.
 
-    `names` are the drones': a datagram with none of them is a stranger's, whom it would be wrong to follow.
-
-    Attributes:
-        port: where it listens, once it is open.
+    A datagram with none of the drones' `names` is a stranger's, whom it would be wrong to follow.
     """
 
     def __init__(self, host: str, port: int, names: Iterable[str]) -> None:
@@ -129,11 +112,7 @@ class UdpPoses:
         self._second = (0, 0)
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
-        """Listen from now on.
-
-        Raises:
-            InputError: the address is not one of this machine, or the port is taken.
-        """
+        """Listen from now on; raises InputError if the address is not of this machine, or taken."""
         loop = asyncio.get_running_loop()
         try:
             family = (await loop.getaddrinfo(self._host, self.port, type=socket.SOCK_DGRAM))[0][0]
@@ -158,14 +137,13 @@ class UdpPoses:
         loop.add_reader(found, self._read)
 
     async def close(self) -> None:
-        """Free the port."""
         found, self._socket = self._socket, None
         if found is not None:
             asyncio.get_running_loop().remove_reader(found)
             found.close()
 
     def _read(self) -> None:
-        for _ in range(MOST_AT_ONCE):
+        for _ in range(256):  # then the event loop may do something else
             if self._socket is None:
                 return
             try:
@@ -185,11 +163,7 @@ class UdpPoses:
         return tuple(_in_words(sender) for sender, heard_s in heard if now - heard_s < SILENT_S)
 
     def hear(self, data: bytes, sender: Any, now: float) -> None:
-        """Take one datagram.
-
-        Raises:
-            MessageError: `second_sender`, `too_many`, `unknown_name`, or as `frame_of`.
-        """
+        """Take one datagram; raises MessageError: second_sender, too_many, unknown_name, or as `frame_of`."""
         if self._followed is not None and sender != self._followed[0] and now - self._followed[1] < SILENT_S:
             self._other = sender, now
             raise MessageError("second_sender", f"{sender} sends as well")

@@ -21,21 +21,11 @@ from llm_flock_flight._positions.udp import datagram_of
 
 
 class PoseStream:
-    """Streams until its context ends.
+    """Streams where `places` says that each drone is [m], until its context ends.
 
-    Args:
-        address: where it sends.
-        places: returns where each drone is now [m], by name.
-        rate_hz: frames a second.
-        noise_m: standard deviation of each coordinate [m]. A flight takes poses without any noise for frozen ones.
-        seed: of the noise.
-
-    Attributes:
-        silent: nothing is sent while this is true.
-        hidden: drones that are not seen.
-        swapped: two drones whose markers are taken for each other's.
-        frozen: drones whose last pose is repeated for ever.
-        sent: frames sent so far.
+    `noise_m` is the standard deviation of each coordinate [m]: a flight takes poses without any noise for frozen ones.
+    Set the faults: `silent`, drones `hidden`, two whose markers are `swapped`, and `frozen` ones, whose last pose is
+    repeated.
     """
 
     def __init__(

@@ -94,7 +94,7 @@ def test_an_unverified_answer_is_used_as_it_is() -> None:
     asked = PlanQuestion(mission=LINE, robot=0, round=1, position=HERE, neighbors=())
     step = StepQuestion(mission=LINE, robot=0, round=1, position=HERE, neighbors=(), plan=PLAN, slot=0)
     answer = PlanAnswer(plan=ELSEWHERE, slot=0)
-    assert checker.plan(asked, answer) is answer and checker.with_room(asked, answer) is answer
+    assert checker.plan(asked, answer) is answer
     assert checker.objection(LINE, ELSEWHERE) is None and checker.plan_class(LINE, ELSEWHERE) == 0
     assert checker.judge(step, far) == Verdict(reason=None, fit=far)
 

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Points
 from llm_flock.plan import Plan
 from llm_flock.protocol._planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
-from llm_flock.protocol._verification.steps import shortened
+from llm_flock.protocol._verification.steps import towards
 
 
 def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
@@ -32,8 +32,10 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
     mission, reason = question.mission, ""
     if mission.ideal is None:
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
-    only = [turned(np.array(mission.ideal), mission.center, angle_rad)]
-    for points in mission.placements(angle_rad) if mission.velocity is None else only:
+    placements = mission.placements(angle_rad)
+    if mission.velocity is not None:
+        placements = [turned(np.array(mission.ideal), mission.center, angle_rad)]
+    for points in placements:
         plan = Plan.of(points.tolist())
         objection = check_proposal(mission, plan, question.still, question.position)
         if objection is None:
@@ -45,24 +47,15 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
 
 def straight_path(question: StepQuestion) -> StepAnswer:
     """Straight towards the goal, as far as the step limit allows, and on from there up to the horizon."""
-    path = [_towards(question.position, question)]
-    while len(path) < question.horizon and path[-1] != question.goal:
-        path.append(_towards(path[-1], question))
+    goal, longest = question.goal, question.mission.max_step
+    path = [towards(question.position, goal, longest)]
+    while len(path) < question.horizon and path[-1] != goal:
+        path.append(towards(path[-1], goal, longest))
     return StepAnswer(waypoint=path[0], path=tuple(path[1:]))
 
 
-def _towards(position: Point, question: StepQuestion) -> Point:
-    goal, max_step = question.goal, question.mission.max_step
-    if math.dist(position, goal) <= max_step:
-        return goal
-    return shortened(position, goal, max_step)
-
-
 class GeometryPlanner:
-    """A `Planner` that knows the shape: the ideal points in some orientation, and straight steps to the goal.
-
-    `rng` draws the orientation, as independent models choose different ones; None is the reference orientation.
-    """
+    """A `Planner` that knows the shape, in the reference orientation or in one that `rng` draws, and flies straight."""
 
     def __init__(self, rng: np.random.Generator | None = None) -> None:
         self._angle_rad = 0.0 if rng is None else float(rng.uniform(0.0, 2 * math.pi))

@@ -201,11 +201,7 @@ class Checker:
         return 0
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
-        """The planner's answer, or a failure with the reason to refuse its plan. Call with every answer."""
-        return answer
-
-    def with_room(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
-        """An answer that passed `plan`, enlarged where rounding put places too near each other."""
+        """The planner's answer, perhaps a little larger, or the reason to refuse its plan. Call with every answer."""
         return answer
 
     def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:

@@ -1,4 +1,4 @@
-"""Path lengths to the places of a plan for a robot that stays near the formation.
+"""Path lengths to the places of a plan for a robot that stays near the formation, within radio range of others.
 
 Across a large ring the straight line leads out of every robot's radio range. So a path may pass through any places, and
 a long hop counts more than its length: the cheapest path leads along the formation. Floyd: Algorithm 97 (CACM 1962).
@@ -63,7 +63,7 @@ def _by_places(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None)
 def next_stop(
     here: Point, plan: Plan, slot: int, center: Point, spacing: float, roadmap: Roadmap | None = None
 ) -> Point | None:
-    """Beside which place to stop on the path to a far one [units; frame of the plan]; None to fly straight."""
+    """The stop on the path to a far place, beside a place ahead [units; frame of the plan]; None to fly straight."""
     if len(plan) > MOST_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
     left = _between(plan, spacing, roadmap)[slot]

@@ -60,11 +60,11 @@ class Proposals:
         assert self._asked is not None, "only a robot that asked is answered"
         if self._topic != self._asked_about:
             return [Note("stale_answer", {"about": "plan"})]
-        answer = self._verifier.plan(self._asked, answer)
-        if isinstance(answer, PlanAnswer):
-            return [*self.breaker.usable(), *self._propose(self._asked, answer, answer.by)]
-        notes = [self._agreement.lack_plan(answer), *self.breaker.refused(self._asked.round, answer)]
-        return [*notes, *self._plan_by_geometry(self._asked, answer)]
+        checked = self._verifier.plan(self._asked, answer)
+        if isinstance(checked, PlanAnswer):
+            return [*self.breaker.usable(), *self._propose(self._asked, answer, checked, checked.by)]
+        notes = [self._agreement.lack_plan(checked), *self.breaker.refused(self._asked.round, checked)]
+        return [*notes, *self._plan_by_geometry(self._asked, checked)]
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None]:
@@ -77,17 +77,20 @@ class Proposals:
             return []
         from llm_flock.protocol._geometry import geometric_plan
 
-        answer = self._verifier.plan(question, geometric_plan(question))
-        if isinstance(answer, NoAnswer):
+        answer = geometric_plan(question)
+        checked = self._verifier.plan(question, answer)
+        if isinstance(checked, NoAnswer):
             return []
         notes = fallback_notes("plan", "geometry", failure)
-        return [*notes, *self._propose(question, answer, "geometry")]
+        return [*notes, *self._propose(question, answer, checked, "geometry")]
 
-    def _propose(self, question: PlanQuestion, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
-        """Propose a plan that passed its checks, with room for everybody at its places."""
-        roomy = self._verifier.with_room(question, answer)
-        enlarged = [] if roomy is answer else [Note("enlarged", {"asked": answer.plan.digest})]
-        return [*enlarged, *self._agreement.propose(self._in_frame(question, roomy), by)]
+    def _propose(
+        self, question: PlanQuestion, asked: PlanAnswer | NoAnswer, plan: PlanAnswer, by: Literal["model", "geometry"]
+    ) -> list[Note]:
+        """Propose a plan that passed its checks, as asked or enlarged."""
+        given = asked.plan if isinstance(asked, PlanAnswer) else plan.plan
+        enlarged = [] if given == plan.plan else [Note("enlarged", {"asked": given.digest})]
+        return [*enlarged, *self._agreement.propose(self._in_frame(question, plan), by)]
 
     def _in_frame(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
         mission = self._agreement.mission

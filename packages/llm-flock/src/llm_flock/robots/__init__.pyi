@@ -3,6 +3,9 @@ from ._base import Commanded as Commanded
 from ._base import DriverCheck as DriverCheck
 from ._base import Equipment as Equipment
 from ._base import MotionLimits as MotionLimits
+from ._base import Pose as Pose
+from ._base import PoseFrame as PoseFrame
+from ._base import PoseSource as PoseSource
 from ._base import Position as Position
 from ._base import Robot as Robot
 from ._base import RobotError as RobotError
@@ -15,9 +18,6 @@ from ._point_mass import BodyController as BodyController
 from ._point_mass import MakeController as MakeController
 from ._point_mass import Mode as Mode
 from ._point_mass import PointMass as PointMass
-from ._pose import Pose as Pose
-from ._pose import PoseFrame as PoseFrame
-from ._pose import PoseSource as PoseSource
 from ._segment import HOLD_S as HOLD_S
 from ._segment import Segment as Segment
 from ._segment import share as share

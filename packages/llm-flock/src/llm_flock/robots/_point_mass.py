@@ -1,7 +1,4 @@
-"""A drone that follows its high-level commander, exactly or as a controller does, and can fail in flight.
-
-Sans-IO: every call takes the time. `SimulatedRobot` flies it in the process, the stand-in behind a UDP socket.
-"""
+"""A drone that follows its high-level commander, exactly or as a controller does, and can fail in flight; sans-IO."""
 
 from __future__ import annotations
 
@@ -18,17 +15,8 @@ Mode: TypeAlias = Literal["idle", "flying", "landing"]
 GRAVITY = 9.81
 """[m/s^2]"""
 
-PULL = 4.0
-"""How fast a robot whose estimate is suddenly off flies back to where it believes its set-point to be [1/s]."""
-
 FALL_HEIGHT = 0.1
 """A landing that ends below this height ends on the ground [m]."""
-
-SETTLED_VARIANCE = 1e-5
-"""Of each axis of the position, while the localisation works [m^2]."""
-
-STALL_GROWTH = 0.05
-"""How fast that variance grows once the localisation is gone [m^2/s]."""
 
 REFUSED = 1
 """The firmware's answer to a command that is impossible now."""
@@ -57,20 +45,16 @@ MakeController: TypeAlias = Callable[[Position, float], BodyController]
 
 @dataclass(slots=True, kw_only=True)
 class PointMass:
-    """One body. `estimate` is what the robot believes, `position` where it is.
+    """One body, at `home` before take-off [m]. `estimate` is what the robot believes, `position` where it is.
 
-    Attributes:
-        home: position before take-off [m].
-        auto_arm: motors may turn without being armed first, as in a Crazyflie 2.1 as it is shipped.
-        drain_v_s: how fast the battery empties in flight [V/s].
-        controlled: how it follows its set-point; None for without any distance. Change it with `follow`.
+    With `auto_arm` motors may turn at once, as in a Crazyflie 2.1 as shipped. It follows its set-point as `controlled`,
+    or without any distance; change that with `follow`.
     """
 
     home: Position
     ground_m: float = 0.0
     auto_arm: bool = False
     battery_v: float = 4.0
-    drain_v_s: float = 0.0
     controlled: MakeController | None = None
     mode: Mode = field(default="idle", init=False)
     armed: bool = field(default=False, init=False)
@@ -82,7 +66,6 @@ class PointMass:
     _error: Position = field(default=(0.0, 0.0, 0.0), init=False)
     _error_at: float = field(default=0.0, init=False)
     _stalled: tuple[float, Position] | None = field(default=None, init=False)
-    _drained: float | None = field(default=None, init=False)
     _controller: BodyController | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
@@ -91,14 +74,10 @@ class PointMass:
 
     @property
     def flying(self) -> bool:
-        """Motors turn."""
         return self.mode != "idle"
 
     def advance(self, now: float) -> None:
-        """Let time pass: a landing ends, a battery drains."""
-        if self._drained is not None and self.flying:
-            self.battery_v = max(0.0, self.battery_v - self.drain_v_s * (now - self._drained))
-        self._drained = now
+        """Let time pass: a landing ends."""
         down = math.inf
         if self.mode == "landing" and self._segment is not None:
             down = self._segment.began_s + self._segment.duration_s
@@ -139,7 +118,7 @@ class PointMass:
             x, y, z = (b - o for b, o in zip(self._controller.place, self._offset, strict=True))
             return (x, y, max(z, self.ground_m))
         believed, _, _ = self._segment.at(now)
-        left = math.exp(-PULL * max(0.0, now - self._error_at))
+        left = math.exp(-4.0 * max(0.0, now - self._error_at))  # it flies back to where it believes it should be
         x, y, z = (b - o + left * e for b, o, e in zip(believed, self._offset, self._error, strict=True))
         return (x, y, max(z, self.ground_m))
 
@@ -151,8 +130,8 @@ class PointMass:
         return (x, y, z)
 
     def variance(self, now: float) -> float:
-        """Of the estimate, one axis [m^2]."""
-        return SETTLED_VARIANCE + (0.0 if self._stalled is None else STALL_GROWTH * (now - self._stalled[0]))
+        """Of the estimate, one axis [m^2]; it grows once the localisation is gone."""
+        return 1e-5 + (0.0 if self._stalled is None else 0.05 * (now - self._stalled[0]))
 
     def _height(self, now: float) -> float:
         if self._fell is None:

@@ -24,10 +24,7 @@ _REST: Position = (0.0, 0.0, 0.0)
 
 
 def _coefficients(start: float, velocity: float, acceleration: float, end: float) -> _Coefficients:
-    """Of 1, u, u^2, u^4 .. u^7 in u = t / duration (u^3 has none), derivatives with respect to u.
-
-    They solve four conditions at u = 1: the end, and three derivatives that vanish there.
-    """
+    """Of 1, u, u^2, u^4 .. u^7 in u = t / duration (u^3 has none), for derivatives that vanish at u = 1."""
     gap = end - start - velocity - acceleration / 2.0
     slope, bend = -velocity - acceleration, -acceleration
     return (
@@ -43,16 +40,7 @@ def _coefficients(start: float, velocity: float, acceleration: float, end: float
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Segment:
-    """One trajectory to a target, where it ends at rest.
-
-    Attributes:
-        start: where it begins [m].
-        target: where it ends [m].
-        duration_s: [s]; nothing moves any more after it.
-        began_s: when it begins, on the clock of `at` [s].
-        velocity: at the start [m/s].
-        acceleration: at the start [m/s^2].
-    """
+    """One trajectory [m] to a target, where it ends at rest: from `began_s`, on the clock of `at`, for `duration_s`."""
 
     start: Position
     target: Position
@@ -93,10 +81,7 @@ def share(parts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def stopping_point(segment: Segment, now_s: float, within_s: float) -> Position | None:
-    """Where a robot on the segment can come to rest `within_s` later without turning back [m].
-
-    None if it comes to rest at the target about as soon: the target is then the nearest stop.
-    """
+    """Where a robot can come to rest `within_s` later without turning back [m]; None if its target is as near."""
     if now_s - segment.began_s + within_s >= segment.duration_s:
         return None
     at, velocity, _ = segment.at(now_s)

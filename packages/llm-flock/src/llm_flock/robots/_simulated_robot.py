@@ -13,11 +13,7 @@ from llm_flock.robots._segment import HOLD_S, Segment, stopping_point
 
 
 class SimulatedRobot:
-    """One point mass in this process, before take-off at `home` [m].
-
-    `clock` returns the time [s], `time.monotonic` if not given. Tests that make the robot fail give its `body`,
-    and its `equipment`.
-    """
+    """One point mass in this process; `clock` returns the time [s], and tests that let it fail give its `body`."""
 
     def __init__(
         self,
@@ -72,13 +68,11 @@ class SimulatedRobot:
         return self._seen
 
     async def arm(self) -> None:
-        """Allow the motors to turn."""
         self._need_link()
         if not self.body.arm(True):
             raise RobotError(self.name, "cannot be armed: it is locked, or flies")
 
     async def take_off(self, height_m: float, duration_s: float) -> Commanded:
-        """Rise straight up to `height_m`."""
         self._need_link()
         now = self._clock()
         start = self.body.estimate(now)
@@ -97,7 +91,6 @@ class SimulatedRobot:
         return self._fly(self._set_point, sent, now)
 
     async def hold(self) -> None:
-        """Stop where the robot is."""
         self._need_link()
         if self._segment is None or not self.body.flying:
             return

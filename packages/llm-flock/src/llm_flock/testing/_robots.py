@@ -25,7 +25,6 @@ async def wait_until(condition: Callable[[], bool], timeout_s: float, what: str)
 
 
 def distance(a: Position, b: Position) -> float:
-    """[m]."""
     return math.dist(a, b)
 
 

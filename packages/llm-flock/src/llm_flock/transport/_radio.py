@@ -1,11 +1,7 @@
-"""Enforces the ranges of radio and sensors: the only place that does.
+"""Enforces the ranges of radio and sensors: the only place that does, as a network of processes reaches every robot.
 
-A network of processes reaches every robot. So each receiver drops messages that a radio would not have carried: those
-of a sender beyond the mission's radio range, by the sender's last beacon. A real radio replaces `Radio.carries`, and
-real sensors replace `Radio.frame`. Loss, duplicates and delays can be injected here for tests.
-
-Sensors decide, beacons help: a body in sight is where the sensors see it, whatever it says itself. What it says counts
-only while the sensors could not have seen it.
+A real radio replaces `Radio.carries`, and real sensors replace `Radio.frame`. Sensors decide, beacons help: what a body
+says counts only while the sensors could not have seen it.
 """
 
 from __future__ import annotations
@@ -36,11 +32,9 @@ class Seen:
 class Radio:
     """What one robot receives and senses of the others, within the ranges of the mission.
 
-    Injected faults are drawn by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference
-    between two wall clocks of the swarm [s], `speed` the largest speed of a body [units/s].
-
-    Attributes:
-        contradicted: number of beacons that the sensors refuted.
+    Faults are injected by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference between
+    two wall clocks of the swarm, `speed` the largest of a body [units/s]. `contradicted` counts beacons that the
+    sensors refuted.
     """
 
     def __init__(

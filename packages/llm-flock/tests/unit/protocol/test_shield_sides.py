@@ -5,7 +5,7 @@ import math
 import pytest
 
 from llm_flock.protocol._motion.projection import HalfSpace, nearest_move
-from llm_flock.protocol._motion.shield_async import Sighting, async_half_spaces, project_async
+from llm_flock.protocol._motion.shield_async import Sighting, project_async
 from llm_flock.shield import project, separation_half_spaces
 
 AHEAD = (1.0, 0.0, 0.0)
@@ -39,25 +39,23 @@ def test_walls_are_sides_too() -> None:
     assert project((0.0, 0.0), (5.0, 0.0), [], safe_distance=3.0, max_step=6.0, also=wall) == pytest.approx((2.0, 0.0))
 
 
-def sides(other: Sighting) -> list[HalfSpace] | None:
-    return async_half_spaces((0.0, 0.0), [other], safe_distance=3.0, speed=2.0, period_s=0.5)
+def reached(other: Sighting, goal: float) -> float:
+    """How far a robot at the origin may fly along the first axis."""
+    to = project_async((0.0, 0.0), (goal, 0.0), [other], safe_distance=3.0, speed=2.0, period_s=0.5)
+    assert to[1] == pytest.approx(0.0)
+    return to[0]
 
 
 def test_who_may_be_anywhere_by_now_leaves_only_standing_still() -> None:
-    old = Sighting(position=(4.0, 0.0), age_s=2.0)
-    assert sides(old) is None
-    assert project_async((0.0, 0.0), (9.0, 0.0), [old], safe_distance=3.0, speed=2.0, period_s=0.5) == (0.0, 0.0)
+    assert reached(Sighting(position=(4.0, 0.0), age_s=2.0), 9.0) == 0.0
 
 
 def test_who_is_far_gives_no_side_and_who_is_near_leaves_what_is_left_of_the_way() -> None:
-    assert sides(Sighting(position=(5.5, 0.0), age_s=0.0)) == []
-    (side,) = sides(Sighting(position=(4.5, 0.0), age_s=0.0)) or []
-    assert side.normal == (1.0, 0.0) and side.room == pytest.approx(0.5)
-    near = Sighting(position=(4.5, 0.0), age_s=0.0)
-    there = project_async((0.0, 0.0), (9.0, 0.0), [near], safe_distance=3.0, speed=2.0, period_s=0.5)
-    assert there == pytest.approx((0.5, 0.0))
+    assert reached(Sighting(position=(5.5, 0.0), age_s=0.0), 9.0) == 1.0
+    assert reached(Sighting(position=(4.5, 0.0), age_s=0.0), 9.0) == pytest.approx(0.5)
 
 
 def test_from_who_is_too_near_one_may_only_move_away() -> None:
-    (side,) = sides(Sighting(position=(2.0, 0.0), age_s=0.0)) or []
-    assert side.normal == (1.0, 0.0) and side.room == pytest.approx(-0.5)
+    near = Sighting(position=(2.0, 0.0), age_s=0.0)
+    assert reached(near, 9.0) == pytest.approx(-0.5)
+    assert reached(near, -9.0) == pytest.approx(-1.0)

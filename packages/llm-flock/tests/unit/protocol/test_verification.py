@@ -123,8 +123,9 @@ def with_room(mission: Mission, points: Any, verify: bool = True) -> Plan:
     question = PlanQuestion(mission=mission, robot=0, round=1, position=(5.0, 5.0), neighbors=())
     validator = Validator(shield_on=True) if verify else Checker()
     answer = PlanAnswer(plan=plan(points), slot=0)
-    assert not isinstance(validator.plan(question, answer), NoAnswer)
-    return validator.with_room(question, answer).plan
+    proposed = validator.plan(question, answer)
+    assert not isinstance(proposed, NoAnswer)
+    return proposed.plan
 
 
 @pytest.mark.parametrize("angle", [0.1, 0.7, 1.0])

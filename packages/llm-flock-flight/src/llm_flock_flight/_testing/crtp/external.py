@@ -23,11 +23,7 @@ SILENT_S = 0.15
 
 
 class ExternalPosition:
-    """The part of a drone's estimator that is told where it is. Before it is, the drone believes to be at the origin.
-
-    Attributes:
-        taken: positions, with the times at which they came [m, s].
-    """
+    """The part of an estimator that is told where it is: at the origin before. `taken` has times [s] and places [m]."""
 
     def __init__(self, body: PointMass) -> None:
         self.taken: list[tuple[float, Position]] = []
@@ -54,7 +50,6 @@ class ExternalPosition:
         return True
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
         last_s = self.taken[-1][0] if self.taken else 0.0
         if not self._standing and now - last_s > SILENT_S:
             self._standing = True

@@ -78,7 +78,6 @@ class Parameter:
     value: float
 
     def packed(self) -> bytes:
-        """The bytes of the value."""
         code = PARAMETER_TYPES[self.kind]
         return struct.pack(code, self.value if code == "<f" else int(self.value))
 
@@ -93,7 +92,6 @@ def contents(names: Sequence[str], kinds: Sequence[int]) -> tuple[int, list[byte
 
 
 def packet(port: int, channel: int, data: bytes | Sequence[int]) -> bytes:
-    """The bytes of a packet."""
     return bytes([port << 4 | 3 << 2 | channel]) + bytes(data)
 
 
@@ -107,21 +105,11 @@ class _Block:
 
 
 class Firmware:
-    """The firmware of one drone.
+    """The firmware of one drone, without the `missing` log variables.
 
-    Args:
-        body: what flies.
-        controller: `stabilizer.controller` after a start: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
-        missing: log variables that this firmware does not have.
-
-    Attributes:
-        commands: time [s] and number of each high-level command received, refused ones included.
-        parameters: those that flights set or read, by name, in order.
-        priority: of the last set-point.
-        tumbled: it lies on its side or its back.
-        crashed: it tumbled in flight, and its crash was not recovered.
-        outside: positions from outside, if the drone flies by them.
-        lighthouse: base stations that its deck receives and uses, as bit fields.
+    `controller` is its `stabilizer.controller` after a start: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
+    `commands` has time [s] and number of each high-level command received, refused ones included. `lighthouse` has the
+    base stations that its deck receives and uses, as bit fields. A drone that tumbled in flight has `crashed`.
     """
 
     def __init__(
@@ -336,7 +324,6 @@ class Firmware:
         return self.body.flying or (self._flew is not None and now < self._flew + FLYING_LINGERS_S)
 
     def advance(self, now: float) -> None:
-        """Let time pass."""
         self.body.advance(now)
         if self.outside is not None:
             self.outside.advance(now)

@@ -17,9 +17,6 @@ import numpy as np
 Delivery: TypeAlias = tuple[int, Literal["up", "down"], bytes]
 """A drone by its number, whether the packet is for it or from it, and the packet."""
 
-EMPTY_LIMIT = 10
-"""Empty answers in a row after which a drone is asked less often (cflib: `radiodriver.py`)."""
-
 RELAXED_S = 0.01
 """Time between two questions then [s] (cflib: `radiodriver.py`)."""
 
@@ -45,17 +42,10 @@ class _Link:
 
 
 class ModelledRadio:
-    """One radio and the drones that it serves, which are numbered as they come.
+    """One radio and the drones that it serves, which are numbered as they come; an exchange takes `exchange_s`.
 
-    Args:
-        exchange_s: time of an exchange [s]; `llm_flock_flight._crazyflie.radios.capacity_hz` has its inverse.
-        loss: share of exchanges that are lost.
-        seed: of the losses.
-
-    Attributes:
-        exchanges: done so far, lost ones included.
-        dropped: packets for which there was no room.
-        waited_s: how long the packet of each drone that came last had waited [s].
+    It counts `exchanges`, lost ones included, and `dropped` packets, for which there was no room; `waited_s` has how
+    long the last packet of each drone had waited [s].
     """
 
     def __init__(self, exchange_s: float, *, loss: float = 0.0, seed: int = 0) -> None:
@@ -111,5 +101,5 @@ class ModelledRadio:
             link.empty = 0
         else:
             link.empty += 1
-        link.due_s = at + RELAXED_S if link.empty > EMPTY_LIMIT else at
+        link.due_s = at + RELAXED_S if link.empty > 10 else at  # as cflib does
         return found

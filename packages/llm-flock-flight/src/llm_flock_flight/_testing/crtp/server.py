@@ -72,7 +72,6 @@ class StandIn:
 
     @property
     def flying(self) -> bool:
-        """Whether the motors turn."""
         return self._at_once(lambda body, _: body.flying)
 
     @property
@@ -94,7 +93,6 @@ class StandIn:
         self._mute = mute
 
     def set_battery(self, volts: float) -> None:
-        """Set the voltage [V]."""
         self._at_once(lambda body, _: setattr(body, "battery_v", volts))
 
     def jump(self, offset: Position) -> None:
@@ -176,17 +174,8 @@ class StandIn:
 class StandIns:
     """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`.
 
-    Args:
-        homes: position of each before take-off [m].
-        host: address to listen at.
-        port: of the first; the others follow. 0 takes free ports.
-        loss: share of packets lost, in each direction.
-        auto_arm: as Crazyflies 2.1 are shipped: armed from the start.
-        controller: of the firmware: 1 PID, as Crazyflies are shipped, 2 Mellinger, ...
-        missing: log variables that the firmware does not have.
-        seed: of the losses.
-        outside: they fly by positions from outside, and believe to be at the origin without.
-        radios: modelled radios, among which the drones are spread in turn; none passes packets on at once.
+    Those with `auto_arm` are armed from the start, as Crazyflies 2.1 are shipped; those that fly by positions from
+    `outside` believe to be at the origin without. Drones are spread among the modelled `radios` in turn.
     """
 
     def __init__(
@@ -220,7 +209,6 @@ class StandIns:
 
     @property
     def uris(self) -> list[str]:
-        """Addresses for cflib."""
         return [drone.uri for drone in self._drones]
 
     def __getitem__(self, index: int) -> StandIn:

@@ -18,10 +18,6 @@ ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = range(5)
 GAP_S = 0.5
 """PX4: set-points farther apart than this are no stream [s]."""
 
-WARM_S = 0.8
-"""PX4: a stream has to last this long before Offboard [s]."""
-
-QUADROTOR = 2
 HEALTHY, ASTRAY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20, 0x1 | 0x80
 """Reports of an estimator with a position, and of one that holds it constant for want of measurements."""
 
@@ -50,18 +46,15 @@ ARDUPILOT_PARAMETERS = {
 class Autopilot:
     """One stand-in autopilot, in the manner of `flavour`, "px4" or "ardupilot".
 
-    Attributes:
-        parameters: by name; an integer is sent as one.
-        refuse: answer and text by command, for tests that need a refusal.
-        deaf_to: number of answers by command that are lost, after the command was done.
-        commands: numbers of all commands that came.
-        set_points: positions that came, (north, east, down) [m].
+    Tests give `refuse` an answer and a text by command, and `deaf_to` the number of answers by command that are lost,
+    after the command was done. It keeps the numbers of all `commands` and all `set_points` (north, east, down) [m] that
+    came.
     """
 
     def __init__(self, flavour: str, system_id: int) -> None:
         self.px4 = {"px4": True, "ardupilot": False}[flavour]
         self.flavour = PX4_FLAVOUR if self.px4 else ARDUPILOT_FLAVOUR
-        self.kind, self.autopilot = QUADROTOR, PX4 if self.px4 else ARDUPILOT
+        self.kind, self.autopilot = 2, PX4 if self.px4 else ARDUPILOT  # a quadrotor
         self.mode = px4(4, 3) if self.px4 else 0
         self.body = Airframe()
         self.battery_v = 15.6
@@ -85,7 +78,6 @@ class Autopilot:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors may turn."""
         return self.body.motors
 
     @property
@@ -98,7 +90,6 @@ class Autopilot:
         self.mode, self._climb_to = mode, None
 
     def say(self, text: str) -> None:
-        """Send a warning."""
         self._out.append(self._codec.encode("statustext", 4, text.encode()[:50]))
 
     def handle(self, message: Any, now: float) -> list[bytes]:
@@ -225,7 +216,7 @@ class Autopilot:
             return DENIED
         if self.px4 and mode == self.flavour.guided:
             since, until = self._stream or (now, now)
-            if until - since < WARM_S or now - until > GAP_S:
+            if until - since < 0.8 or now - until > GAP_S:  # a stream has to last
                 self.say("Switching to mode 'Offboard' is currently not possible")
                 return TEMPORARILY
         self.switch(mode)

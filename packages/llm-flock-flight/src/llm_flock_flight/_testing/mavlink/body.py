@@ -12,10 +12,6 @@ STEP_S = 0.005
 GAIN = 3.0
 """Speed towards a set-point, by distance [1/s]."""
 
-LAG_S = 0.08
-"""Time constant of the speed [s]."""
-
-FASTEST_M_S = 4.0
 GRAVITY = 9.81
 LANDING_M_S = 0.7
 CLIMB_M_S = 0.8
@@ -26,15 +22,9 @@ REST: Position = (0.0, 0.0, 0.0)
 
 @dataclass(slots=True)
 class Airframe:
-    """Position and velocity (north, east, down), from the place where it was switched on; the ground is at 0.
+    """Position [m] and velocity [m/s] (north, east, down) from the place where it was switched on; the ground is at 0.
 
-    Attributes:
-        ned: [m].
-        velocity: [m/s].
-        target: what it flies to [m]; None to stop.
-        feed_forward: velocity of the target [m/s].
-        motors: they turn.
-        at_s: time up to which it has moved [s].
+    It flies to `target` [m], which moves with `feed_forward` [m/s]; None to stop. It has moved up to the time `at_s`.
     """
 
     ned: Position = REST
@@ -64,7 +54,7 @@ class Airframe:
             self.velocity = (0.0, 0.0, fall)
         elif self.lifted:
             wanted = self._wanted()
-            share = STEP_S / LAG_S
+            share = STEP_S / 0.08  # the time constant of the speed
             north, east, down = (v + share * (w - v) for v, w in zip(self.velocity, wanted, strict=True))
             self.velocity = (north, east, down)
         else:
@@ -78,5 +68,5 @@ class Airframe:
         if self.target is None:
             return REST
         rows = [f + GAIN * (t - p) for t, p, f in zip(self.target, self.ned, self.feed_forward, strict=True)]
-        north, east, down = (min(max(v, -FASTEST_M_S), FASTEST_M_S) for v in rows)
+        north, east, down = (min(max(v, -4.0), 4.0) for v in rows)
         return (north, east, down)

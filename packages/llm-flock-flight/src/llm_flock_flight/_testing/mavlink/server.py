@@ -27,13 +27,7 @@ STEP_S = 0.005
 class AutopilotStandIn:
     """One vehicle: call anything here while it flies, from any thread. `autopilot` only `with vehicle.lock`.
 
-    Attributes:
-        uri: where a driver reaches it.
-        system_id: of its autopilot.
-        flavour: "px4" or "ardupilot".
-        loss: share of packets lost in each direction.
-        silent: every packet is lost, in both directions.
-        deaf: every packet towards it is lost.
+    `loss` is the share of packets lost in each direction; `silent` loses all of them, `deaf` those towards it.
     """
 
     def __init__(
@@ -66,13 +60,11 @@ class AutopilotStandIn:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors turn."""
         with self.lock:
             return self.autopilot.armed
 
     @property
     def mode(self) -> str:
-        """The mode, in words."""
         with self.lock:
             return self.autopilot.flavour.name_of(self.autopilot.mode)
 
@@ -122,15 +114,9 @@ class AutopilotStandIn:
 class AutopilotStandIns:
     """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`.
 
-    Args:
-        homes: place of each before take-off [m; world frame]: the zero of its local frame.
-        flavour: "px4" or "ardupilot".
-        host: address of the driver, which listens there.
-        port: that they call; 0 takes free ones. Where they do not share it, the others follow.
-        shared: they all call one port, with system ids 1, 2 and so on; otherwise each calls its own.
-        listening: they wait to be called instead, at `udpout://`.
-        loss: share of packets lost, in each direction.
-        seed: of the losses.
+    They start at `homes` [m; world frame], the zeros of their local frames, and call the driver at `host`: if `shared`
+    all at one port, with system ids 1, 2 and so on; otherwise each at its own, from `port` on (0: free ones). When
+    `listening` they wait to be called instead, at `udpout://`.
     """
 
     def __init__(
@@ -163,7 +149,6 @@ class AutopilotStandIns:
 
     @property
     def uris(self) -> list[str]:
-        """Addresses for the driver."""
         return [vehicle.uri for vehicle in self._vehicles]
 
     def __getitem__(self, index: int) -> AutopilotStandIn:

@@ -1,9 +1,4 @@
-"""The path that a planner gave in advance, and the events that trigger a new question.
-
-A planner that answers with a path need not be asked in every round. The robot flies the path, checking and shielding
-each step like a fresh answer, and asks again on an event: event-triggered instead of periodic control (Heemels,
-Johansson, Tabuada: An introduction to event-triggered and self-triggered control, CDC 2012).
-"""
+"""The path that a planner gave in advance, flown step by step like fresh answers, and the events that end it."""
 
 from __future__ import annotations
 
@@ -24,15 +19,6 @@ from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
 HORIZON = 20
 """Largest number of waypoints in an answer."""
 
-SIDEWAYS_TOLERANCE = 0.25
-"""Distance from the path up to which a shielded step still counts as on it, as a share of `max_step`."""
-
-SHORTFALL_TOLERANCE = 0.75
-"""Distance from the next waypoint up to which a shielded step still counts as flown, as a share of `max_step`."""
-
-SAME_DIRECTION = 0.8
-"""The path serves a changed goal too if its next waypoint gains at least this share of the largest possible gain."""
-
 
 class Trigger(StrEnum):
     """The event that makes a robot ask its planner again."""
@@ -48,14 +34,10 @@ class Trigger(StrEnum):
 
 
 class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
-    """The last question to the planner, and the rest of its answer.
+    """The last question to the planner, and the rest of its answer [units; frame of the mission].
 
-    Attributes:
-        path: waypoints still to fly [units; frame of the mission]. A last waypoint at the goal stays, and holds the
-            robot there.
-        failed: whether the planner had no answer.
-        altered: whether the last step left the path by more than the tolerances.
-        in_sight: robots within sensing range when the planner was asked.
+    A last waypoint at the goal stays in the `path`, and holds the robot there. `in_sight` were the robots within
+    sensing range when the planner was asked.
     """
 
     question: StepQuestion
@@ -83,16 +65,12 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         sideways = _distance_to_path((position, *self.path), waypoint)
         shortfall = math.dist(waypoint, self.path[0])
         max_step = self.question.mission.max_step
-        altered = sideways > SIDEWAYS_TOLERANCE * max_step or shortfall > SHORTFALL_TOLERANCE * max_step
+        altered = sideways > 0.25 * max_step or shortfall > 0.75 * max_step  # so far, the step counts as flown
         ends = len(self.path) == 1 and _at_goal(self.question, self.path[0])
         return replace(self, altered=altered, path=self.path if ends else self.path[1:])
 
     def trigger(self, question: StepQuestion, sensed: Mapping[int, Point]) -> Trigger | None:
-        """The event that makes a new question necessary, or None. Call in each round before flying the next step.
-
-        `question` is the one that would be asked now, and `sensed` has the believed positions of the robots within
-        sensing range, by id [units; frame of the mission].
-        """
+        """The event that makes this new question necessary, or None; `sensed` is in the mission's frame [units]."""
         mission = question.mission
         if self.failed:
             return Trigger.NO_ANSWER
@@ -115,15 +93,12 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         return None
 
     def _serves_goal(self, question: StepQuestion) -> bool:
-        """Whether the next waypoint approaches the question's goal by almost as much as any waypoint could.
-
-        Goals change often while groups meet, and many lie in the same direction: the robot asks once they diverge.
-        """
+        """Whether the next waypoint gains 0.8 of what any could: goals change often while groups meet."""
         if not self.path:
             return False
         before = math.dist(question.position, question.goal)
         gained = before - math.dist(self.path[0], question.goal)
-        return gained >= SAME_DIRECTION * min(before, question.mission.max_step)
+        return gained >= 0.8 * min(before, question.mission.max_step)
 
 
 def _at_goal(question: StepQuestion, position: Point) -> bool:

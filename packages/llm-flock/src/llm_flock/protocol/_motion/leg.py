@@ -27,9 +27,9 @@ the rounds of a straight flight, and a team should form in three times the lower
 class Pace:
     """Average gain of a planner's waypoints towards the goal, each as a share of the largest possible gain.
 
-    Waypoints at the goal, and of a robot whose straight path is blocked, do not count. A round that the robot holds
-    because the planner was refused counts as no gain. A goal that travels and is within one step has to be reached:
-    whoever always closes a share of the gap trails behind it for ever.
+    A round held because an answer was refused counts as none; waypoints at the goal, or of a robot whose straight path
+    is blocked, do not count. A goal that travels has to be reached from one step away: whoever closes a share of the
+    gap trails for ever.
     """
 
     def __init__(self) -> None:
@@ -66,13 +66,7 @@ STEP = 0.25
 
 
 class Leg(msgspec.Struct, frozen=True, kw_only=True):
-    """The way to a goal.
-
-    Attributes:
-        goal: where it ends [units; frame of the mission].
-        stop: its next corner, or the goal [units; frame of the mission].
-        left: its length [units].
-    """
+    """The way to a goal, its next corner (or the goal) and its length left [units; frame of the mission]."""
 
     goal: Point
     stop: Point
@@ -88,10 +82,9 @@ def leg_to(
     still: Sequence[Point] = (),
     noise: float = 0.0,
 ) -> Leg:
-    """The way from a position [units; world frame] to a goal of the mission's frame, round the obstacles of the world.
+    """The way from a position of the world to a goal of the mission's frame, round obstacles and `still` bodies.
 
     The frame is displaced by `drift` now, and by `ahead` at the end of the round; empty if the mission stands still.
-    `still` are bodies that do not move [units; world frame].
     """
     roadmap = map_of(mission, position, still, noise)
     if roadmap is None:
@@ -103,10 +96,7 @@ def leg_to(
 
 
 def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: float = 0.0) -> Roadmap | None:
-    """The map of a mission's obstacles and of bodies that do not move; None where there is neither.
-
-    With positions known to within `noise` [units], ways lie farther away from them.
-    """
+    """The map of obstacles and bodies that stand `still`, farther away with noise [units]; None without either."""
     if not mission.obstacles and not still:
         return None
     from llm_flock.roadmap import roadmap_of
@@ -114,8 +104,6 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
     radius = mission.body_radius
     if noise > 0.0:
         radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
-    if not still:
-        return roadmap_of(mission.arena, mission.obstacles, radius) if mission.obstacles else None
     # To build a map takes a while: it has at most 40 bodies, and noise must not change it in every round.
     near = sorted(still, key=lambda body: math.dist(body, position))[:40]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.

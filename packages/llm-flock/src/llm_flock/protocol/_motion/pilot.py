@@ -17,17 +17,15 @@ from llm_flock.protocol._motion.committed_path import HORIZON, CommittedPath, Tr
 from llm_flock.protocol._motion.leg import Leg, Pace, leg_to
 from llm_flock.protocol._parts import Observation, Parts
 from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
-from llm_flock.protocol._verification.steps import shortened
+from llm_flock.protocol._verification.steps import towards
 
 
 class Pilot:
-    """Flies one robot, round by round.
+    """Flies one robot, round by round: call `decide` in each round with a goal, or `hold` in a round without one.
 
-    Call `decide` in each round with a goal, or `hold` in a round without one. `decide` may return a question; call
-    `take` with its answer, and `look` when positions are updated in between. With `on_event`, the planner gives a path
-    and is asked again only on a `Trigger`; `on_path` says whether this round's step comes from that path.
-
-    `fallback` says what flies without a usable answer. While the `breaker` is open, the planner is not asked.
+    `decide` may return a question: call `take` with its answer, and `look` when positions are updated in between. With
+    `on_event`, the planner gives a path and is asked again only on a `Trigger`; `on_path` says whether this round's
+    step comes from it.
     """
 
     def __init__(
@@ -50,23 +48,21 @@ class Pilot:
         self._safety, self._verifier = parts.safety, parts.verifier
         self._horizon = HORIZON if on_event else 1
         self._committed: CommittedPath | None = None
-        self._question: StepQuestion | None = None
-        self._scene: Observation | None = None
-        self._leg: Leg | None = None
+        # Of the round.
+        self._question: StepQuestion
+        self._scene: Observation
+        self._leg: Leg
 
     def decide(
         self, scene: Observation, mission: Mission, plan: Plan, slot: int | None, target: Point | None
     ) -> list[Effect]:
-        """The next step of the committed path, or a question about it.
+        """The next step of the committed path, or a question with `mission` as it stands at the end of the round.
 
-        The question has `mission` as it stands at the end of the round. `target` is a goal in place of the slot's
-        place; both, and `plan`, are in the frame of the mission.
+        `target` is a goal in place of the slot's place; both, and `plan`, are in the frame of the mission.
         """
         ahead = scene.ahead
-        self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
-        aim = plan.points[slot or 0] if target is None else target
-        leg = self._leg = leg_to(mission, scene.position, aim, scene.drift, ahead, scene.still, self._noise)
-        question = self._question = StepQuestion(
+        self._begin(scene, mission, plan.points[slot or 0] if target is None else target)
+        self._question = StepQuestion(
             mission=mission,
             robot=self._robot,
             round=scene.round,
@@ -75,83 +71,82 @@ class Pilot:
             plan=Plan.of(moved(x, ahead) for x in plan.points) if ahead else plan,
             slot=slot,
             target=None if target is None else moved(target, ahead),
-            corner=None if leg.stop == leg.goal else moved(leg.stop, ahead),
+            corner=None if self._leg.stop == self._leg.goal else moved(self._leg.stop, ahead),
             horizon=self._horizon,
         )
         committed, notes = self._committed, list[Effect]()
         self.on_path = False
         if committed is not None:
-            step = self._next_step(committed, question, scene)
+            step = self._next_step(committed)
             if not isinstance(step, Trigger):
                 self.on_path = True
-                return self._move(step, question, scene, moved(committed.path[0], ahead))
+                return self._move(step, moved(committed.path[0], ahead))
             notes = [Note("asked_again", {"reason": step.value})]
         if not self.breaker.asks(scene.round):
-            return self._by_geometry(question, scene)
+            return self._by_geometry()
         if self.breaker.state is BreakerState.HALF_OPEN:
-            question = self._question = replace(question, probe=True)
-        return [*notes, AskStep(question)]
+            self._question = replace(self._question, probe=True)
+        return [*notes, AskStep(self._question)]
+
+    def _begin(self, scene: Observation, mission: Mission, goal: Point) -> None:
+        """Begin a round with a goal in the frame of the mission."""
+        self._scene, self._tolerance = scene, AT_GOAL * mission.spacing
+        self._leg = leg_to(mission, scene.position, goal, scene.drift, scene.ahead, scene.still, self._noise)
 
     def take(self, answer: StepAnswer | NoAnswer) -> list[Effect]:
         """The move that follows from the planner's answer. With `on_event`, the robot commits to its path."""
-        question, scene = self._question, self._scene
-        assert question is not None and scene is not None, "only a robot that asked is answered"
-        asked, notes = answer.waypoint, list[Effect]()
+        scene, asked, notes = self._scene, answer.waypoint, list[Effect]()
         if self._fallback == "hold":
-            step = self._waypoint(question, answer)
+            step = self._waypoint(answer)
         else:
-            answer = self._usable(question, answer)
+            answer = self._usable(answer)
             if isinstance(answer, NoAnswer):
                 notes = [*self.breaker.refused(scene.round, answer)]
                 if self._fallback == "geometry" or self.breaker.is_open:
                     notes.extend(fallback_notes("step", "geometry", answer))
-                    return [*notes, *self._by_geometry(question, scene, asked)]
+                    return [*notes, *self._by_geometry(asked)]
                 self._pace.held()
-                step = self._waypoint(question, answer)
+                step = self._waypoint(answer)
             else:
                 notes, step = [*self.breaker.usable()], answer.waypoint
-        if question.horizon > 1:
+        if self._horizon > 1:
             kept = _shifted(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
-            self._committed = CommittedPath.of(self._relative(question, scene), kept, scene.sensed)
+            self._committed = CommittedPath.of(self._relative(), kept, scene.sensed)
         by_geometry = isinstance(answer, StepAnswer) and answer.by == "geometry"
-        return [*notes, *self._move(step, question, scene, asked, by_geometry=by_geometry)]
+        return [*notes, *self._move(step, asked, by_geometry=by_geometry)]
 
-    def _usable(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
+    def _usable(self, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
         """The answer, clipped if that suffices, or the reason why it cannot be used."""
         if isinstance(answer, NoAnswer):
             return answer
-        verdict = self._verifier.judge(question, answer)
+        verdict = self._verifier.judge(self._question, answer)
         if verdict.fit is None:
             return NoAnswer(cause="unverified", reason=verdict.reason or "")
-        slow = self._pace.too_slow(question, verdict.fit.waypoint)
+        slow = self._pace.too_slow(self._question, verdict.fit.waypoint)
         return verdict.fit if slow is None else NoAnswer(cause="slow", reason=slow)
 
-    def _waypoint(self, question: StepQuestion, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The first waypoint, checked as a single step and clipped if that suffices; otherwise the reason to hold.
-
-        The last waypoint that a planner without an answer has named is flown if it passes the checks.
-        """
+    def _waypoint(self, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
+        """The first waypoint, or the last one named without an answer, if it passes as a single step; or no answer."""
         if isinstance(answer, NoAnswer) and (answer.waypoint is None or not self._verifier.verify):
             return answer
         assert answer.waypoint is not None, "an answer has a waypoint"
-        verdict = self._verifier.judge(replace(question, horizon=1), StepAnswer(waypoint=answer.waypoint))
+        verdict = self._verifier.judge(replace(self._question, horizon=1), StepAnswer(waypoint=answer.waypoint))
         if verdict.fit is not None:
             return verdict.fit.waypoint
         return answer if isinstance(answer, NoAnswer) else NoAnswer(cause="unverified", reason=verdict.reason or "")
 
-    def _by_geometry(self, question: StepQuestion, scene: Observation, asked: Point | None = None) -> list[Effect]:
+    def _by_geometry(self, asked: Point | None = None) -> list[Effect]:
         """A straight step to the goal in place of the planner's."""
         self._committed = None
-        return self._fly(straight_path(question).waypoint, scene, asked, Origin.GEOMETRY)
+        return self._fly(straight_path(self._question).waypoint, asked, Origin.GEOMETRY)
 
     def seek(self, scene: Observation, mission: Mission, target: Point) -> list[Effect]:
         """Fly by geometry to a point where others will look [units; frame of the mission]: a robot without a plan."""
         self.forget()
-        self._tolerance = AT_GOAL * mission.spacing
-        self._leg = leg_to(mission, scene.position, target, scene.drift, scene.ahead, scene.still, self._noise)
-        here, goal, max_step = scene.position, moved(self._leg.stop, scene.ahead), mission.max_step
-        wish = goal if math.dist(here, goal) <= max_step else shortened(here, goal, max_step)
-        return self._fly(wish, scene, None, Origin.GEOMETRY)
+        self._begin(scene, mission, target)
+        return self._fly(
+            towards(scene.position, moved(self._leg.stop, scene.ahead), mission.max_step), None, Origin.GEOMETRY
+        )
 
     def hold(self, scene: Observation, cause: str, reason: str, asked: Point | None = None) -> list[Effect]:
         """Hold the position for a stated cause. With the shield on, still move away from a robot that is too near."""
@@ -176,36 +171,29 @@ class Pilot:
         """Drop the committed path, as for a robot that has no goal."""
         self._committed, self.on_path = None, False
 
-    def _relative(self, question: StepQuestion, scene: Observation) -> StepQuestion:
+    def _relative(self) -> StepQuestion:
         """The question in the frame of the mission, in which places stand still."""
+        question, scene = self._question, self._scene
         if not scene.ahead:
             return question
         plan = Plan.of(moved(x, scene.ahead, -1.0) for x in question.plan.points)
-        assert self._leg is not None, "a robot with a question has a goal"
         return replace(question, position=scene.here, plan=plan, target=self._leg.goal, corner=self._leg.stop)
 
-    def _next_step(self, committed: CommittedPath, question: StepQuestion, scene: Observation) -> Point | Trigger:
+    def _next_step(self, committed: CommittedPath) -> Point | Trigger:
         """The next step of the path, or the event that makes a new question necessary: it may fail its checks now."""
-        sensed = {j: scene.seen(x) for j, x in scene.sensed.items()}
-        trigger = committed.trigger(self._relative(question, scene), sensed)
+        scene = self._scene
+        trigger = committed.trigger(self._relative(), {j: scene.seen(x) for j, x in scene.sensed.items()})
         if trigger is not None:
             return trigger
-        step = self._waypoint(question, StepAnswer(waypoint=moved(committed.path[0], scene.ahead)))
+        step = self._waypoint(StepAnswer(waypoint=moved(committed.path[0], scene.ahead)))
         if isinstance(step, NoAnswer):
             return Trigger.UNFIT
-        slow = self._fallback != "hold" and self._pace.too_slow(question, step) is not None
+        slow = self._fallback != "hold" and self._pace.too_slow(self._question, step) is not None
         return Trigger.UNFIT if slow else step
 
-    def _move(
-        self,
-        step: Point | NoAnswer,
-        question: StepQuestion,
-        scene: Observation,
-        asked: Point | None,
-        *,
-        by_geometry: bool = False,
-    ) -> list[Effect]:
+    def _move(self, step: Point | NoAnswer, asked: Point | None, *, by_geometry: bool = False) -> list[Effect]:
         """The move for a step that passed the checks, which was `asked` before it was clipped, or for none."""
+        scene, question = self._scene, self._question
         if isinstance(step, NoAnswer):
             return self.hold(scene, step.cause, step.reason, asked)
         corner = question.corner
@@ -213,7 +201,7 @@ class Pilot:
         if corner is not None and reaches and math.dist(step, corner) <= self._tolerance:
             step = corner  # a little beside it, the way on may not be free, and the next question would be the same
         chosen = Origin.MODEL if step == asked else Origin.CLIPPED
-        effects = self._fly(step, scene, asked, Origin.GEOMETRY if by_geometry else chosen)
+        effects = self._fly(step, asked, Origin.GEOMETRY if by_geometry else chosen)
         if step != asked:
             effects.insert(0, Note("clipped", {"proposed": asked, "flown": step}))
         if self._committed is not None:
@@ -222,10 +210,9 @@ class Pilot:
             self._committed = self._committed.after_step(scene.here, moved(flown.waypoint, scene.ahead, -1.0))
         return effects
 
-    def _fly(self, wish: Point, scene: Observation, asked: Point | None, origin: Origin) -> list[Effect]:
+    def _fly(self, wish: Point, asked: Point | None, origin: Origin) -> list[Effect]:
         """The safe move for a waypoint of this origin."""
-        assert self._leg is not None, "a robot flies to a goal"
-        flight = self._safety.step(scene, wish, self._leg, self._tolerance)
+        flight = self._safety.step(self._scene, wish, self._leg, self._tolerance)
         if flight.origin is Origin.YIELD or (flight.origin is not Origin.MODEL and origin is not Origin.GEOMETRY):
             origin = flight.origin
         return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=origin)]

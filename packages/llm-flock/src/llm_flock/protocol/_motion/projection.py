@@ -19,8 +19,7 @@ TOLERANCE = 1e-9
 class HalfSpace(msgspec.Struct, frozen=True):
     """Displacements u with normal . u <= room [units]; `normal` is a unit vector that points out of the cell.
 
-    With negative room the robot has to move back. `violated` says whether the limit behind this side is already
-    violated, by more than noise can explain.
+    With negative room the robot has to move back. `violated` says that the limit is broken by more than noise explains.
     """
 
     normal: Point
@@ -29,11 +28,7 @@ class HalfSpace(msgspec.Struct, frozen=True):
 
 
 def nearest_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point | None:
-    """The displacement nearest to `wish` that keeps to all sides and is no longer than `longest`.
-
-    Returns:
-        `wish` itself if it satisfies all constraints; None if no displacement does.
-    """
+    """The displacement nearest to `wish` that keeps to all sides and is no longer than `longest`; None without one."""
     move = clip(wish, longest)
     if all(_dot(side.normal, move) <= side.room for side in sides):
         return move
@@ -41,11 +36,9 @@ def nearest_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Poi
 
 
 def relaxed_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point:
-    """As `nearest_move`, with violated sides relaxed as far as necessary.
+    """As `nearest_move`, with the rooms of violated sides multiplied by the largest share in 0 .. 1 that allows a move.
 
-    The rooms of violated sides are multiplied by the largest share in 0 .. 1 for which some move satisfies every
-    side. So no violated limit gets worse, and no other one is broken. If even that is impossible, the robot stands
-    still.
+    So no violated limit gets worse, and no other one is broken. If even that is impossible, the robot stands still.
     """
     best = nearest_move(wish, sides, longest)
     if best is None and any(side.violated for side in sides):
@@ -78,11 +71,7 @@ def clip(vector: Point, longest: float) -> Point:
 
 
 def _project_plane(wish: Point, sides: Sequence[HalfSpace], radius: float) -> Point | None:
-    """Exact projection onto the intersection of half-planes and a disc, by enumeration of active sets.
-
-    The nearest point is the wish clipped to the disc, its foot on one side, the corner of two sides, or an
-    intersection of a side with the circle.
-    """
+    """Exact projection onto the intersection of half-planes and a disc, by enumeration of active sets."""
     wx, wy = wish
     candidates = [clip(wish, radius)]
     for i, side in enumerate(sides):
@@ -152,11 +141,10 @@ def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
 def static_half_spaces(
     position: Point, mission: Mission, *, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """The walls and obstacles within one step, as sides of the robot's cell. Call for `also` of the projections.
+    """The walls and obstacles within one step, as sides of the robot's cell; from beyond them they lead back.
 
-    From outside the arena or inside an obstacle they lead back, by at most a full step per round. With the position
-    known to within `noise_bound` e [units], a wall moves inwards by e, for its direction is known. The direction to the
-    nearest point of an obstacle at distance d turns by at most 2 e / d, so its side moves by e and by 2 e max_step / d.
+    With the position known to within `noise_bound` e [units], a wall moves inwards by e. The direction to the nearest
+    point of an obstacle at distance d turns by at most 2 e / d, so its side moves by e and by 2 e max_step / d.
     """
     sides: list[HalfSpace] = []
     low, high = mission.arena

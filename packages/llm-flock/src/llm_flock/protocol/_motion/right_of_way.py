@@ -1,13 +1,8 @@
 """Right of way: a robot that others block says where it has to go, and robots in that way step aside.
 
-Priority inheritance, as in PIBT: Okumura, Machida, Défago, Tamura: Priority inheritance with backtracking for iterative
-multi-agent path finding (Artificial Intelligence 310, 2022), here in continuous space and from messages only. A robot
-that bodies keep from its way sends its *course* with its rank. A robot of lower rank in that way goes to a refuge, and
-sends the course there with the rank of the first one, so that those in its own way step aside too. One that is not in
-the way does not enter it. Ranks rise with waiting, and with them the width of the way that is given, so no robot
-waits for good. Where a robot holds its place, it steps aside all the same, and comes back.
-
-Courses only ask. What keeps robots apart is the cell of the shield, whatever is claimed.
+Priority inheritance, as in PIBT (Okumura, Machida, Défago, Tamura 2022), in continuous space and from messages only;
+docs/explanation/safe-motion.md describes it. Ranks rise with waiting, and with them the width of the way that is given.
+Courses only ask: what keeps robots apart is the cell of the shield, whatever is claimed.
 """
 
 from __future__ import annotations
@@ -25,20 +20,11 @@ from llm_flock.arrays import Point, Points, Vector
 from llm_flock.message import HIGHEST, Course
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
-from llm_flock.roadmap import Roadmap
-
-AHEAD = 3.0
-"""Length of a course, in steps."""
-
-SLOWED = 0.5
-"""A robot is blocked if bodies leave it less than this share of its step."""
+from llm_flock.roadmap import on_sphere
+from llm_flock.shapes import ring
 
 STALLED = 3
 """Rounds without progress towards the goal after which a robot that bodies block asks for its way."""
-
-GAIN = 0.05
-"""Coming nearer by this share of a step, or of what is left, counts as progress: beside another robot a place is
-approached by halves."""
 
 KEPT = 2
 """Rounds for which a robot that was blocked keeps its course."""
@@ -55,9 +41,6 @@ HEEDED_ROUNDS = 32
 BETWEEN = 4
 """Most rounds between two in which a robot asks that count like those: one that gives way may lose sight of it."""
 
-SHARES = (0.75, 0.5, 0.25, 0.125)
-"""Shares of a step that are tried where the whole one leads into a way that another has."""
-
 Rank: TypeAlias = tuple[int, int, bool, int]
 """Level, then the lower id of whose right it is, then that robot itself before those that make way for it."""
 
@@ -68,14 +51,7 @@ def rank(sender: int, level: int, of: int) -> Rank:
 
 
 class Way(msgspec.Struct, frozen=True, kw_only=True):
-    """A way that a robot has to be given.
-
-    Attributes:
-        rank: its rank.
-        robot: who asks for it.
-        line: its corners from where that robot is, shape (k, d) [units; world frame].
-        width: half its width [units].
-    """
+    """A way that a robot asks for: its corners from there, shape (k, d), and half its width [units; world frame]."""
 
     rank: Rank
     robot: int
@@ -95,9 +71,8 @@ class Way(msgspec.Struct, frozen=True, kw_only=True):
 class RightOfWay:
     """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
 
-    Attributes:
-        apart: distance at which bodies pass each other, the safe distance where that is enough [units].
-        course: what it asks for; None if nothing is in its way.
+    `apart` is the distance at which bodies pass each other, the safe distance where that is enough [units]. It has
+    `waited` for so many rounds without progress since it was at its goal, or had none.
     """
 
     def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
@@ -106,16 +81,11 @@ class RightOfWay:
         self.apart = limits.safe_distance if apart is None else apart
         self._period: int | None = None
         self._counts = True
-        self._waited = self._kept = self._idle = 0
+        self.waited = self._kept = self._idle = 0
         self._nearest: tuple[Point, float] = (), math.inf
         self._round = 0
         # By who asks: rounds, next pause, and the last round, or the first one after a pause.
         self._asked: dict[int, tuple[int, int, int]] = {}
-
-    @property
-    def waited(self) -> int:
-        """Rounds without progress since the robot was at its goal, or had none."""
-        return self._waited
 
     @property
     def stalled(self) -> bool:
@@ -124,7 +94,7 @@ class RightOfWay:
 
     @property
     def _level(self) -> int:
-        return min((self._waited // RISES).bit_length(), HIGHEST)
+        return min((self.waited // RISES).bit_length(), HIGHEST)
 
     def count(self, goal: Point, left: float, within: float, period: int | None = None) -> None:
         """Begin a round, with the length of the way to a goal that counts as reached within a distance [units].
@@ -135,12 +105,13 @@ class RightOfWay:
         self._counts, self._period = period is None or period != self._period, period
         at_goal = left <= within
         before, nearest = self._nearest
-        nearer = left <= nearest - GAIN * min(self._limits.max_step, left)
+        # A share of what is left counts too: beside another robot a place is approached by halves.
+        nearer = left <= nearest - 0.05 * min(self._limits.max_step, left)
         if at_goal or goal != before or nearer:
             self._nearest, self._idle = (goal, left), 0
         else:
             self._idle += self._counts
-        self._waited = 0 if at_goal else self._waited + (self._counts and self._idle > 0)
+        self.waited = 0 if at_goal else self.waited + (self._counts and self._idle > 0)
         self.course = None
         self._round += self._counts
 
@@ -195,10 +166,7 @@ class RightOfWay:
         self.course = Course(level=level, of=of, path=tuple(path)) if path else None
 
     def leads_out(self, here: Point, path: Sequence[Point], goal: Point, ways: Sequence[Way]) -> bool:
-        """Whether flying on leads a robot out of these ways, and past nobody who comes.
-
-        Its goal, and the next stops on the path there, are in the world frame [units].
-        """
+        """Whether flying on along a path to the goal leads out of these ways, and past nobody who comes."""
         if any(way.covers(goal) for way in ways):
             return False
         return all(self._leads_away(a, b, ways) for a, b in pairwise((here, *path)))
@@ -229,7 +197,10 @@ class RightOfWay:
         roadmap = limits.roadmap
         if roadmap is not None:
             spots = spots[[clearance(tuple(spot), limits.obstacles) >= limits.body_radius for spot in spots.tolist()]]
-        to, on = _lengths(roadmap, spots, here), _lengths(roadmap, spots, goal)
+        if roadmap is None:
+            to, on = (np.linalg.norm(spots - np.array(end), axis=1) for end in (here, goal))
+        else:
+            to, on = (roadmap.lengths_to(spots, end) for end in (here, goal))
         crowd = np.maximum(0.0, self.apart - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
         cost = 2.0 * to + on + too_near_cost * crowd
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
@@ -262,17 +233,8 @@ def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:
 @lru_cache
 def _around(dim: int) -> Points:
     """Where a refuge is looked for: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
-    count = 24 if dim == 2 else 40
-    k = np.arange(count)
     rings = np.array((0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0))  # the farthest is beyond the end of any course
-    if dim == 2:
-        turn = 2.0 * math.pi * k / count
-        directions = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    else:
-        height, turn = 1.0 - (2.0 * k + 1.0) / count, math.pi * (1.0 + math.sqrt(5.0)) * (k + 0.5)
-        flat = np.sqrt(1.0 - height * height)
-        directions = np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1)
-    return (rings[:, None, None] * directions).reshape(-1, dim)
+    return (rings[:, None, None] * (ring(24, 1.0) if dim == 2 else on_sphere(40))).reshape(-1, dim)
 
 
 def _distances(points: Points, start: Vector, end: Vector) -> Vector:
@@ -280,10 +242,3 @@ def _distances(points: Points, start: Vector, end: Vector) -> Vector:
     along = end - start
     share = np.clip((points - start) @ along / max(float(along @ along), 1e-18), 0.0, 1.0)
     return np.linalg.norm(points - (start + share[:, None] * along), axis=1)
-
-
-def _lengths(roadmap: Roadmap | None, starts: Points, goal: Point) -> Vector:
-    """Lengths of the ways from each of some points, shape (m, d), to a goal, shape (m,) [units]."""
-    if roadmap is None:
-        return np.linalg.norm(starts - np.array(goal), axis=1)
-    return roadmap.lengths_to(starts, goal)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import combinations
 
 from llm_flock import shield
@@ -13,15 +14,15 @@ from llm_flock.message import MOST_STOPS, Course
 from llm_flock.mission import Mission
 from llm_flock.protocol._motion.leg import STEP, Leg, map_of
 from llm_flock.protocol._motion.projection import static_half_spaces
-from llm_flock.protocol._motion.right_of_way import AHEAD, SHARES, SLOWED, RightOfWay, Way, outside
+from llm_flock.protocol._motion.right_of_way import RightOfWay, Way, outside
 from llm_flock.protocol._parts import Observation, SafeStep, Safety
 
 
 class ShieldedSafety(Safety):
-    """Turns the planner's waypoints into safe ones, gives way to others, and asks them to give way.
+    """Turns waypoints into safe ones, gives way to others, and asks them to give way: `step` or `stay` in each round.
 
-    Call `step` or `stay` once in each round. `limits` is the mission at the start: no message changes safe distance,
-    step limit, arena and obstacles. `noise_bound` is the largest error of a believed position [units].
+    `limits` is the mission at the start: no message changes safe distance, step limit, arena and obstacles.
+    `noise_bound` is the largest error of a believed position [units].
     """
 
     def __init__(self, robot: int, limits: Mission, noise_bound: float, apart: float | None = None) -> None:
@@ -54,19 +55,17 @@ class ShieldedSafety(Safety):
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
 
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
-        """The safe waypoint for the planner's waypoint `wish` [units; world frame].
-
-        The goal of the leg counts as reached within `tolerance` [units].
-        """
+        """The safe waypoint for `wish` [units; world frame]; the leg's goal is reached within `tolerance` [units]."""
         right, here, within = self._right, scene.position, tolerance + self._noise_bound
         right.count(leg.goal, leg.left, within, scene.period)
         separating = self._separate(scene)
         if separating is not None:
             return separating
         goal, stop = moved(leg.goal, scene.drift), moved(leg.stop, scene.drift)
+        path = partial(self._path, here, stop, goal, scene.still)
         ways = right.ways(scene.sensed, scene.courses)
         pressing = [way for way in ways if way.covers(here)]
-        if pressing and not right.leads_out(here, self._path(here, stop, goal, scene.still), goal, pressing):
+        if pressing and not right.leads_out(here, path(), goal, pressing):
             aside = self._aside(scene, goal, ways, pressing, scene.still)
             if aside is not None:
                 return aside
@@ -77,15 +76,15 @@ class ShieldedSafety(Safety):
         self._gave_way = None
         notes: tuple[Note, ...] = ()
         if pressing:
-            right.pass_on(self._path(here, stop, goal, scene.still), pressing[0])
+            right.pass_on(path(), pressing[0])
         elif right.stalled and self._is_blocked(scene, stop, safe):
-            right.ask(self._path(here, stop, goal, scene.still))
+            right.ask(path())
             if not self._asked:
                 notes = (Note("deadlock", {"goal_distance": math.dist(scene.here, leg.goal), "rounds": right.waited}),)
             self._asked = True
         else:
             self._asked = False
-            right.go_on_asking(() if leg.left <= within else self._path(here, stop, goal, scene.still))
+            right.go_on_asking(() if leg.left <= within else path())
         if safe == wish:
             return SafeStep(waypoint=wish, origin=Origin.MODEL, notes=notes)
         note = Note("shielded", {"proposed": wish, "flown": safe})
@@ -107,7 +106,7 @@ class ShieldedSafety(Safety):
     def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
         """As much of a step as leads into no way that another has."""
         here = scene.position
-        tried = (self._project(here, _between(here, wish, share), scene.others) for share in SHARES)
+        tried = (self._project(here, _between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
         to = next((safe for safe in tried if outside(ways, here, safe)), here)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
 
@@ -124,11 +123,11 @@ class ShieldedSafety(Safety):
         if apart > self._limits.safe_distance:
             safe = self._project(here, safe, others, apart)
         gained = max(far - math.dist(to, stop) for to in (safe, self._project(here, straight, others, apart)))
-        return gained < SLOWED * alone
+        return gained < 0.5 * alone
 
     def _path(self, here: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
-        """The next corners of the way, first `stop`, as far as a course reaches [units; world frame]."""
-        path, left = list[Point](), AHEAD * self._limits.max_step
+        """The next corners of the way, first `stop`, for a course of three steps [units; world frame]."""
+        path, left = list[Point](), 3.0 * self._limits.max_step
         while left > 0.0 and len(path) < MOST_STOPS and (here != goal or not path):
             path.append(_towards(here, stop, left))
             left -= math.dist(here, stop)
@@ -140,10 +139,7 @@ class ShieldedSafety(Safety):
         return goal if roadmap is None else roadmap.next_stop(here, goal)
 
     def _on_its_way(self, scene: Observation, stop: Point, wish: Point, safe: Point) -> Point:
-        """The safe waypoint, or a shorter step of the wish if that slides off the way between two obstacles.
-
-        From where it slides to, the robot would be sent back to the last corner again and again.
-        """
+        """The safe waypoint, or a shorter step if that slides off the way: it would be sent back to the last corner."""
         here = scene.position
         roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
@@ -167,10 +163,7 @@ class ShieldedSafety(Safety):
         )
 
     def _separate(self, scene: Observation) -> SafeStep | None:
-        """A step away from the middle of a crowd that is too close, None without one nearby.
-
-        Robots near such a crowd make way: those inside cannot leave while others stand around them.
-        """
+        """A step away from the middle of a crowd too close, if there is one: also beside it, in the way of others."""
         limits, position, sensed = self._limits, scene.position, scene.sensed
         limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step

@@ -1,15 +1,13 @@
 """Checks of plans: reasons in words for the model that proposed a plan, and a class for the order of plans.
 
-All checks are pure functions of mission and plan, so every receiver comes to the same verdict by itself. Tolerances
-are shares of the mission's lengths: they accept coordinates that a model has rounded, and are tighter than the
-definition of a formed team.
+All are pure functions, so every receiver comes to the same verdict. Tolerances, shares of the mission's lengths, accept
+rounded coordinates and are tighter than the definition of a formed team.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import lru_cache
 
@@ -33,10 +31,6 @@ EXACT_RESIDUAL = 0.01
 ROUNDING = 0.02
 """Share of the spacing by which two rounded coordinates may change a distance."""
 
-PLACES_APART = 10.0 ** (1 - DECIMALS)
-"""What is left between two places of an enlarged plan beyond the safe distance, so that rounding does not use it up
-[units]."""
-
 LENGTH_TOLERANCE = 0.01
 """Share of the step limit by which printed decimals may exceed it; the shield clips such a step."""
 
@@ -47,16 +41,6 @@ class PlanClass(IntEnum):
     REFUSED = 0
     ACCEPTABLE = 1
     EXACT = 2
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Expected:
-    """The reference for a mission's plans; `near` and `far` bound a place's distance from its nearest other place."""
-
-    target: metrics.ShapeTarget | None
-    points: Points | None
-    near: float
-    far: float
 
 
 def check_plan(mission: Mission, plan: Plan) -> str | None:
@@ -77,10 +61,7 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], position: Point) -> str | None:
-    """As `check_plan`, for a plan that a robot at `position` proposes itself.
-
-    No body that stands `still` may block a place, and the robot must be able to get there.
-    """
+    """As `check_plan`, for a plan of a robot at `position`, who has to get there; nobody may stand `still` in it."""
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
@@ -97,11 +78,10 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
 
 
 def enlarged(mission: Mission, plan: Plan) -> Plan:
-    """The plan, or if places are nearer to each other than the safe distance, a larger one in which they are not.
+    """The plan, or if rounding put places nearer than the safe distance, a slightly larger one in which they are not.
 
-    Where the spacing is the safe distance, rounded coordinates put some places too near each other. Then robots keep
-    others from theirs: between two that are 0.2 % too near to a place on either side, a robot gets to 6 % of the
-    spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
+    Else robots would keep others from their places: between two that are 0.2 % too near to a place on either side, one
+    gets to 6 % of the spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
     """
     if len(plan) == 1:
         return plan
@@ -109,7 +89,7 @@ def enlarged(mission: Mission, plan: Plan) -> Plan:
     if nearest >= mission.safe_distance:
         return plan
     mean = plan.array.mean(axis=0)
-    share = (mission.safe_distance + PLACES_APART) / nearest
+    share = (mission.safe_distance + 10.0 ** (1 - DECIMALS)) / nearest  # some room, for rounding to use up
     return Plan.of((mean + share * (plan.array - mean)).tolist())
 
 
@@ -120,10 +100,7 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
 
 @lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
-    """Class and reason of a plan of the right size.
-
-    Cached, so that a plan is checked once even if many robots of a process receive it.
-    """
+    """Class and reason of a plan of the right size; cached for all robots of a process."""
     for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
         reason = fault(mission, plan)
         if reason is not None:
@@ -141,19 +118,14 @@ def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
 
 
 @lru_cache(maxsize=16)
-def _expected(mission: Mission) -> _Expected:
-    if mission.ideal is None or mission.n_places == 1:
-        points, distances = None, np.array([mission.spacing])
-    else:
+def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, float]:
+    """The ideal shape, and bounds of a place's distance from its nearest other place [units]."""
+    target, distances = None, np.array([mission.spacing])
+    if mission.ideal is not None and mission.n_places > 1:
         points = np.array(mission.ideal)
-        distances = _nearest(points)[0]
+        target, distances = metrics.ShapeTarget(points), _nearest(points)[0]
     tolerance = 0.1  # share by which the distance of a place from its nearest other place may differ from the shape's
-    return _Expected(
-        target=None if points is None else metrics.ShapeTarget(points),
-        points=points,
-        near=float(distances.min()) * (1 - tolerance),
-        far=float(distances.max()) * (1 + tolerance),
-    )
+    return target, float(distances.min()) * (1 - tolerance), float(distances.max()) * (1 + tolerance)
 
 
 def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
@@ -233,25 +205,25 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
         i, j = sorted((closest, int(others[closest])))
         least = number_text(mission.safe_distance)
         return f"points {i} and {j} are {number_text(distances[closest])} apart, at least {least} is required."
-    expected = _expected(mission)
+    _, near, far = _expected(mission)
     for i, (distance, j) in enumerate(zip(distances.tolist(), others.tolist(), strict=True)):
-        if not expected.near <= distance <= expected.far:
+        if not near <= distance <= far:
             return (
                 f"the point nearest to point {i} is point {j}, {number_text(distance)} away; "
-                f"from {number_text(expected.near)} to {number_text(expected.far)} is required."
+                f"from {number_text(near)} to {number_text(far)} is required."
             )
     return None
 
 
 def _residual(mission: Mission, plan: Plan) -> float | None:
     """Mean distance from the ideal shape [units], rounded so that the verdict does not depend on the machine."""
-    expected = _expected(mission)
-    if expected.target is None or expected.points is None:
+    target = _expected(mission)[0]
+    if target is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = quick_error(plan.array, expected.points, exact) if mission.dim == 2 else None
+    quick = quick_error(plan.array, np.array(mission.ideal), exact) if mission.dim == 2 else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
-        quick = expected.target.error(plan.array).mean
+        quick = target.error(plan.array).mean
     return round(quick, DECIMALS)
 
 

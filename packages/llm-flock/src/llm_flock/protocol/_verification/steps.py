@@ -1,8 +1,4 @@
-"""Checks of waypoints before they are flown, and clipping of those that fail.
-
-The checks use what the robot observed, so a planner can be told what is wrong before anything moves. They are advice,
-not safety: the shield has the last word on whatever passes here.
-"""
+"""Checks of waypoints before they are flown, and clipping of those that fail: advice, not safety."""
 
 from __future__ import annotations
 
@@ -30,12 +26,7 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What the checks make of an answer.
-
-    Attributes:
-        reason: why the model is asked again, as a sentence for it; None for an answer that fits.
-        fit: the answer as it may be flown: unchanged if it fits, clipped if that suffices, None otherwise.
-    """
+    """Why the model is asked again (None for an answer that fits), and what may be flown, clipped if need be."""
 
     reason: str | None
     fit: StepAnswer | None
@@ -138,7 +129,7 @@ def _cut_path(question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
         ends = _along(here, goal, waypoint) >= math.dist(here, goal)
         target = goal if ends else waypoint
         while math.dist(here, target) > mission.max_step and len(cut) < question.horizon:
-            here = shortened(here, target, mission.max_step)
+            here = towards(here, target, mission.max_step)
             cut.append(here)
         if len(cut) == question.horizon:
             break
@@ -149,17 +140,17 @@ def _cut_path(question: StepQuestion, answer: StepAnswer) -> StepAnswer | None:
     return replace(answer, waypoint=cut[0], path=tuple(cut[1:]))
 
 
-def shortened(here: Point, target: Point, length: float) -> Point:
-    """The point a hair less than `length` away towards a target that is farther, so that rounding cannot exceed it."""
-    share = length * (1 - 1e-12) / math.dist(here, target)
+def towards(here: Point, target: Point, longest: float) -> Point:
+    """The target, or the point a hair less than `longest` away towards it, so that rounding cannot exceed it."""
+    far = math.dist(here, target)
+    if far <= longest:
+        return target
+    share = longest * (1 - 1e-12) / far
     return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
 
 
 def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
-    """A waypoint without faults: unchanged, or clipped; None if clipping does not help, as for a wrong direction.
-
-    With the shield on, missing separation is left to the shield.
-    """
+    """A waypoint without faults but those of the shield: as it is, or clipped; None for a wrong direction."""
     mission, faults = question.mission, step_faults(question, waypoint)
     if not faults:
         return waypoint
@@ -167,8 +158,7 @@ def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Poi
         return None
     here, goal = question.position, question.goal
     target = goal if _along(here, goal, waypoint) >= math.dist(here, goal) else waypoint
-    if math.dist(here, target) > mission.max_step:
-        target = shortened(here, target, mission.max_step)
+    target = towards(here, target, mission.max_step)
     if outside(mission, here) == 0.0 and outside(mission, target) > ROUNDING * mission.spacing:
         low, high = mission.arena
         target = tuple(min(max(x, a), b) for a, x, b in zip(low, target, high, strict=True))

@@ -14,11 +14,7 @@ from llm_flock.protocol._verification.steps import Verdict, judge
 
 
 class Validator(Checker):
-    """Checks plans and steps.
-
-    With `shield_on` the shield takes care of waypoints that only lack separation. With `any_size` a plan may have fewer
-    places than the mission, as plans for a smaller team do.
-    """
+    """Checks plans and steps; waypoints that only lack separation are left to a shield, and plans may be smaller."""
 
     verify: bool = True
 
@@ -42,21 +38,15 @@ class Validator(Checker):
         return (resized(mission, len(plan)) if smaller else None) or mission
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
-        """The planner's answer, or a failure with the reason to refuse its plan. Call with every answer."""
+        """The answer, or the reason to refuse its plan; enlarged where rounding put places too near, if that passes."""
         if not isinstance(answer, PlanAnswer):
             return answer
-        objection = check_proposal(question.mission, answer.plan, question.still, question.position)
-        return answer if objection is None else NoAnswer(cause="unverified", reason=objection)
-
-    def with_room(self, question: PlanQuestion, answer: PlanAnswer) -> PlanAnswer:
-        """An answer that passed `plan`, enlarged where rounding put places too near each other and all else allows it.
-
-        Call before it is proposed.
-        """
-        plan = enlarged(question.mission, answer.plan)
-        if plan is answer.plan or check_proposal(question.mission, plan, question.still, question.position) is not None:
-            return answer
-        return replace(answer, plan=plan)
+        mission, still, here = question.mission, question.still, question.position
+        objection = check_proposal(mission, answer.plan, still, here)
+        if objection is not None:
+            return NoAnswer(cause="unverified", reason=objection)
+        plan = enlarged(mission, answer.plan)
+        return answer if check_proposal(mission, plan, still, here) is not None else replace(answer, plan=plan)
 
     def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
         """What the checks make of the planner's answer."""
