@@ -87,7 +87,7 @@ def test_wrong_input_in_a_process_of_its_own(tmp_path: Path) -> None:
     refused(flock_process("run", "--robots", "0", cwd=tmp_path, check=False), "--robots 0: expected at least 1")
 
 
-def test_a_provider_that_never_answers_ends_the_run_with_exit_code_1(tmp_path: Path) -> None:
+def test_provider_that_never_answers_ends_run_with_exit_code_1(tmp_path: Path) -> None:
     done = flock_process(
         "run", "--model", "simulated:flaky", "--max-tries", "1", "--out", "x", cwd=tmp_path, check=False
     )

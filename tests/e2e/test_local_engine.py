@@ -91,7 +91,7 @@ def test_what_two_questions_begin_with_is_read_once(engine):
     assert told.usage.cached > 40
 
 
-def test_a_question_that_is_too_long_is_refused_and_the_engine_goes_on(engine):
+def test_too_long_question_is_refused_and_the_engine_goes_on(engine):
     body = {"messages": [{"role": "user", "content": "word " * 1000}], "max_tokens": 1}
     with pytest.raises(ModelError, match="exceeds the available context") as caught:
         engine.submit(body, threading.Event()).result()

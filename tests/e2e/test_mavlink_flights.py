@@ -80,7 +80,7 @@ def test_a_vehicle_that_nothing_would_land_does_not_take_off():
         assert not any(vehicles[k].armed for k in range(4))
 
 
-def test_a_vehicle_that_is_not_where_it_was_switched_on_does_not_take_off():
+def test_vehicle_away_from_its_switch_on_point_stays_grounded():
     with vehicles_of("px4") as vehicles:
         vehicles[3].autopilot.offset = (0.6, 0.0, 0.0)
         done = flown(config_of(vehicles))

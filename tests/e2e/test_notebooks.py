@@ -53,7 +53,7 @@ def test_a_long_run_shows_its_progress(tmp_path: Path) -> None:
     assert not book.cells[1].outputs
 
 
-def test_an_interrupted_cell_leaves_a_kernel_that_works_and_a_readable_record(tmp_path: Path) -> None:
+def test_interrupted_cell_leaves_working_kernel_and_record(tmp_path: Path) -> None:
     interrupt = (
         "import os, signal, threading\nfrom llm_flock import read_record, run\n"
         "def stop(now):\n"

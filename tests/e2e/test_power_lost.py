@@ -19,6 +19,6 @@ def test_nothing_lands_them_and_the_watchdog_lets_them_fall(
     assert (row["took_s"] <= row["stated_s"]) is watchdog
 
 
-def test_a_second_without_radio_stops_neither_a_motion_nor_the_flight() -> None:
+def test_second_without_radio_stops_neither_motion_nor_flight() -> None:
     row = flight_cases.case("radio_second")
     assert row["ends"] == "4 landed" and row["took_s"] <= row["stated_s"]

@@ -93,9 +93,7 @@ def test_all_rounds_that_were_finished_can_be_read(writers: subprocess.Popen[str
     assert json.loads(record.states[-1].encoded())["round"] == record.rounds
 
 
-def test_a_writer_killed_before_its_first_round_leaves_a_clear_error(
-    writers: subprocess.Popen[str], tmp_path: Path
-) -> None:
+def test_writer_killed_before_first_round_leaves_a_clear_error(writers: subprocess.Popen[str], tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     assert list(lines(writers, path, 0))[-1] == ["ended", str(int(signal.SIGKILL))]
     with pytest.raises(RecordError, match=r"empty file|nothing to show"):

@@ -79,7 +79,7 @@ def test_every_figure_is_drawn_in_colours_of_the_page(report: Path, browser: Bro
     page.close()
 
 
-def test_the_report_keeps_the_rules_of_wcag_and_prints_whole_on_white(report: Path, browser: Browser) -> None:
+def test_report_keeps_wcag_rules_and_prints_whole_on_white(report: Path, browser: Browser) -> None:
     page = browser.new_page(color_scheme="dark", viewport={"width": 400, "height": 860})
     page.goto(report.as_uri())
     assert violations(page) == [], "dark, on a phone"

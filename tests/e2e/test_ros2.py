@@ -101,7 +101,7 @@ def command(*arguments: str, cwd: Path) -> Generator[subprocess.Popen[str]]:
 
 
 @pytest.mark.parametrize("kind", sorted(SAMPLES))
-def test_messages_pass_both_ways_and_their_bytes_are_the_oracle_s(kind: str) -> None:
+def test_messages_pass_both_ways_with_the_bytes_of_the_oracle(kind: str) -> None:
     async def whole(endpoint: str, ros: Ros, session: Any) -> None:
         samples: list[Any] = []
         keep = session.declare_subscriber("0/**", samples.append)
@@ -217,7 +217,7 @@ def test_a_swarm_is_seen_takes_missions_and_survives_its_router(tmp_path: Path) 
             ros.close()
 
 
-def test_a_swarm_flies_by_poses_from_ros_and_stands_still_without(tmp_path: Path) -> None:
+def test_swarm_flies_by_ros_poses_and_stands_still_without(tmp_path: Path) -> None:
     own = f"tcp/127.0.0.1:{free_port()}"
     team = ["--robots", "2", "--shape", "line", "--model", "simulated:ideal", "--connect", own]
     with network() as (endpoint, _), ExitStack() as stack:
@@ -283,7 +283,7 @@ def test_a_swarm_flies_by_poses_from_ros_and_stands_still_without(tmp_path: Path
         asyncio.run(whole())
 
 
-def test_missions_to_a_swarm_with_keys_are_signed_by_the_operator_s(tmp_path: Path) -> None:
+def test_missions_to_a_swarm_with_keys_are_signed_by_operators(tmp_path: Path) -> None:
     make_keys(tmp_path / "team", 2)
     team = [
         "--robots",
@@ -374,7 +374,7 @@ def test_a_bridge_that_has_seen_nothing_ends_cleanly(flags: list[str], tmp_path:
     assert (process.returncode, errors) == (0, "")
 
 
-def test_a_swarm_that_takes_missions_does_not_end_when_it_has_formed(tmp_path: Path) -> None:
+def test_swarm_that_takes_missions_does_not_end_once_formed(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     team = ["--robots", "2", "--shape", "line", "--start", "connected", "--model", "simulated:ideal", "--max-s", "20"]
     flags = [*team, "--connect", "", "--ros2", endpoint, "--ros-missions", "--no-record", "--json"]

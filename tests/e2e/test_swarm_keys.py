@@ -96,7 +96,7 @@ async def three_members(
             link.close()
 
 
-def test_a_member_neither_speaks_nor_lives_for_another_and_floods_only_itself(tmp_path: Path) -> None:
+def test_member_cannot_speak_or_live_for_others_nor_flood_them(tmp_path: Path) -> None:
     make_keys(tmp_path / "team", 4)
     config = swarm_config(4, keys=str(tmp_path / "team"), connect=f"tcp/127.0.0.1:{free_port()}")
     heard, alive, refused, lasted = asyncio.run(three_members(config))

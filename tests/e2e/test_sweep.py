@@ -50,7 +50,7 @@ def test_the_rounds_are_those_of_the_record(tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "out/records").iterdir()] == [f"{row['trial']}.mcap"]
 
 
-def test_what_is_finished_is_never_flown_again_and_more_seeds_may_come(tmp_path: Path) -> None:
+def test_finished_trials_are_never_reflown_more_seeds_may_come(tmp_path: Path) -> None:
     out = tmp_path / "out"
     fly_sweep(small(tmp_path, seeds=1), out, executor="one")
     before = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
@@ -65,7 +65,7 @@ def test_what_is_finished_is_never_flown_again_and_more_seeds_may_come(tmp_path:
     assert (out / "sweep.toml").read_text() == small_file(tmp_path, seeds=2).read_text()
 
 
-def test_trials_that_break_off_are_counted_and_flown_again_only_when_told(tmp_path: Path) -> None:
+def test_broken_trials_are_counted_and_redone_only_when_told(tmp_path: Path) -> None:
     sweep = small(tmp_path, seeds=1, consensus="rules_that_fail:Raising", start="uniform")
     status = fly_sweep(sweep, tmp_path / "out", executor="one")
     assert (status.finished, status.broken, status.formed, status.complete) == (2, 2, 0, True)
@@ -103,7 +103,7 @@ def test_a_directory_takes_one_sweep_at_a_time(tmp_path: Path) -> None:
     assert fly_sweep(sweep, out, executor="one").complete
 
 
-def test_many_trials_wait_for_one_server_at_once_within_the_rates(tmp_path: Path) -> None:
+def test_many_trials_wait_for_one_server_within_its_rates(tmp_path: Path) -> None:
     more = "[providers.openai-compatible]\nmax_concurrent = 7\n[variables]\nmodels = ['openai-compatible:x']"
     with running(latency=0.02) as server:
         address = server.base_url

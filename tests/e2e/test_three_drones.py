@@ -139,7 +139,7 @@ With the long `stall_s` of these tests, a drone that does not arrive is noticed 
 
 
 @pytest.mark.parametrize("driver", ["crazyflie", "px4"])
-def test_one_that_is_dead_before_it_is_connected_keeps_all_on_the_ground(driver: str) -> None:
+def test_drone_dead_before_connecting_keeps_all_on_the_ground(driver: str) -> None:
     with team_of(driver) as (team, config):
         done = asyncio.run(flown(config, "connecting", team.kill))
         assert done.result is None

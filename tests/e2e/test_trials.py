@@ -19,7 +19,7 @@ def timeless(summary: dict[str, Any] | None) -> dict[str, Any]:
     return {**summary, "wall_s": 0.0, "latency_mean_s": 0.0}
 
 
-def test_a_pool_gives_what_single_runs_give_in_the_order_of_cells_and_seeds() -> None:
+def test_pool_gives_single_run_results_by_cells_and_seeds() -> None:
     cells = build_cells([("square", 8), ("triangle", 3), ("triangle", 3)], ["flock"], loss=0.2)
     told: list[tuple[str, int, TrialResult]] = []
     rows = compare(

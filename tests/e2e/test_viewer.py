@@ -82,7 +82,7 @@ def test_the_whole_page_is_there_with_the_first_answer_and_stays(tmp_path: Path,
         assert shown_round(page) in (1, 2)
 
 
-def test_a_record_plays_when_it_appears_unless_less_motion_is_wanted(replay: str, browser: Browser) -> None:
+def test_record_plays_on_appearing_unless_motion_is_reduced(replay: str, browser: Browser) -> None:
     with page_at(browser, replay, still=False) as page:
         ready(page)
         until(lambda: shown_round(page) >= 2, "it plays")
@@ -264,7 +264,7 @@ def test_two_protocols_fly_side_by_side(tmp_path: Path, browser: Browser) -> Non
         assert starts == [1, 1]
 
 
-def test_the_first_screen_names_the_robot_that_kept_the_team_from_forming(tmp_path: Path, browser: Browser) -> None:
+def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, browser: Browser) -> None:
     models = "3=simulated:malformed,0-2=simulated:ideal,4-5=simulated:ideal"
     llm_flock.run(
         shape="circle", n_robots=6, seed=2, model=models, fallback="hold", rounds=15, out=str(tmp_path / "bad")

@@ -53,7 +53,7 @@ def test_pages_keep_the_rules_of_wcag(served: str, browser: Browser, dark: bool)
         assert any("button-name" in line for line in violations(page)), "the checker checks"
 
 
-def test_every_control_is_reached_by_keyboard_and_shows_its_focus(served: str, browser: Browser) -> None:
+def test_every_control_is_reached_by_keyboard_and_shows_focus(served: str, browser: Browser) -> None:
     for path in ("run/1", "runs", "cockpit"):
         with page_at(browser, served + path) as page:
             page.locator(".flock-mind, tbody tr, .flock-shape").first.wait_for()

@@ -84,15 +84,13 @@ OUTLINES = """() => {
 }"""
 
 
-def test_a_word_crosses_a_ring_a_way_or_a_wall_only_where_all_room_is_crossed(scripts: Page) -> None:
+def test_viewer_word_crosses_outlines_only_without_clear_room(scripts: Page) -> None:
     found = scripts.evaluate(OUTLINES)
     assert not found["crossed"] and found["far"] > 14, "neither above, on its way, nor on the ring of its goal"
     assert found["still"], "rather on a line than nowhere"
 
 
-def test_robots_over_one_another_in_space_are_neither_too_close_nor_in_radio_range(
-    tmp_path: Path, browser: Browser
-) -> None:
+def test_stacked_robots_are_not_too_close_nor_in_radio_range(tmp_path: Path, browser: Browser) -> None:
     with RecordWriter(tmp_path / "space" / "run.mcap") as writer:
         fake = FakeRun(n=3, rounds=1, dim=3)
 

@@ -64,7 +64,7 @@ def test_without_the_token_nothing_is_shown(served: str) -> None:
         assert status == 401 and b"circle" not in body
 
 
-def test_with_the_token_pages_come_with_their_policy_and_without_the_key(served: str, cookie: str) -> None:
+def test_pages_with_the_token_carry_a_policy_but_not_the_key(served: str, cookie: str) -> None:
     for path in ("/", "/run/1", "/cockpit", "/runs", "/data/1/about", "/data/1/news", "/data/1/frames?count=9"):
         status, headers, body = get(served, path, Cookie=cookie)
         assert status == 200, path

@@ -23,7 +23,7 @@ from llm_flock_view._viewer.server import listen
 
 
 @pytest.mark.parametrize("endpoint", ["nowhere", "tcp/127.0.0.1:1"])
-def test_a_router_that_does_not_answer_is_refused_before_a_process_starts(
+def test_silent_router_is_refused_before_a_process_starts(
     endpoint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def refuse(*words: str, **_: Any) -> None:
@@ -36,7 +36,7 @@ def test_a_router_that_does_not_answer_is_refused_before_a_process_starts(
     assert done.stderr.count("\n") == 1, "nothing is said to start"
 
 
-def test_a_peer_in_place_of_the_router_is_refused_for_it_passes_nothing_on(tmp_path: Path) -> None:
+def test_peer_in_place_of_the_router_is_refused(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     values = {"mode": "peer", "listen/endpoints": [endpoint], "scouting/multicast/enabled": False}
     with closing(open_session(values)):
@@ -44,7 +44,7 @@ def test_a_peer_in_place_of_the_router_is_refused_for_it_passes_nothing_on(tmp_p
     assert done.returncode == 2 and "a zenoh peer answers there, no router" in done.stderr
 
 
-def test_the_nodes_and_topics_of_a_bridge_are_tokens_at_its_router() -> None:
+def test_bridge_nodes_and_topics_are_tokens_at_its_router() -> None:
     async def tokens(endpoint: str) -> list[str]:
         with closing(Graph(endpoint, 0)) as graph, listener(endpoint) as other:
             graph.node("/flock", "team").publisher("/flock/state", TEXT)
@@ -79,7 +79,7 @@ def test_a_port_that_is_taken_is_named_with_a_way_out() -> None:
         listen("127.0.0.1", first.port, None)
 
 
-def test_the_viewer_shows_no_address_where_the_port_of_foxglove_is_taken(tmp_path: Path) -> None:
+def test_viewer_shows_no_address_if_the_foxglove_port_is_taken(tmp_path: Path) -> None:
     pytest.importorskip("foxglove")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])

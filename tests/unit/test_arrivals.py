@@ -71,7 +71,7 @@ def test_orca_separates_whoever_finds_an_allowed_velocity():
     assert feasible > 150
 
 
-def test_orca_takes_the_nearest_velocity_of_a_grid_and_else_the_least_bad():
+def test_orca_takes_nearest_grid_velocity_else_the_least_bad():
     rng = np.random.default_rng(1)
     axis = np.linspace(-1.0, 1.0, 201)
     grid = (axis[:, None] + 1j * axis[None, :]).ravel()
@@ -105,7 +105,7 @@ def test_the_bottleneck_comes_before_the_sum_of_squares():
     assert scenes.bottleneck_assignment(np.array([[0.0, 2.0], [2.0, 1.0]])) == [0, 1]
 
 
-def test_capt_flies_only_where_its_conditions_hold_and_then_never_collides():
+def test_capt_flies_only_under_its_conditions_never_colliding():
     rng, flights = np.random.default_rng(0), 0
     for _ in range(60):
         start, places = rng.uniform(20.0, 60.0, (2, 6, 2))
@@ -138,7 +138,7 @@ def test_motion_alone_and_straight_steps_keep_the_safe_distance():
     assert not alone.violated and not faced.violated
 
 
-def test_a_variant_of_ours_flies_without_what_its_switch_turns_off():
+def test_variant_of_ours_flies_without_what_it_switches_off():
     meeting = scene([(40.0, 50.0), (60.0, 50.0)], [(60.0, 50.0), (40.0, 50.0)])
     without = arrivals.ours(lambda: mock.patch.object(RightOfWay, "ways", return_value=[]))
     assert figures_of(without, meeting).arrived is None

@@ -44,9 +44,7 @@ async def cancelled_as_it_ends(work: Callable[[End], Coroutine[Any, Any, Any]]) 
 
 @pytest.mark.usefixtures("skipped_waits")
 @pytest.mark.parametrize("command", ["arm", "take_off"])
-def test_nobody_rises_after_a_flight_that_ended_as_a_drone_confirmed(
-    command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nobody_rises_after_a_flight_ended_at_a_confirmation(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def whole() -> list[bool]:
         config = flight_config(take_off_group=1)
         robots = build_fleet(config)
@@ -97,7 +95,7 @@ def test_an_answer_that_comes_with_the_end_of_the_flight() -> None:
 
 
 @pytest.mark.parametrize("package", ["robots", "runtime/flight"])
-def test_no_driver_and_no_flight_waits_in_the_way_that_drops_cancellations(package: str) -> None:
+def test_drivers_and_flights_do_not_wait_with_asyncio_wait_for(package: str) -> None:
     found = [
         f"{path.name}:{node.lineno}"
         for path in (SOURCES / package).rglob("*.py")

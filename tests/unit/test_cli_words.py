@@ -39,7 +39,7 @@ def progress(n_robots: int) -> TrialProgress:
     )
 
 
-def test_the_live_line_says_what_it_waits_for_until_a_robot_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_line_says_what_it_waits_for_until_a_robot_comes(capsys: pytest.CaptureFixture[str]) -> None:
     bar, show = live_line("circle", enabled=True, waiting="waiting for robots ...")
     with bar:
         show(progress(0))
@@ -50,9 +50,7 @@ def test_the_live_line_says_what_it_waits_for_until_a_robot_is_there(capsys: pyt
     assert len(lines) == 2 and "at goal 0/3" in lines[1]
 
 
-def test_a_picture_of_a_run_that_broke_off_says_so_and_what_it_replaces(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_picture_of_a_broken_run_says_so_and_what_it_replaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("llm_flock_view._figures.figures.snapshots", lambda record, rounds: None)
     monkeypatch.setattr("llm_flock_view._figures.figures.save", lambda drawn, path: path.touch())
     first = call("figure", make_record(tmp_path / "run.mcap", n=3, rounds=2), monkeypatch=monkeypatch)
@@ -68,9 +66,7 @@ def test_a_picture_of_a_run_that_broke_off_says_so_and_what_it_replaces(
     ]
 
 
-def test_a_robot_and_a_round_that_are_not_in_a_record_are_told_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_missing_robot_and_missing_round_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = make_record(tmp_path / "run.mcap", n=3, rounds=4, llm=False)
     for argv, text in (
         (("--robot", 44), "--robot 44: there are robots 0 to 2"),

@@ -38,7 +38,7 @@ def test_a_refused_comparison_leaves_no_file(model: str, tmp_path: Path, monkeyp
     assert not Path("x.csv").exists()
 
 
-def test_a_dry_run_needs_no_key_but_a_price_where_money_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dry_run_needs_no_key_but_a_price_with_a_cost_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENAI_API_KEY", raising=False)
     team = ("run", "--shape", "triangle", "--robots", "3", "--dry-run")
     assert CliRunner().invoke(app, [*team, "--model", "openai:o3-mini", "--json"]).exit_code == 0

@@ -157,7 +157,7 @@ def test_there_and_back(dim: int) -> None:
     assert quarter.to_world((10, 0)) == pytest.approx((1, 3, 1))
 
 
-def test_set_points_are_checked_one_by_one_and_against_each_other() -> None:
+def test_set_points_are_checked_singly_and_against_each_other() -> None:
     config = flight_config(max_speed_m_s=1.0, round_s=2.0, take_off_s=3.0, land_s=3.0)
     check = SetPointCheck(config)
     here = [(-1.0, -1.0, 1.0), (1.0, 1.0, 1.0)]
@@ -245,7 +245,7 @@ def test_what_makes_no_robot_for_each_drone_is_refused_in_words(name: str, wrong
     assert (caught.value.field, caught.value.says) == ("robot", expected + wrong)
 
 
-def test_a_crazyflie_needs_an_address_and_a_simulated_drone_a_start() -> None:
+def test_crazyflie_needs_an_address_simulated_drone_a_start() -> None:
     with pytest.raises(InputError, match="uri"):
         build_fleet(flight_config(robot="crazyflie"))
     with pytest.raises(InputError, match="start"):
@@ -261,7 +261,7 @@ def mavlink_config(drones: list[Any] | None = None, **fields: Any) -> FlightConf
     return flight_config(robot="mavlink", drones=drones or listed, **fields)
 
 
-def test_vehicles_at_one_address_are_told_apart_by_their_system_ids() -> None:
+def test_vehicles_at_one_address_differ_by_their_system_ids() -> None:
     robots = build_fleet(mavlink_config())
     assert [(robot.name, robot.system_id) for robot in robots] == [("d0", 1), ("d1", 2), ("d2", 3), ("d3", 4)]  # type: ignore[attr-defined]
     same = [{"name": f"d{k}", "uri": "udp://0.0.0.0:14540", "system_id": 1 + k % 3} for k in range(4)]

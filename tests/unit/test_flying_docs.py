@@ -33,7 +33,7 @@ def measured(name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_every_case_is_in_the_table_and_was_measured_within_its_stated_time() -> None:
+def test_every_case_was_measured_within_its_stated_time() -> None:
     rows = measured("flight-cases.csv")
     assert {row["Name"] for row in rows} == set(ALL)
     for row in rows:
@@ -55,7 +55,7 @@ def test_what_ends_a_flight_is_listed() -> None:
     assert set(re.findall(r"^\| `(\w+)` \|", table[0], re.MULTILINE)) == {kind.value for kind in TroubleKind}
 
 
-def test_the_first_flight_of_one_drone_is_half_a_metre_to_the_middle() -> None:
+def test_first_flight_of_one_drone_is_half_a_metre_to_middle() -> None:
     page = (ROOT / "docs" / "how-to" / "four-crazyflies.md").read_text(encoding="utf-8")
     (file,) = re.findall(r"^ +```toml\n(.*?)^ +```", page, re.MULTILINE | re.DOTALL)
     config = FlightConfig.model_validate(tomllib.loads(file))
@@ -82,7 +82,7 @@ def own_robot_page(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 @pytest.mark.parametrize("floor_m", [0.0, -0.1])
-def test_robots_of_ones_own_stand_at_their_starts_within_the_limits_of_the_flight(
+def test_own_robots_start_within_the_limits_of_the_flight(
     floor_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own_robot_page(monkeypatch)

@@ -149,7 +149,7 @@ def test_a_missing_key_names_its_variable() -> None:
             assert pool.model(info.example, rng=RNG, base_urls=urls).name == info.example
 
 
-def test_no_key_is_needed_at_another_address_and_no_address_is_invented() -> None:
+def test_other_address_needs_no_key_and_none_is_invented() -> None:
     ModelPool(environ={}).model("openai:o3-mini", rng=RNG, base_urls={"openai": "http://localhost:9/v1"})
     with pytest.raises(InputError, match="an address for 'llama'"):
         ModelPool(environ={}).model("llama:any", rng=RNG)
@@ -186,7 +186,7 @@ def test_one_address_for_two_providers_is_refused() -> None:
         parse_base_urls("http://h/v1", ["openai:a", "llama:b"])
 
 
-def test_a_password_in_an_address_is_refused_without_repeating_it() -> None:
+def test_password_in_an_address_is_refused_but_not_repeated() -> None:
     with pytest.raises(InputError) as caught:
         parse_base_urls("http://me:hunter2@h/v1", ["llama:a"])
     assert "hunter2" not in str(caught.value)
@@ -230,7 +230,7 @@ def test_per_robot_names_the_field_it_was_asked_about() -> None:
 DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "models.md"
 
 
-def test_a_cassette_has_the_fields_of_a_recorded_call_as_the_docs_say() -> None:
+def test_cassette_has_the_documented_fields_of_a_recorded_call() -> None:
     assert CassetteLine.model_fields.keys() - {"answer_schema"} == LlmEntry.model_fields.keys() - {"probe"}
     assert "less `probe`, and `answer_schema`" in DOCS.read_text(encoding="utf-8")
 

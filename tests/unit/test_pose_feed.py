@@ -153,7 +153,7 @@ def test_poses_from_ros_come_by_a_plug_in_whose_extra_is_named(monkeypatch: pyte
         pose_source(config)
 
 
-def test_a_driver_that_takes_no_poses_is_refused_before_anything_is_opened() -> None:
+def test_driver_without_poses_is_refused_before_anything_opens() -> None:
     source = Source()
 
     async def run() -> None:
@@ -166,7 +166,7 @@ def test_a_driver_that_takes_no_poses_is_refused_before_anything_is_opened() -> 
 
 
 @pytest.mark.usefixtures("skipped_waits")
-def test_the_preflight_says_how_old_each_pose_is_and_whether_it_agrees() -> None:
+def test_preflight_tells_age_and_agreement_of_each_pose() -> None:
     config = flight_config()
 
     async def run() -> None:
@@ -294,7 +294,7 @@ def test_messages_of_ros_become_frames() -> None:
 # ------------------------------------------------------------------ the stand-in
 
 
-def test_a_stand_in_believes_what_it_is_told_and_stands_still_without() -> None:
+def test_stand_in_believes_told_poses_and_stands_still_without() -> None:
     firmware = Firmware(PointMass(home=(1.0, 2.0, 0.0)), outside=True)
     assert firmware.body.estimate(0.0) == (0.0, 0.0, 0.0)
     firmware.tick(1.0)

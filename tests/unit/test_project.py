@@ -94,3 +94,10 @@ def test_a_part_imports_only_public_modules_of_the_core() -> None:
         and private("llm_flock.llm", "_port")
         and not private("llm_flock.llm", "Call")
     )
+
+
+def test_names_of_tests_are_short() -> None:
+    files = [*ROOT.glob("packages/*/tests/**/test_*.py"), *ROOT.glob("tests/**/test_*.py")]
+    names = [name for path in files for name in re.findall(r"def (test_\w+)", path.read_text(encoding="utf-8"))]
+    assert len(names) > 2000
+    assert [name for name in names if len(name) > 60] == []

@@ -60,7 +60,7 @@ def test_the_plan_message_gives_id_centre_and_form() -> None:
     assert text.endswith("Plan: [[x, y], [x, y], ...]\nmy plan: a")
 
 
-def test_the_step_message_gives_position_neighbours_plan_goal_and_form() -> None:
+def test_step_message_gives_position_neighbours_plan_goal_form() -> None:
     text = PromptSet.load().step(step_question())
     assert "Your position: [12.346, 7.000]\n" in text
     assert "[[1.000, 2.000], [-3.142, 4.000]]\n" in text
@@ -145,7 +145,7 @@ def test_nothing_assumes_a_plane() -> None:
     assert "[[4.000, 5.000, 6.000]]" in step and step.endswith("Position: [x, y, z]")
 
 
-def test_a_custom_shape_is_told_by_its_points_and_a_text_shape_by_its_words() -> None:
+def test_prompt_tells_custom_shape_by_points_and_text_by_words() -> None:
     custom = build_mission(points=((10, 10), (20, 10), (30, 10)))
     assert "[[-10.000, 0.000], [0.000, 0.000], [10.000, 0.000]]" in PromptSet.load().system(custom)
     words = build_mission(shape="text:the letter {{ A }}", n_robots=5)
@@ -241,7 +241,7 @@ def test_the_documentation_lists_exactly_the_variables() -> None:
     }
 
 
-def test_obstacles_are_told_where_there_are_any_and_change_nothing_else() -> None:
+def test_obstacles_if_any_are_told_and_alter_nothing_else() -> None:
     prompts = PromptSet.load()
     bare = build_mission()
     disc: dict[str, object] = {"center": (50, 50), "radius": 5}
@@ -262,7 +262,7 @@ def test_obstacles_are_told_where_there_are_any_and_change_nothing_else() -> Non
     assert "a ball of radius 5 around [9, 9, 9]" in prompts.system(ball)
 
 
-def test_places_are_told_only_where_there_is_not_one_for_each_robot() -> None:
+def test_places_are_told_only_if_not_one_for_each_robot() -> None:
     prompts = PromptSet.load()
     team = build_mission(shape="circle", n_robots=10)
     for mission in (team, team.change(places=10)):
@@ -322,7 +322,7 @@ def test_brief_prompts_are_brief_and_say_what_a_robot_must_know() -> None:
     assert "keep your position" in brief.plan(plan_question(mission=stones))
 
 
-def test_brief_prompts_tell_the_three_nearest_robots_that_a_step_could_meet() -> None:
+def test_brief_prompts_tell_three_nearest_robots_in_step_reach() -> None:
     here = (50.0, 50.0)
     around = ((58.0, 50.0), (50.0, 54.5), (47.0, 46.0), (50.0, 42.25), (59.5, 50.0))
     told = PromptSet.load("brief").step(step_question(position=here, neighbors=around, mission=build_mission()))

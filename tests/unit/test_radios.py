@@ -73,7 +73,7 @@ def test_what_is_no_address_is_a_fault(uri: str) -> None:
     assert plan_radios([("cf1", uri)], TRAFFIC).faults[0].startswith(f"cf1: {uri}: expected ")
 
 
-def test_an_exchange_takes_longer_where_settings_change_or_the_rate_is_low() -> None:
+def test_exchange_is_slower_with_changing_settings_or_low_rate() -> None:
     def capacity(*uris: str) -> float:
         return capacity_hz([found for uri in uris if (found := address_of(uri)) is not None])
 
@@ -89,7 +89,7 @@ def test_the_exchanges_of_a_drone() -> None:
     assert exchanges_of(round_s=3.0, pose_hz=100.0) == pytest.approx(110.4), "poses outweigh the logs"
 
 
-def test_twenty_drones_are_too_many_for_one_radio_and_few_for_four() -> None:
+def test_twenty_drones_are_too_many_for_one_radio_not_for_four() -> None:
     def loads(n_radios: int) -> Any:
         return plan_radios(drones(proposed_uris(20, n_radios)), TRAFFIC)
 
@@ -101,7 +101,7 @@ def test_twenty_drones_are_too_many_for_one_radio_and_few_for_four() -> None:
     assert max(load.share for load in loads(3).loads) <= MOST_SHARE < max(load.share for load in loads(2).loads)
 
 
-def test_what_is_proposed_has_no_fault_and_no_warning_but_of_load() -> None:
+def test_proposed_radios_have_no_fault_and_warn_only_of_load() -> None:
     for n_radios in range(1, 6):
         uris = proposed_uris(n_radios * 3, n_radios)
         found = plan_radios(drones(uris), TRAFFIC)
@@ -189,7 +189,7 @@ def run(radio: ModelledRadio, n: int, seconds: float, up_hz: float, down_hz: flo
     return came
 
 
-def test_a_modelled_radio_carries_what_it_can_and_shares_it_fairly() -> None:
+def test_modelled_radio_carries_what_it_can_and_shares_fairly() -> None:
     light = ModelledRadio(0.002)
     came = run(light, 4, 4.0, up_hz=10.0, down_hz=30.0)
     assert light.dropped == 0 and all(came[k, "down"] >= 115 and came[k, "up"] >= 38 for k in range(4))
@@ -217,7 +217,7 @@ def test_a_drone_with_nothing_to_say_is_asked_less_often() -> None:
     assert radio.exchanges - asked <= 101
 
 
-def test_packets_beyond_the_queue_are_dropped_and_a_stalled_computer_is_not_caught_up() -> None:
+def test_packets_beyond_queue_are_dropped_stalls_not_made_up() -> None:
     radio = ModelledRadio(0.01)
     for _ in range(QUEUE + 5):
         radio.put(0, "up", b"x", 10.0)

@@ -117,7 +117,7 @@ class Sensors:
         return self.bodies.command(0, order)
 
 
-def test_a_reading_is_as_old_as_its_oldest_pose_and_needs_all_of_them() -> None:
+def test_reading_is_as_old_as_its_oldest_pose_and_needs_all() -> None:
     sensors = Sensors()
     sensors.sense(0, 1.0, age_s=0.1)
     assert sensors.bodies.reading() is None and sensors.bodies.missing == [1]
@@ -129,7 +129,7 @@ def test_a_reading_is_as_old_as_its_oldest_pose_and_needs_all_of_them() -> None:
     assert sensors.bodies.missing == [0] and sensors.bodies.reading() is None
 
 
-def test_poses_that_are_late_old_strange_or_of_two_sources_are_refused() -> None:
+def test_late_old_strange_or_doubly_sourced_poses_are_refused() -> None:
     sensors = Sensors()
     sensors.sense(0, 1.0, sequence=5)
     assert refusal(sensors.sense, 2, 0.0) == refusal(sensors.sense, -1, 0.0) == "unknown_robot"
@@ -172,7 +172,7 @@ def test_a_pose_from_the_future_is_of_now() -> None:
     assert reading is not None and reading.stamp == sensors.now
 
 
-def test_commands_count_once_in_time_from_where_the_body_stops_and_no_farther_than_it_flies() -> None:
+def test_command_counts_once_in_time_within_reach_of_the_stop() -> None:
     sensors = Sensors()
     assert not sensors.command(1, 0.0, 1.0)  # no pose yet
     sensors.sense(0, 0.0)
@@ -214,7 +214,7 @@ def test_names_are_legal_in_ros_whatever_the_swarm_is_called() -> None:
             Ros2Config(ros_pose_topic=wrong)
 
 
-def test_stamps_are_the_wall_clock_s_the_simulation_s_or_those_of_clock() -> None:
+def test_stamps_are_of_wall_clock_simulation_or_clock_topic() -> None:
     assert Stamps(sim=False, follow=False).of(2.5) == 2_500_000_000
     simulated, following = Stamps(sim=True, follow=False), Stamps(sim=True, follow=True)
     assert [simulated.of(at) for at in (100.0, 100.5, 99.0)] == [0, 500_000_000, 0]
@@ -275,7 +275,7 @@ def mission_of(config: FlightConfig) -> MissionInfo:
     return mission_info(config.mission, 0, 0)
 
 
-def test_a_flight_shows_where_its_drones_are_and_no_fault_there_comes_back() -> None:
+def test_flight_shows_its_drones_and_no_fault_there_returns() -> None:
     config, graph = flight_config(router="tcp/127.0.0.1:1"), FakeGraph()
     show = FlightShow(graph, config.ros2, ["cf1", "cf2"], config.frame, 3.2)  # type: ignore[arg-type]
     show.write(mission_of(config))

@@ -87,7 +87,7 @@ def test_a_shape_in_words_becomes_a_circle() -> None:
     np.testing.assert_allclose(plan.array[:, 2], 7)
 
 
-def test_steps_are_full_and_straight_until_the_goal_is_reached_exactly() -> None:
+def test_steps_are_full_and_straight_until_the_exact_goal() -> None:
     position, goal = (20.0, 20.0), PLAN.points[4]
     rounds = 0
     while position != goal:
@@ -129,7 +129,7 @@ def test_json_is_spoken_when_asked_for() -> None:
     assert text.startswith("{") and parse_step_json(text, 2) == parse_step(responder().answer(step_talk()), 2)
 
 
-def test_the_question_is_found_behind_a_rejected_answer_and_an_older_exchange() -> None:
+def test_question_is_found_behind_rejected_and_older_exchanges() -> None:
     older = plan_talk()
     asked = StepQuestion(mission=CIRCLE, robot=0, round=1, position=(1.0, 2.0), neighbors=(), plan=PLAN, slot=0)
     retry = ("user", TEXT.retry("no", asked))
@@ -188,7 +188,7 @@ def test_collapsing_steps_go_to_the_centroid() -> None:
 
 @pytest.mark.parametrize("prompts", [TEXT, JSON], ids=["text", "json"])
 @pytest.mark.parametrize("mission", [CIRCLE, build_mission(shape="circle", n_robots=1)], ids=["ten", "one"])
-def test_malformed_answers_are_never_usable_and_fail_in_many_ways(mission: Mission, prompts: PromptSet) -> None:
+def test_malformed_answers_are_never_usable_and_fail_variously(mission: Mission, prompts: PromptSet) -> None:
     thinker, reasons = responder("malformed"), Counter[str]()
     n = mission.n_robots
     plan = Plan.of(mission.ideal or ())

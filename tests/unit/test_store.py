@@ -52,9 +52,7 @@ def test_files_that_were_never_completed_are_passed_over(tmp_path: Path) -> None
     assert [path.stem for path in trial_files(tmp_path)] == ["a"]
 
 
-def test_a_disk_that_takes_nothing_is_told_and_leaves_what_was_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_full_disk_is_told_and_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_whole(tmp_path / "x", b"old")
 
     def full(*_: Any) -> None:
@@ -78,7 +76,7 @@ def test_damaged_and_newer_files_are_named(tmp_path: Path, text: str | None, rea
         read_trial(store.trial_path("a"))
 
 
-def test_a_directory_has_one_sweep_at_a_time_and_is_free_when_its_owner_was_killed(tmp_path: Path) -> None:
+def test_a_directory_of_a_killed_sweep_is_free_again(tmp_path: Path) -> None:
     store = Store(tmp_path)
     (tmp_path / "lock").touch()
     with store.held(), pytest.raises(InputError, match="no other sweep"), Store(tmp_path).held():

@@ -54,7 +54,7 @@ def test_variables_come_from_the_file_or_from_outside(tmp_path: Path) -> None:
         load_sweep(path, variables={"modles": given})
 
 
-def test_an_override_replaces_the_axis_of_its_name_and_holds_for_all(tmp_path: Path) -> None:
+def test_override_replaces_the_axis_of_its_name_for_all(tmp_path: Path) -> None:
     sweep = small(tmp_path, grid="loss = [0.0, 0.2]", loss=0.5, rounds=3)
     assert {(t.config.links.loss, t.config.trial.rounds) for t in sweep.trials} == {(0.5, 3)}
 

@@ -119,7 +119,7 @@ def test_two_cannot_raise_a_version_above_every_number() -> None:
 
 
 @pytest.mark.no_cover
-def test_two_that_lie_together_keep_a_team_from_forming_that_reckons_with_one() -> None:
+def test_two_liars_stop_a_team_that_reckons_with_one() -> None:
     """What the number of witnesses is for: the same lie, and a team that was not told."""
     assert flown("blocks every place", LIARS).slots == [None] * 5
 
@@ -186,7 +186,7 @@ def test_robots_that_were_taken_for_dead_stay_where_they_are() -> None:
     assert all(team.owners(0)[slot] == (table[slot][0] + 1, robot) for robot, slot in enumerate(places))
 
 
-def test_words_are_passed_on_and_a_far_robot_learns_that_a_place_is_free() -> None:
+def test_words_passed_on_tell_a_far_robot_that_a_place_is_free() -> None:
     """In a row, the neighbours of a dead robot are too few; with passed-on words all others agree that it is gone."""
     row = Mission(shape="line", n_robots=N, comm_range=15)
     team = SignedTeam(row, [(20.0 + 10.0 * k, 50.0) for k in range(N)], liars=TWO, tolerated=TWO)

@@ -46,7 +46,7 @@ async def up(robot, height=0.5):
     await asyncio.sleep(0.9)
 
 
-def test_the_driver_keeps_the_contract_while_a_tenth_of_the_packets_is_lost():
+def test_driver_keeps_its_contract_at_ten_percent_packet_loss():
     with StandIns([HOME], loss=0.1, seed=1) as drones:
         asyncio.run(check_robot(robot_of(drones), patience_s=2.5))
         assert not drones[0].flying and not drones[0].locked
@@ -121,7 +121,7 @@ def test_closing_the_link_in_flight_leaves_the_drone_hovering():
     asyncio.run(flight())
 
 
-def test_a_drone_that_is_locked_refuses_with_what_its_supervisor_says():
+def test_locked_drone_refuses_with_the_words_of_its_supervisor():
     async def flight() -> None:
         with StandIns([HOME]) as drones:
             robot = robot_of(drones)
@@ -178,7 +178,7 @@ def test_parameters_are_set_on_connect_and_unknown_ones_refused():
     asyncio.run(flight())
 
 
-def test_what_the_firmware_has_is_read_and_what_was_set_is_read_back():
+def test_firmware_equipment_is_read_and_settings_are_read_back():
     async def flight() -> None:
         with StandIns([HOME], missing=("pm.vbat", "kalman.varPX", "kalman.varPY", "kalman.varPZ")) as drones:
             robot = robot_of(drones)
@@ -279,7 +279,7 @@ def test_what_the_supervisor_says_is_told():
     asyncio.run(flight())
 
 
-def test_the_stop_watchdog_cuts_the_motors_where_no_radio_reaches():
+def test_stop_watchdog_cuts_the_motors_where_no_radio_reaches():
     async def flight() -> None:
         with StandIns([HOME]) as drones:
             robot = robot_of(drones, stop_watchdog=True)
@@ -295,7 +295,7 @@ def test_the_stop_watchdog_cuts_the_motors_where_no_radio_reaches():
     asyncio.run(flight())
 
 
-def test_attempts_to_connect_leave_no_thread_and_no_exception_behind(monkeypatch):
+def test_connection_attempts_leave_no_thread_and_no_exception(monkeypatch):
     """Half of all packets is lost: attempts are given up in all stages."""
     died = []
     monkeypatch.setattr(threading, "excepthook", lambda found: died.append(found.exc_value))

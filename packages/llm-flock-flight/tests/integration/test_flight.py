@@ -154,7 +154,7 @@ def test_whatever_goes_wrong_everybody_is_down_in_time(
     assert (summary.stopped, summary.reason) == (flight.ended, flight.reason) or at == "landing"
 
 
-def test_a_drone_that_stays_out_of_reach_is_named_and_the_others_are_landed(tmp_path) -> None:
+def test_drone_out_of_reach_is_named_and_the_others_landed(tmp_path) -> None:
     flight = figures(flown(flight_config(reach_s=1.5, connect_s=1.0, out=str(tmp_path)), lose_link))
     assert flight.ends == {"d0": "landed", "d1": "out of reach", "d2": "landed", "d3": "landed"}
     assert not flight.safe
@@ -164,7 +164,7 @@ def test_a_drone_that_stays_out_of_reach_is_named_and_the_others_are_landed(tmp_
 
 
 @pytest.mark.parametrize(("shape", "n"), [("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5)])
-def test_the_default_flight_forms_and_lands_with_the_stock_controller(shape: str, n: int) -> None:
+def test_default_flight_forms_and_lands_with_stock_controller(shape: str, n: int) -> None:
     """Drones are up to 20 cm and more behind their set-points, and 35 cm as they take off."""
     config = flight_config(n, shape, robot="flights:stock", **STOCK)
     assert config.safety == FlightConfig().safety
@@ -183,7 +183,7 @@ def test_a_drone_whose_controller_changes_in_flight_is_noticed() -> None:
     assert flight.ended == "off_course" and flight.safe and "d1: it is" in (flight.reason or "")
 
 
-def test_a_drone_that_stops_in_the_air_is_named_and_the_others_are_landed() -> None:
+def test_drone_stopped_in_the_air_is_named_and_others_landed() -> None:
     def stop(flight: Flight, robots: Robots) -> None:
         robots[2].body.emergency_stop(time.monotonic())
 
@@ -267,7 +267,7 @@ def small_files(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_flight_goes_on_without_a_record_that_cannot_be_written_any_more(tmp_path, caplog) -> None:
+def test_flight_goes_on_when_its_record_cannot_be_written(tmp_path, caplog) -> None:
     seen: list[object] = []
     config = flight_config(out=str(tmp_path))
     size = len(json.dumps([channel_schema(model) for model in CHANNELS.values()])) + 40_000

@@ -29,7 +29,7 @@ def test_a_listener_that_fails_ends_the_flight_and_all_land(at: str) -> None:
     assert not any(robot.state().flying for robot in made)
 
 
-def test_a_drone_that_is_heard_again_is_seen_to_land_and_not_locked() -> None:
+def test_drone_heard_again_is_seen_to_land_not_locked() -> None:
     """This computer stood still, and the driver gave the link up; but orders reach the drone, and news come from it."""
 
     def give_up(flight: Flight, robots: Robots) -> None:
@@ -41,7 +41,7 @@ def test_a_drone_that_is_heard_again_is_seen_to_land_and_not_locked() -> None:
 
 
 @pytest.mark.parametrize("late_s", [1.1, 3.0])
-def test_a_drone_that_is_slow_to_take_the_order_to_land_is_landed(late_s: float) -> None:
+def test_drone_slow_to_take_the_order_to_land_is_landed(late_s: float) -> None:
     def slow(flight: Flight, robots: Robots) -> None:
         plain = robots[1].land
 

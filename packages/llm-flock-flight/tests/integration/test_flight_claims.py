@@ -40,7 +40,7 @@ def config_of(uris: list[str], robot: str = OWN, **fields: Any) -> FlightConfig:
     return flight_config(robot=robot, drones=drones, **fields)
 
 
-def test_a_second_flight_of_a_drone_is_refused_and_the_first_goes_on(skipped_waits: None) -> None:
+def test_second_flight_of_a_drone_is_refused_the_first_goes_on(skipped_waits: None) -> None:
     """Both flight files list one drone, by two radios; the second flight calls nobody."""
     second = config_of([RADIOS[0].replace("//0", "//1"), *(f"radio://1/90/2M/E7E7E7E71{k}" for k in range(3))])
     called: list[str] = []

@@ -59,7 +59,7 @@ def test_an_order_in_the_middle_of_a_round_brings_everybody_home(fields: dict[st
     assert returning - began > 0.9 * flight_config(**fields).safety.round_s, "the motion under way was flown to its end"
 
 
-def test_after_the_mission_they_return_if_the_flight_file_says_so() -> None:
+def test_drones_return_after_the_mission_if_the_file_says_so() -> None:
     flight, off = fly_and_look(lambda flight, robots: None, "landing", at_end="return")
     assert flight.ended == "mission" and flight.safe and max(off) <= 0.05
     there, off = fly_and_look(lambda flight, robots: None, "landing")
@@ -126,7 +126,7 @@ def test_a_dry_run_tells_a_flight_that_cannot_end_in_time() -> None:
 @pytest.mark.parametrize(
     ("n", "size", "obstacles"), [(3, 30, []), (10, 33, []), (10, 40, [{"center": [20, 20], "radius": 6}])]
 )
-def test_everybody_gets_home_from_anywhere_and_keeps_the_distance(n: int, size: float, obstacles: list[Any]) -> None:
+def test_everybody_gets_home_from_anywhere_at_a_safe_distance(n: int, size: float, obstacles: list[Any]) -> None:
     room: dict[str, Any] = {"center": (size / 2, size / 2), "arena": ((0, 0), (size, size)), "obstacles": obstacles}
     mission = Mission(shape="circle", n_robots=n, comm_range=20, **room)
     for seed in range(max(1, round(5 * EFFORT))):
@@ -142,7 +142,7 @@ def test_everybody_gets_home_from_anywhere_and_keeps_the_distance(n: int, size: 
         assert not way.far(team.places), seed
 
 
-def test_homes_that_are_too_near_are_named_and_nobody_waits_for_ever() -> None:
+def test_too_near_homes_are_named_and_nobody_waits_for_ever() -> None:
     mission = Mission(shape="line", n_robots=2, center=(15, 15), arena=((0, 0), (30, 30)), comm_range=20)
     homes = np.array([[10.0, 10.0], [11.0, 10.0]])
     team = Readings(mission, np.array([[5.0, 5.0], [25.0, 25.0]]), 0.0, np.random.default_rng(0))

@@ -106,7 +106,7 @@ def test_refusals_on_the_ground(number, what, result, word):
     on_ground(FLAVOURS, act)
 
 
-def test_a_take_off_that_is_refused_leaves_the_robot_on_the_ground():
+def test_refused_take_off_leaves_the_robot_on_the_ground():
     async def act(robot, vehicle):
         vehicle.autopilot.refuse[22] = (4, "")
         await robot.arm()
@@ -213,7 +213,7 @@ def test_a_stream_that_stops_is_left_to_px4():
 
 
 @pytest.mark.parametrize(("flavour", "held"), [("px4", "Hold"), ("ardupilot", "Guided"), ("ardupilot", "Brake")])
-def test_a_vehicle_that_hovers_by_itself_can_be_landed_after_a_reconnection(flavour, held):
+def test_hovering_vehicle_can_be_landed_after_a_reconnection(flavour, held):
     async def act(robot, vehicle):
         await robot.close()
         vehicle.switch(held)

@@ -43,7 +43,7 @@ def test_a_lost_link_is_seen_and_opened_again():
     in_air("ardupilot", act)
 
 
-def test_missing_heartbeats_lose_the_link_although_positions_come():
+def test_missing_heartbeats_lose_the_link_despite_positions():
     async def act(robot, vehicle):
         with vehicle.lock:
             vehicle.autopilot._periods[0] = 0.0

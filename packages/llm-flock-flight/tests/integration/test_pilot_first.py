@@ -151,7 +151,7 @@ def test_a_command_is_not_repeated_once_a_pilot_flies() -> None:
     asyncio.run(scene())
 
 
-def test_motors_that_somebody_else_stops_in_the_air_are_no_landing() -> None:
+def test_motors_stopped_by_others_in_the_air_are_no_landing() -> None:
     async def scene() -> None:
         robot, port = await in_the_air()
         port.autopilot.body.motors = False
@@ -163,7 +163,7 @@ def test_motors_that_somebody_else_stops_in_the_air_are_no_landing() -> None:
     asyncio.run(scene())
 
 
-def test_a_vehicle_whose_estimate_jumped_is_not_led_aside_to_land() -> None:
+def test_vehicle_with_jumped_estimate_is_not_led_aside_to_land() -> None:
     async def scene() -> None:
         robot, port = await in_the_air()
         await asyncio.sleep(0.05)  # it has lifted off, and follows set-points
@@ -188,7 +188,7 @@ def test_a_vehicle_near_its_set_points_is_landed_by_them() -> None:
     asyncio.run(scene())
 
 
-def test_a_vehicle_that_was_armed_since_its_last_heartbeat_is_left_alone() -> None:
+def test_vehicle_armed_since_its_last_heartbeat_is_left_alone() -> None:
     async def scene() -> None:
         robot, port = await on_ground()
         port.autopilot.body.motors = True  # and its next heartbeat is due in a second
@@ -199,7 +199,7 @@ def test_a_vehicle_that_was_armed_since_its_last_heartbeat_is_left_alone() -> No
     asyncio.run(scene())
 
 
-def test_an_autopilot_that_sends_no_heartbeat_on_request_is_waited_for() -> None:
+def test_autopilot_without_heartbeat_on_request_is_waited_for() -> None:
     async def scene(armed: bool) -> None:
         robot, port = await on_ground()
         port.autopilot.refuse[REQUEST_MESSAGE] = (3, "")

@@ -87,7 +87,7 @@ def flown(act: Callable[[Cameras], None], at: str, **fields: Any) -> FlightResul
 
 
 @pytest.mark.parametrize(("hidden", "named"), [({"d2"}, "d2"), ({"d0", "d1", "d2", "d3"}, "d0")])
-def test_a_drone_that_is_not_seen_any_more_lands_everybody_and_is_named(hidden: set[str], named: str) -> None:
+def test_drone_no_longer_seen_lands_everybody_and_is_named(hidden: set[str], named: str) -> None:
     flight = figures(flown(lambda cameras: cameras.hidden.update(hidden), "flying"))
     assert flight.ended == "pose_lost" and flight.reason == f"{named}: no position from outside for 0.5 s"
     assert set(flight.ends.values()) == {"landed"} and flight.air_s < 3.0
@@ -116,7 +116,7 @@ def test_a_drone_that_is_not_seen_at_take_off_lands_too() -> None:
     assert flight.ended == "pose_lost" and flight.safe
 
 
-def test_poses_that_stop_before_the_operator_confirms_let_nobody_take_off() -> None:
+def test_no_take_off_if_poses_stop_before_the_confirmation() -> None:
     async def run() -> FlightResult:
         config = config_of()
         robots = seen(config, config.fleet.drones)
@@ -134,12 +134,12 @@ def test_poses_that_stop_before_the_operator_confirms_let_nobody_take_off() -> N
     assert (flight.reason or "").startswith("d3: ")
 
 
-def test_a_drone_that_is_seen_all_the_time_lands_after_its_mission() -> None:
+def test_drone_seen_all_the_time_lands_after_its_mission() -> None:
     result = flown(lambda cameras: None, "flying")
     assert figures(result).ended == "mission" and figures(result).poses_refused == {}
 
 
-def test_the_deadman_lands_with_poses_and_without_where_it_cannot_have_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_deadman_lands_with_poses_and_without_if_unavailable(monkeypatch: pytest.MonkeyPatch) -> None:
     """Whether the source opens or not, the drones are landed; what is wrong is said."""
     opened: list[Cameras] = []
 
@@ -167,7 +167,7 @@ def test_the_deadman_lands_with_poses_and_without_where_it_cannot_have_them(monk
     assert opened[0]._task is not None and opened[0]._task.cancelled()
 
 
-def test_poses_that_disagree_with_the_estimate_keep_the_drones_on_the_ground() -> None:
+def test_poses_contradicting_the_estimate_prevent_take_off() -> None:
     def shift(cameras: Cameras) -> None:
         cameras.offset = 0.2
 

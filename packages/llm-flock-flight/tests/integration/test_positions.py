@@ -100,7 +100,7 @@ def flown(
         return result, [found.taken for found in outsides if found is not None], stream
 
 
-def test_noise_a_short_drop_out_and_a_stranger_s_flood_are_flown_through(tmp_path: Path) -> None:
+def test_noise_drop_out_and_a_strange_flood_are_flown_through(tmp_path: Path) -> None:
     lies = PoseFrame(stamp_s=0.0, poses={name: Pose((5.0, 5.0, 5.0)) for name in NAMES})
 
     def act(stream: PoseStream) -> None:
@@ -132,7 +132,7 @@ def test_noise_a_short_drop_out_and_a_stranger_s_flood_are_flown_through(tmp_pat
     assert kinds.count("poses") == 1
 
 
-def test_two_motion_captures_keep_the_drones_on_the_ground_and_are_named() -> None:
+def test_two_motion_captures_are_named_and_prevent_take_off() -> None:
     result, _, _ = flown(rivals=1)
     (failed,) = [check for check in result.report.checks if not check.passed]
     assert result.result is None and (failed.name, failed.who) == ("one sender of positions", "team")
@@ -140,7 +140,7 @@ def test_two_motion_captures_keep_the_drones_on_the_ground_and_are_named() -> No
     assert ports is not None and ports[1] != ports[2]
 
 
-def test_a_pose_that_freezes_while_its_drone_moves_is_not_sent_for_long() -> None:
+def test_pose_frozen_while_its_drone_moves_is_not_sent_long() -> None:
     def freeze(stream: PoseStream) -> None:
         stream.frozen = frozenset({"cf1"})
 

@@ -89,7 +89,7 @@ def test_who_lags_less_than_another_is_off_by_what_it_gains(one_s: float, two_s:
     st.floats(0.0, 1.0),
     st.floats(0.0, 5.0),
 )
-def test_drones_in_step_are_as_far_apart_as_their_set_points_were_but_for_what_is_reported(
+def test_drones_in_step_keep_apart_but_for_the_reported_error(
     steps: list[tuple[float, float]], errors: list[tuple[float, float]], delay_s: float, after_s: float
 ) -> None:
     motions = [
@@ -110,7 +110,7 @@ def test_drones_in_step_are_as_far_apart_as_their_set_points_were_but_for_what_i
         assert math.dist(places[a], places[b]) >= then - found.off_m[a] - found.off_m[b] - 1e-3
 
 
-def test_drones_that_began_at_different_times_have_delays_of_their_own() -> None:
+def test_drones_begun_at_different_times_have_their_own_delays() -> None:
     motions = [MOTIONS[0], replace(MOTIONS[1], began_s=10.5), resting((0.0, 0.0, 1.0))]
     now = 11.8
     places = [motions[0].at(now - 0.2)[0], motions[1].at(now - 0.8)[0], (0.03, 0.0, 1.0)]

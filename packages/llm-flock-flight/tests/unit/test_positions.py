@@ -167,7 +167,7 @@ def test_what_comes_late_or_out_of_order_is_refused() -> None:
     assert found.refused == {("a", "late"): 1, ("a", "out_of_order"): 2}
 
 
-def test_a_sender_whose_clock_starts_over_is_believed_on_the_ground_only() -> None:
+def test_sender_with_a_restarted_clock_is_believed_on_ground() -> None:
     for flying in (False, True):
         found = gate()
         found.take(frame(500.0, a=(0, 0, 0)), 10.0)
@@ -194,7 +194,7 @@ def test_a_jump_that_lasts_is_never_believed_in_flight() -> None:
     assert any(on_the_ground.take(frame(k / 100, a=(0.7, 0, 0)), 10 + k / 100) for k in range(1, 100))
 
 
-def test_swapped_markers_are_never_believed_and_both_drones_are_named() -> None:
+def test_swapped_markers_are_not_believed_and_drones_are_named() -> None:
     named: list[tuple[str, str]] = []
     found = gate(jump_m=0.5)  # so that no jump is seen: the drones are 0.3 m apart
     found.on_refusal = lambda name, why: named.append((name, why))
@@ -223,7 +223,7 @@ def test_three_drones_whose_markers_go_round_are_refused() -> None:
     assert not found.take(frame(0.01, a=b, b=c, c=a), 10.01)
 
 
-def test_a_pose_that_repeats_itself_is_not_believed_until_it_changes() -> None:
+def test_repeated_pose_is_not_believed_until_it_changes() -> None:
     found = gate(frozen_s=0.5)
     accepted = [sorted(found.take(frame(k / 100, a=(0, 0, 1), b=(k / 1e6, 2, 1)), 10 + k / 100)) for k in range(100)]
     assert accepted[50] == ["a", "b"] and accepted[51:] == [["b"]] * 49
@@ -231,7 +231,7 @@ def test_a_pose_that_repeats_itself_is_not_believed_until_it_changes() -> None:
     assert "a" in found.take(frame(1.0, a=(0, 0, 1.0001)), 11.0) and not found.doubts
 
 
-def test_a_pose_may_repeat_itself_for_a_moment_or_where_that_is_allowed() -> None:
+def test_pose_may_repeat_for_a_moment_or_where_allowed() -> None:
     found = gate(frozen_s=0.5)
     for k in range(400):
         assert found.take(frame(k / 100, a=(0, 0, 1 + (k // 50) / 1000)), 10 + k / 100), "a slow sender, repeated"

@@ -47,7 +47,7 @@ def test_a_parameter_that_was_not_taken_is_told() -> None:
     assert failed(but_one(equipment=wrong))[0].startswith("d1: ready: stabilizer.controller is 1")
 
 
-def test_a_controller_that_nobody_knows_is_refused_unless_its_lag_is_given() -> None:
+def test_unknown_controller_is_refused_unless_its_lag_is_given() -> None:
     strange = [replace(state, equipment=equipment({CONTROLLER: 9}, (), ())) for state in READY]
     assert (
         failed(strange)[0] == "d0: controller: number 9, a controller whose lag is known, or lag_s in the flight file"
@@ -68,7 +68,7 @@ def test_a_drone_that_stands_too_near_to_an_obstacle_is_refused() -> None:
     assert said.startswith("d1: in the arena: 1.15, -1.20 m: 0.12 m from an obstacle, in the mission's arena, at least")
 
 
-def test_a_drone_without_a_start_stands_apart_from_the_starts_of_others() -> None:
+def test_drone_without_a_start_must_be_apart_from_other_starts() -> None:
     """It returns to where it stands, and another to its start: 5 cm nearer than that one stands."""
     drones: list[dict[str, Any]] = [{"name": f"d{k}", "start": start} for k, start in enumerate(STARTS)]
     drones[0] = {"name": "d0"}

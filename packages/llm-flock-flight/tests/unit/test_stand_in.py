@@ -93,7 +93,7 @@ def test_commands_are_refused_while_they_make_no_sense():
     assert [command for _, command in firmware.commands] == [7, 7, 7]
 
 
-def test_a_landed_drone_says_that_it_flies_for_two_more_seconds_and_then_disarms():
+def test_landed_drone_says_it_flies_two_seconds_then_disarms():
     firmware = drone()
     firmware.handle(packet(SUPERVISOR, 1, [1, 1]), 0.0)
     assert take_off(firmware, 0.0) == 0
@@ -115,7 +115,7 @@ def relax(firmware, now):
     firmware.handle(packet(7, 1, struct.pack("<BI", 0, 0)), now)
 
 
-def test_a_set_point_that_another_client_left_outranks_every_plan():
+def test_set_point_left_by_another_client_outranks_every_plan():
     """Take-offs are confirmed, and no motor turns, until the drone is told that no more set-points come."""
     firmware = drone(auto_arm=True)
     firmware.handle(packet(3, 0, struct.pack("<fffH", 0, 0, 0, 0)), 1.0)
@@ -139,7 +139,7 @@ def test_the_stock_controller_lags_by_half_a_second():
     assert firmware.body.position(16.0) == pytest.approx(firmware.body.set_point(16.0)[0], abs=1e-3)
 
 
-def test_who_tumbles_falls_and_is_not_armed_before_it_is_recovered():
+def test_tumbled_drone_falls_and_does_not_arm_before_recovery():
     firmware = aloft()
     firmware.tumble(3.0)
     assert info(firmware, 3.0) & 0x20 and info(firmware, 3.0) & 0x80 and not info(firmware, 3.0) & FLYING
@@ -157,7 +157,7 @@ def test_firmware_may_lack_log_variables():
     assert struct.unpack("<H", data[1:3])[0] == len(LOGGED) - 1
 
 
-def test_a_low_level_set_point_drops_the_drone_and_locks_it_two_seconds_later():
+def test_low_level_set_point_drops_the_drone_then_locks_it():
     firmware = aloft()
     firmware.handle(packet(3, 0, struct.pack("<fffH", 0, 0, 0, 0)), 3.0)
     assert not firmware.body.flying and firmware.body.position(4.0)[2] == 0.0
@@ -176,7 +176,7 @@ def test_an_emergency_stop_locks(port, channel):
     assert take_off(firmware, 5.0) == BUSY
 
 
-def test_the_emergency_watchdog_wants_to_hear_something_every_second():
+def test_emergency_watchdog_wants_to_be_fed_every_second():
     firmware = aloft()
     for now in (3.0, 3.9, 4.8):
         firmware.handle(packet(SUPERVISOR, 1, [4]), now)

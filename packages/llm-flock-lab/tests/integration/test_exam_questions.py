@@ -91,7 +91,7 @@ def test_sizes_and_dimensions_reach_from_small_to_large() -> None:
     assert min(filter(None, steps)) < 0.15 and max(filter(None, steps)) > 6
 
 
-def test_a_robot_ahead_makes_the_straight_step_wrong_and_leaves_another() -> None:
+def test_robot_ahead_spoils_the_straight_step_leaving_another() -> None:
     ahead = [question for question in public_split() if question.tags[0] == "ahead"]
     assert len(ahead) == 16
     for question in ahead:
@@ -103,7 +103,7 @@ def test_a_robot_ahead_makes_the_straight_step_wrong_and_leaves_another() -> Non
         assert sidestep(question, mission) is not None
 
 
-def test_what_words_say_is_a_mission_exactly_where_it_is_possible() -> None:
+def test_words_say_a_mission_exactly_where_it_is_possible() -> None:
     words = [question for question in public_split() if question.section == "mission"]
     assert sum(not question.possible for question in words) == 100
     for question in words:

@@ -53,7 +53,7 @@ def test_cells_come_by_team_then_protocol(results: Results) -> None:
     ]
 
 
-def test_a_curve_keeps_its_last_error_and_broken_trials_have_none(results: Results) -> None:
+def test_curve_keeps_its_last_error_broken_trials_have_none(results: Results) -> None:
     flock = next(trials for cell, trials in results.cells.items() if cell.protocol == "flock")
     table = results.curves(flock, 12)
     assert table.shape == (SEEDS, 12)
@@ -69,7 +69,7 @@ def test_rounds_without_an_error_are_left_open(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.curves(found.trials, 7), [[4.0, np.nan, 2.0, 1.0, np.nan, 1.0, 1.0]])
 
 
-def test_pairs_are_of_one_seed_and_a_broken_trial_is_a_pair_in_success(results: Results) -> None:
+def test_pairs_share_a_seed_and_broken_trials_count_in_success(results: Results) -> None:
     assert usual_reference(results) == "baseline"
     lines = pair_lines(results, "baseline")
     assert [(line.cell.team.n_robots, line.cell.protocol) for line in lines] == [
@@ -111,7 +111,7 @@ def test_figures_of_everything_that_was_measured(results: Results) -> None:
     assert "Student" in captions["calls"] and "baseline: without consensus" in captions["error-by-protocol"]
 
 
-def test_no_success_is_pooled_over_protocols_and_rows_of_dots_are_named(results: Results) -> None:
+def test_success_is_not_pooled_over_protocols_rows_are_named(results: Results) -> None:
     shown = {name: value for value, name in facts(results, [])}
     assert shown["trials"] == "36" and "formed with flock" in shown and "formed with baseline" in shown
     assert not [name for name in shown if "%" in name or "too near" in name]
@@ -191,7 +191,7 @@ def test_figures_of_trials_that_do_not_differ_have_axes(tmp_path: Path) -> None:
     assert low < 0.0 < 1.0 < high
 
 
-def test_the_gallery_begins_with_one_of_each_protocol_and_way_to_end(results: Results) -> None:
+def test_gallery_begins_with_one_of_each_protocol_and_ending(results: Results) -> None:
     chosen = [(trial.outcome, trial.cell.protocol) for trial in worst(results, 5)]
     assert chosen == [
         ("broke off", "baseline"), ("budget", "baseline"), ("budget", "paper"), ("not formed", "baseline"),
@@ -200,7 +200,7 @@ def test_the_gallery_begins_with_one_of_each_protocol_and_way_to_end(results: Re
     assert len(worst(results, 100)) == 24 and worst(results, 0) == []
 
 
-def test_a_failure_with_a_record_has_snapshots_and_a_conversation(results: Results) -> None:
+def test_failure_with_a_record_has_snapshots_and_conversation(results: Results) -> None:
     shown = {failure.trial.id: failure for failure in gallery(results, 100)}
     failure = shown["circle10paper1"]
     assert failure.figure is not None and "records/circle10paper1.mcap" in failure.source
@@ -294,7 +294,7 @@ def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:
         assert [legend.get_title().get_text() for legend in drawing.figure.legends] == ["simulated language models"]
 
 
-def test_a_run_without_a_plan_and_a_model_that_is_not_asked_are_explained(tmp_path: Path) -> None:
+def test_lack_of_plan_and_a_model_not_asked_are_explained(tmp_path: Path) -> None:
     import llm_flock
 
     mission = llm_flock.Mission(shape="triangle", n_robots=3)

@@ -121,7 +121,7 @@ def test_what_a_run_refuses_is_refused(teams: list[tuple[str, int]], protocols: 
 
 
 @pytest.mark.parametrize(("shape", "n"), [("circle", 100), ("square", 100), ("grid", 1000), ("cross", 101)])
-def test_a_fitted_arena_has_room_for_the_shape_and_one_spacing_more(shape: str, n: int) -> None:
+def test_fitted_arena_has_room_for_the_shape_plus_one_spacing(shape: str, n: int) -> None:
     (cell,) = build_cells([(shape, n)], ["flock"], fit_arena=True, spacing=8.0)
     mission = cell.config.mission
     assert mission.ideal is not None
@@ -183,12 +183,12 @@ def test_the_interval_of_few_trials_holds_no_calls_below_none() -> None:
     assert found.calls is not None and found.calls.low == 0.0
 
 
-def test_a_separation_that_rounding_made_too_small_is_no_violation() -> None:
+def test_separation_rounded_too_small_is_no_violation() -> None:
     assert row(CELL, from_zero(good(min_separation=3 - 1e-7))).violations == 0
     assert row(CELL, from_zero(good(min_separation=3 - 2e-6))).violations == 1
 
 
-def test_robots_that_begin_too_near_are_told_apart_from_what_the_protocol_did() -> None:
+def test_starts_too_near_are_told_apart_from_later_violations() -> None:
     near = {"start_violations": 2, "min_separation": 0.5}
     later = good(**near, min_separation_after_start=3.1), good(min_separation_after_start=3.2)
     found = row(CELL, from_zero(good(), *later))
@@ -210,7 +210,7 @@ def test_a_row_of_broken_trials_has_no_figures() -> None:
     assert "| -  " in markdown([found])
 
 
-def test_the_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
+def test_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
     bad = {seed: good(formed=False) for seed in range(25)}
     text = markdown([row(CELL, {99: good()}), row(CELL, {**bad, 77: broken("Oops: x")})])
     lines = text.splitlines()
@@ -253,7 +253,7 @@ def test_nothing_to_fly_and_no_process_to_fly_it() -> None:
         compare([CELL], trials=0)
 
 
-def test_what_happens_in_flight_is_the_same_for_all_cells_and_drawn_from_each_seed(tmp_path: Path) -> None:
+def test_schedule_is_the_same_for_all_cells_and_follows_seed(tmp_path: Path) -> None:
     file = tmp_path / "flock.toml"
     file.write_text('[trial]\nkill = "4@9"\n[[trial.changes]]\nround = 9\nrobot = 2\nset = {spacing = 11}\n')
     cells = build_cells([("circle", 10)], ["flock", "baseline"], file=file, fit_arena=True, kill_random=1, places=40)

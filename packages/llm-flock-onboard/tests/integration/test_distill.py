@@ -36,7 +36,7 @@ from llm_flock_onboard._distill.wishes import SPLITS
 BRIEF = PromptSet.load("brief")
 
 
-def test_examples_of_motion_hold_answers_that_can_be_read_and_keep_the_limit() -> None:
+def test_motion_examples_have_readable_answers_within_limits() -> None:
     found = list(motion_examples(3, 80, "train"))
     assert found == list(motion_examples(3, 80, "train")) != list(motion_examples(4, 80, "train"))
     assert {example.kind for example in found} == {"step", "path"}
@@ -101,7 +101,7 @@ def test_examples_are_kept_as_json_lines(tmp_path: Path) -> None:
         read_examples(tmp_path / "c.jsonl")
 
 
-def test_a_batch_computes_the_common_beginning_once_and_learns_answers_only() -> None:
+def test_batch_shares_a_common_prefix_and_learns_only_answers() -> None:
     rows = [Lesson((1, 2, 3, 4), (7, 8)), Lesson((1, 2, 5), (9,))]
     assert shared_prefix(rows) == 2
     batch = make_batch(rows)

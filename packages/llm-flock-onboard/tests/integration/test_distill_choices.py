@@ -48,7 +48,7 @@ def test_the_wish_decides_only_among_open_ways() -> None:
     assert right_letter(ways(("W", "free")), "clear") == "W", "standing still is better than nothing"
 
 
-def test_splits_share_no_wording_sentence_number_distance_or_prompt() -> None:
+def test_splits_share_no_wording_number_distance_or_prompt() -> None:
     for said in (*WORDINGS.values(), BESIDE):
         assert not set(said["train"]) & set(said["held-out"])
     assert not set(NEIGHBORS["train"]) & set(NEIGHBORS["held-out"])

@@ -78,7 +78,7 @@ def test_robots_obstacles_and_walls_count_in_the_room() -> None:
     assert "R" not in {way.letter for way in wall}, "it leads out of the arena"
 
 
-def test_waiting_is_open_every_other_round_while_somebody_is_in_the_way() -> None:
+def test_waiting_is_open_every_other_round_of_a_blocked_way() -> None:
     letters = [{w.letter for w in ways_of(question((26.0, 20.0), round=k))} for k in (1, 2, 3)]
     assert ["W" in found for found in letters] == [False, True, False]
     assert "W" not in {way.letter for way in ways_of(question(round=2))}
@@ -107,7 +107,7 @@ def test_only_a_letter_of_the_question_is_read() -> None:
         read_way("north", open_ways)
 
 
-def test_the_letter_that_is_chosen_is_flown_and_held_to_a_grammar_of_the_open_ways() -> None:
+def test_chosen_letter_is_flown_under_a_grammar_of_open_ways() -> None:
     model = Saying("L")
     answer, attempts = asked(model, question((26.0, 18.0)))
     assert isinstance(answer, StepAnswer) and answer.by == "model"
@@ -151,7 +151,7 @@ def test_plans_come_by_geometry_and_say_so() -> None:
     assert isinstance(unknown, NoAnswer) and "geometry knows no points" in unknown.reason
 
 
-def test_a_run_by_letters_names_geometry_and_asks_only_for_letters() -> None:
+def test_run_by_letters_names_geometry_and_asks_only_letters() -> None:
     done = run(shape="circle", n_robots=5, prompts="letters", wish="Keep left.", seed=1).summary
     assert done.formed and done.simulated and (done.min_separation or 0.0) >= MISSION.safe_distance
     assert done.plan_by == "geometry" and done.waypoints["geometry"] > 0 and done.waypoints["model"] > 0

@@ -134,7 +134,7 @@ def test_an_engine_that_holds_too_little_is_not_shared(file):
     assert engines.lease(Weights(file), 300) is large
 
 
-def test_the_context_follows_the_question_up_to_what_the_model_was_trained_for(file):
+def test_context_follows_the_question_up_to_the_trained_length(file):
     few, many = AnswerForm(n=3, dim=2, reasons=False), AnswerForm(n=200, dim=3)
     assert context_for(question(few)) == LEAST_CONTEXT
     plan = Call(robot=0, round=1, kind="plan", attempt=0, messages=question().messages, form=many)
@@ -206,7 +206,7 @@ def test_the_pool_builds_models_on_board_without_loading_them(file):
         parse_model("local:")
 
 
-def test_what_does_not_fit_into_memory_is_refused_before_it_is_loaded(file):
+def test_what_does_not_fit_into_memory_is_refused_unloaded(file):
     check_memory(Weights(file), 1000, free=2**30)
     with pytest.raises(InputError, match=r"takes about 0.3 GiB, 0.2 GiB are free"):
         check_memory(Weights(file), 1000, free=2**28)
@@ -225,7 +225,7 @@ def test_cores_are_those_of_this_process(monkeypatch):
     assert engine.cores() == 1
 
 
-def test_an_engine_that_is_still_loading_is_stopped_with_the_pool(file, monkeypatch):
+def test_engine_still_loading_is_stopped_with_the_pool(file, monkeypatch):
     loading, engines = threading.Event(), Engines()
     made: list[StandIn] = []
 

@@ -116,7 +116,7 @@ def test_files_without_the_slow_format_or_with_another_stay(tmp_path, cache):
     assert requantized(strange, read_header(strange), DIGEST) == strange and not cache.exists()
 
 
-def test_only_packaged_weights_are_requantized_and_both_files_are_recorded(tmp_path, cache):
+def test_only_packaged_weights_are_requantized_both_recorded(tmp_path, cache):
     source, _ = write_small(tmp_path / "m.gguf")
     own = Weights(source)
     assert own.loaded() == (source,) and own.versions() == own.digests()

@@ -64,7 +64,7 @@ def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
         asked("circle", 5, fields={"obstacles": [{"center": [80, 80], "radius": 2}]}),
     ],
 )
-def test_plans_that_it_was_not_taught_come_from_geometry_and_say_so(question: PlanQuestion) -> None:
+def test_untaught_plans_come_from_geometry_and_say_so(question: PlanQuestion) -> None:
     answer = asyncio.run(KnownPlans(Saying(), is_taught).plan(question))
     assert isinstance(answer, PlanAnswer) and answer.by == "geometry"
     assert len(answer.plan) == question.mission.n_places
@@ -109,7 +109,7 @@ def test_brief_prompts_name_a_nearer_goal_in_the_same_direction() -> None:
             assert math.dist(ahead, (FARTHEST * math.cos(angle), FARTHEST * math.sin(angle))) < 0.1
 
 
-def test_a_prompt_in_the_own_frame_has_few_digits_for_a_goal_far_away() -> None:
+def test_own_frame_prompt_has_few_digits_for_a_far_goal() -> None:
     mission = build_mission(shape="triangle", n_robots=3, arena=[[0, 0], [400, 400]], center=(300.0, 300.0))
     plan = Plan.of(mission.ideal or ())
     question = StepQuestion(

@@ -27,7 +27,7 @@ def engine_there(monkeypatch):
     monkeypatch.setattr(weights.util, "find_spec", lambda name: object())
 
 
-def test_a_head_says_what_the_file_is_and_how_large_its_tensors_are(tmp_path):
+def test_header_tells_what_the_file_is_and_its_tensor_sizes(tmp_path):
     head = read_header(write_model(tmp_path / "m.gguf"))
     assert head.metadata["general.architecture"] == "llama" and head.metadata["general.quantized"] is True
     assert "tokenizer.ggml.tokens" not in head.metadata
@@ -112,7 +112,7 @@ def test_a_long_list_of_numbers_is_passed_over(tmp_path):
 
 
 @pytest.mark.parametrize("token", [2**32 - 1, 2, 99_999, "2"])
-def test_a_token_that_is_added_and_not_in_the_vocabulary_is_refused(tmp_path, token):
+def test_added_token_outside_the_vocabulary_is_refused(tmp_path, token):
     about = {**MODEL, "tokenizer.ggml.tokens": ["a", "b"], "tokenizer.ggml.bos_token_id": token}
     read_header(write_model(tmp_path / "unused.gguf", about))
     with pytest.raises(InputError, match="a GGUF file"):

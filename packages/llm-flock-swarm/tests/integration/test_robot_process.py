@@ -109,7 +109,7 @@ def test_a_message_that_meets_a_fault_is_counted_and_dropped(monkeypatch: pytest
     assert report.rejected["fault"] == 1
 
 
-def test_control_goes_on_by_sensors_alone_where_beacons_lead_to_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_control_goes_on_by_sensors_where_beacons_are_at_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     def act(process: RobotProcess, link: FakeLink) -> None:
         control = process.body.control
 
@@ -131,7 +131,7 @@ def test_a_robot_that_cannot_control_its_body_stops(monkeypatch: pytest.MonkeyPa
     assert link.count("command") == 0
 
 
-def test_exchanges_that_fail_are_dropped_and_too_many_in_a_row_end_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failed_exchanges_are_dropped_too_many_end_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
     counts = Counter[str]()
 
     def sometimes(process: RobotProcess, _: FakeLink) -> None:
@@ -199,7 +199,7 @@ def test_beacons_of_members_that_are_no_robots_are_refused() -> None:
         ("prompts", {"prompts": "nowhere"}),
     ],
 )
-def test_what_would_end_each_robot_is_refused_before_any_process_starts(
+def test_what_would_end_each_robot_is_refused_before_starting(
     field: str, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def start(*_: object, **__: object) -> None:

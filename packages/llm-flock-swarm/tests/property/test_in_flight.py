@@ -48,7 +48,7 @@ def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults:
 
 @cases(6)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS, later=st.integers(0, 3))
-def test_of_two_missions_given_to_two_robots_all_end_on_the_last_one_given(
+def test_all_end_on_the_later_of_missions_given_to_two_robots(
     seed: int, n: int, faults: LinkFaults, later: int
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -70,7 +70,7 @@ def test_of_two_missions_given_to_two_robots_all_end_on_the_last_one_given(
 
 @cases(6)
 @given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, earlier=st.integers(1, 4))
-def test_the_last_order_is_flown_however_many_were_given_elsewhere(
+def test_last_order_is_flown_however_many_were_given_elsewhere(
     seed: int, n: int, faults: LinkFaults, earlier: int
 ) -> None:
     """A robot that is cut off gets the last order, after the others got several; and the reverse."""
@@ -100,7 +100,7 @@ def test_the_last_order_is_flown_however_many_were_given_elsewhere(
     faults=LinkFaults(loss=0.48046875, delay=2, duplicate=0.294921875, reorder=0.2421875),
     comes_back="restarted",
 )
-def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
+def test_silent_robot_loses_its_place_and_returns_to_one(
     seed: int, n: int, faults: LinkFaults, comes_back: str
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -134,7 +134,7 @@ def test_the_place_of_a_silent_robot_is_free_and_when_it_returns_all_have_one(
 
 @cases(6)
 @given(seed=SEEDS, n=st.integers(2, 7), faults=FAULTS, changes=st.booleans())
-def test_a_late_joiner_finds_the_free_place_of_the_mission_in_force(
+def test_late_joiner_finds_the_free_place_of_current_mission(
     seed: int, n: int, faults: LinkFaults, changes: bool
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -156,7 +156,7 @@ def test_a_late_joiner_finds_the_free_place_of_the_mission_in_force(
 
 @cases(6)
 @given(seed=SEEDS, n=st.integers(2, 7), share=st.floats(0.1, 0.99), faults=FAULTS)
-def test_with_more_robots_than_places_every_place_has_one_owner_and_the_others_none(
+def test_every_place_has_one_owner_and_spare_robots_have_none(
     seed: int, n: int, share: float, faults: LinkFaults
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -169,7 +169,7 @@ def test_with_more_robots_than_places_every_place_has_one_owner_and_the_others_n
 
 @cases(5)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS)
-def test_a_team_replans_for_the_robots_that_are_left_and_again_for_all(seed: int, n: int, faults: LinkFaults) -> None:
+def test_team_replans_for_the_robots_left_and_again_for_all(seed: int, n: int, faults: LinkFaults) -> None:
     rng = np.random.default_rng(seed)
     places = connected_places(n, rng)
     team = StillTeam(circle(n), places, rng, faults, gaps="replan")

@@ -125,7 +125,7 @@ def test_junk_on_the_radio_changes_nothing(seed: int, n: int, junk: list[bytes])
     assert sum(agents[0].rejected.values()) == len(junk)
 
 
-def test_the_literal_rule_leaves_ten_robots_on_a_circle_without_distinct_goals() -> None:
+def test_literal_rule_gives_ten_robots_no_distinct_goals() -> None:
     """The paper's rule on its own case, some starts in radio range of each other: never one plan and distinct goals."""
     good = 0
     for seed in range(30):

@@ -70,7 +70,7 @@ def key_of(team: DrivenTeam, robot: int) -> PlanKey:
 
 @cases(20)
 @given(seed=SEEDS, n=st.integers(1, 9))
-def test_the_highest_plan_spreads_one_hop_in_a_communication_round(seed: int, n: int) -> None:
+def test_highest_plan_spreads_one_hop_in_a_communication_round(seed: int, n: int) -> None:
     """Theorem 1: so all hold it after the diameter at the latest, and not a communication round before they are
     reached."""
     rng = np.random.default_rng(seed)
@@ -142,7 +142,7 @@ def greedy(bids: list[tuple[float, ...]]) -> list[int]:
 
 @cases(20)
 @given(seed=SEEDS, n=st.integers(1, 8))
-def test_the_auction_ends_on_the_greedy_assignment_within_n_times_the_diameter(seed: int, n: int) -> None:
+def test_auction_ends_greedily_within_n_times_the_diameter(seed: int, n: int) -> None:
     """Theorem 5: all follow one plan from the beginning, nobody exchanges, and none are assigned together."""
     rng = np.random.default_rng(seed)
     links, adjacent = random_links(n, rng)
@@ -193,7 +193,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
 
 @cases(20)
 @given(seed=SEEDS, n=st.integers(2, MANY))
-def test_robots_in_touch_are_assigned_together_within_the_diameter(seed: int, n: int) -> None:
+def test_robots_in_touch_are_jointly_placed_within_diameter(seed: int, n: int) -> None:
     """Theorem 6a: all have the same table, and it is the assignment of the smallest sum of squares."""
     rng = np.random.default_rng(seed)
     links, adjacent = random_links(n, rng)

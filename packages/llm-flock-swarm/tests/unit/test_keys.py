@@ -54,7 +54,7 @@ def test_teams_and_times_without_sense_are_refused(tmp_path: Path, robots: int, 
     assert not (tmp_path / "team").exists()
 
 
-def test_every_certificate_is_signed_by_the_team_and_names_its_owner(folder: Path) -> None:
+def test_every_certificate_is_team_signed_and_names_its_owner(folder: Path) -> None:
     authority = x509.load_pem_x509_certificate((folder / "ca.pem").read_bytes())
     for member in members(3):
         name = member_name(member)

@@ -55,9 +55,7 @@ def test_commands_follow_each_other_on_the_way() -> None:
         (0.0, (), (1.0, 0.0), 0),
     ],
 )
-def test_commands_that_come_late_or_begin_elsewhere_are_not_flown(
-    stamp: float, origin: Point, target: Point, late: int
-) -> None:
+def test_late_or_displaced_commands_are_not_flown(stamp: float, origin: Point, target: Point, late: int) -> None:
     world = bodies((0.0, 0.0), (50.0, 0.0))
     assert not world.command(0, order(1, stamp, origin, target), 0.0)
     world.advance(1.0)
@@ -79,7 +77,7 @@ def test_a_body_stops_at_its_deadline_wherever_it_is() -> None:
     assert world.states()[0].end == tuple(world.positions[0].tolist())
 
 
-def test_separation_is_measured_on_the_way_and_not_only_at_frames() -> None:
+def test_separation_is_measured_on_the_way_not_only_at_frames() -> None:
     world = bodies((0.0, 0.0), (1.2, 0.0))
     world.command(0, order(1, 0.0, (0.0, 0.0), (1.2, 0.0)), 0.0)
     world.command(1, order(1, 0.0, (1.2, 0.0), (0.0, 0.0)), 0.0)
@@ -134,7 +132,7 @@ def test_who_has_not_looked_for_long_stands_still() -> None:
     assert pilotage(shield_on=False).control(0.0, [], 1.0) is not None
 
 
-def test_a_spacing_that_bodies_not_in_step_cannot_fill_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_spacing_too_tight_for_bodies_not_in_step_is_warned_of(caplog: pytest.LogCaptureFixture) -> None:
     for fields in ({"spacing": 5.31}, {"spacing": 4.0, "shield": False}, {"spacing": 4.0, "step_s": 1.5}):
         warn_of_spacing(SwarmConfig.build({}, **{**CONFIG, **fields}))
     assert not caplog.records

@@ -156,7 +156,7 @@ def nested(depth: int) -> dict[str, Any]:
         ({"calls": (nested(300),)}, "malformed"),
     ],
 )
-def test_a_report_that_no_honest_robot_makes_is_refused_as_a_whole(changes: dict[str, Any], reason: str) -> None:
+def test_report_no_honest_robot_makes_is_refused_as_a_whole(changes: dict[str, Any], reason: str) -> None:
     seen = observer()
     report = unpack(RobotReport, pack(told(0, **changes)))
     with pytest.raises(MessageError) as caught:
@@ -239,7 +239,7 @@ def test_what_one_robot_tells_takes_bounded_memory() -> None:
         seen.report(1, told(1, plan_id=Plan(many).digest, points=many))
 
 
-def test_what_one_robot_tells_takes_a_bounded_share_of_the_record() -> None:
+def test_one_robot_takes_a_bounded_share_of_the_record() -> None:
     """Events of 200 kB: five at once, then two and a half a second; a clock that is set back gives no more."""
     now = [50.0]
     sink = Sink()
@@ -315,9 +315,7 @@ def test_only_whole_reports_pass_the_wire() -> None:
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_a_swarm_that_is_told_to_fly_on_does_not_end_when_it_has_formed(
-    stops: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_swarm_told_to_fly_on_does_not_end_once_formed(stops: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     class Launched:
         """Stands for the processes, and for an observer that has seen a formation."""
 

@@ -70,7 +70,7 @@ def test_beacons_go_stale() -> None:
     assert own.neighbors(100.4) == 2 and own.neighbors(100.6) == 0
 
 
-def test_a_body_in_sight_is_where_the_sensors_see_it_whatever_its_beacon_says() -> None:
+def test_body_in_sight_is_where_sensors_see_it_despite_beacon() -> None:
     own = radio()
     own.beacon(1, Seen(stamp=100.2, position=(65.0, 50.0)))
     (one, other) = own.sightings(100.3)
@@ -82,7 +82,7 @@ def test_a_body_in_sight_is_where_the_sensors_see_it_whatever_its_beacon_says() 
     assert own.contradicted == 1, "as far as it may have flown since"
 
 
-def test_a_beacon_helps_out_of_sight_unless_the_sensors_would_have_seen_that() -> None:
+def test_beacon_helps_out_of_sight_unless_sensors_would_see_it() -> None:
     own = radio()
     own.frame(100.1, [PLACES[0], PLACES[1], (66.0, 50.0), PLACES[3]])
     own.beacon(2, Seen(stamp=100.2, position=(64.5, 50.0)))
@@ -155,7 +155,7 @@ def test_no_multicast_and_a_short_lease() -> None:
     assert values["transport/link/tx/lease"] == 2000 and values["x"] == 1
 
 
-def test_a_topic_may_bring_so_much_in_the_long_run_and_twice_that_at_once() -> None:
+def test_topic_may_bring_its_rate_and_twice_that_at_once() -> None:
     own = Allowance(10.0)
     assert sum(own.spend(100.0) for _ in range(100)) == 20
     assert sum(own.spend(100.0 + 0.01 * k) for k in range(1, 1001)) == pytest.approx(100, abs=1)

@@ -116,13 +116,13 @@ def foxglove_takes(schema: dict[str, Any]) -> bool:
     return True
 
 
-def test_viewers_understand_every_schema_but_those_with_lists_of_points() -> None:
+def test_viewers_understand_schemas_without_lists_of_points() -> None:
     refused = {topic for topic, model in CHANNELS.items() if not foxglove_takes(channel_schema(model))}
     assert refused == {"/mission", "/plan", "/state", "/body"}
     assert foxglove_takes(scene_schema())
 
 
-def test_none_is_left_out_of_fields_and_kept_in_lists_and_free_values(tmp_path: Path) -> None:
+def test_none_is_omitted_from_fields_but_kept_in_free_values(tmp_path: Path) -> None:
     messages = [(m.topic, m.decoded()) for m in iter_messages(make_record(tmp_path / "run.mcap", n=2, rounds=1))]
     run = next(data for topic, data in messages if topic == "/run")
     assert "git_revision" not in run
@@ -228,7 +228,7 @@ def test_null_writer_takes_everything_and_writes_nothing(tmp_path: Path, monkeyp
     assert not list(tmp_path.iterdir())
 
 
-def test_entries_refuse_unknown_fields_and_numbers_that_json_lacks() -> None:
+def test_entries_refuse_unknown_fields_and_numbers_not_in_json() -> None:
     with pytest.raises(ValueError, match="extra"):
         run_info(surprise=1)
     row: dict[str, Any] = dict.fromkeys(MetricsRow.model_fields, 0) | {"connected": True, "messages_rejected": {}}
@@ -269,7 +269,7 @@ def test_scene_keeps_the_third_dimension(tmp_path: Path) -> None:
     assert heights == pytest.approx(record.positions[-1][:, 2].tolist(), abs=1e-3)
 
 
-def test_scene_shows_dead_robots_black_and_no_links_of_the_silent(tmp_path: Path) -> None:
+def test_scene_shows_dead_robots_black_and_no_links_of_silent(tmp_path: Path) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=5, rounds=6))
     state = record.states[-1].model_copy(update={"phases": ["dead", "idle", "asleep", "idle", "idle"]})
     entities = json.loads(SceneDrawer(record.mission).draw(state))["entities"]

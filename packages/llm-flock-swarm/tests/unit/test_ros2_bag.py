@@ -59,7 +59,7 @@ def test_a_record_becomes_a_bag_that_another_reader_reads(tmp_path: Path) -> Non
         assert bag.message_count == len(found) and {c.topic for c in bag.connections} == set(counts)
 
 
-def test_markers_of_a_bag_show_plan_goals_links_and_safe_distances(tmp_path: Path) -> None:
+def test_bag_markers_show_plan_goals_links_and_safe_distances(tmp_path: Path) -> None:
     make_record(tmp_path / "run.mcap", n=4, rounds=5)
     write_bag(tmp_path / "run.mcap", tmp_path / "bag")
     markers = [content.markers for topic, *_, content in read_bag(tmp_path / "bag") if topic == "/flock/markers"][-1]

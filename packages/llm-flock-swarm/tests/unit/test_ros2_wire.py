@@ -98,7 +98,7 @@ def test_attachments_of_older_texts_are_refused() -> None:
 
 
 @pytest.mark.parametrize("name", USED)
-def test_hashes_are_computed_alike_elsewhere_and_the_same_in_three_distributions(name: str) -> None:
+def test_hashes_agree_elsewhere_and_in_three_distributions(name: str) -> None:
     own, *_ = parts = definitions(name)
     others = {part: text for part, text in parts.items() if part != own}
     assert utils.compute_type_hash_from_msg(name, parts[own], others) == type_hash(name)

@@ -26,9 +26,7 @@ def fly(mission: llm_flock.Mission = NEAR, **options: Any) -> llm_flock.RunResul
     return llm_flock.run(mission, **given)
 
 
-def test_only_robots_that_are_awake_are_driven_and_their_bodies_stay(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_awake_robots_are_driven_and_their_bodies_stay(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     handled: list[tuple[int, str]] = []
     handle = Agent.handle
 
@@ -78,7 +76,7 @@ def test_a_robot_that_begins_again_remembers_nothing(monkeypatch: pytest.MonkeyP
     assert result.summary.robots_without_plan == 0 and result.summary.plans_in_use == 1
 
 
-def test_the_run_goes_on_until_everything_has_happened_and_forms_once_more() -> None:
+def test_run_goes_on_until_all_has_happened_and_forms_again() -> None:
     still = fly()
     assert still.formed and still.summary.rounds < 20
     late = fly(join="3@25", kill="3@20", rounds=40)
@@ -88,7 +86,7 @@ def test_the_run_goes_on_until_everything_has_happened_and_forms_once_more() -> 
     assert late.formed, "in time, counted from when the last robot joined"
 
 
-def test_with_a_dead_robot_the_others_form_and_its_place_is_a_gap() -> None:
+def test_others_form_without_a_dead_robot_leaving_a_gap() -> None:
     result = fly(kill="3@1", rounds=30)
     figures = result.summary
     assert figures.formed and (figures.gaps, figures.spares) == (1, 0)
@@ -104,9 +102,7 @@ def test_with_a_dead_robot_the_others_form_and_its_place_is_a_gap() -> None:
     )
 
 
-def test_a_changed_mission_is_given_to_one_robot_recorded_and_in_force(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_changed_mission_goes_to_one_robot_and_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[tuple[int, llm_flock.Mission]] = []
     handle = Agent.handle
 
@@ -141,7 +137,7 @@ def test_the_team_must_follow_the_last_mission() -> None:
     )
 
 
-def test_figures_are_drawn_with_dead_and_late_robots_and_another_ideal(tmp_path: Path) -> None:
+def test_figures_show_dead_and_late_robots_and_another_ideal(tmp_path: Path) -> None:
     change = {"round": 8, "robot": 2, "set": {"shape": "square"}}
     fly(kill="3@4", join="0@6", changes=[change], rounds=12, out=str(tmp_path / "o"))
     record = read_record(tmp_path / "o" / "run.mcap")

@@ -137,7 +137,7 @@ def test_robots_above_one_another_are_counted_and_not_red(tmp_path: Path) -> Non
     assert DANGER.lower() not in colours
 
 
-def test_who_has_not_begun_and_who_has_no_plan_are_told_apart_and_without_words(record: RunRecord) -> None:
+def test_not_begun_and_no_plan_are_told_apart_without_words(record: RunRecord) -> None:
     phases = ["asleep", *["idle"] * 4]
     state = record.states[2].model_copy(
         update={"phases": phases, "plan_ids": [None, None, *record.states[2].plan_ids[2:]]}
@@ -158,7 +158,7 @@ def test_dashed_rims_are_in_the_legend_where_there_are_any(tmp_path: Path) -> No
     assert "dashed rim: another plan, its colour used again" in words(figures.snapshots(record, [1]))
 
 
-def test_words_cross_a_ring_a_way_or_a_wall_only_where_all_room_is_crossed() -> None:
+def test_word_beside_a_disc_crosses_outlines_only_without_room() -> None:
     disc, word, bounds = np.array([[50.0, 50.0]]), [(8.0, 6.0)], (0.0, 100.0, 0.0, 100.0)
     plain, *_ = beside(disc, 5.0, word, bounds)
     assert plain is not None and plain[1] > 0, "above the disc"
@@ -172,7 +172,7 @@ def test_words_cross_a_ring_a_way_or_a_wall_only_where_all_room_is_crossed() -> 
 
 
 @pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10], [5, 6, 7, 8, 9, 10]])
-def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
+def test_titles_labels_and_legend_keep_apart_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
     mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
     states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)
     metrics = tuple(row.model_copy(update={"min_separation": 0.0}) for row in record.metrics)
@@ -194,7 +194,7 @@ def test_titles_labels_and_legend_keep_apart_and_within_the_figure(record: RunRe
         assert not [(a, b) for a, b in itertools.combinations(boxes_of, 2) if a.overlaps(b)]
 
 
-def test_a_formation_fills_its_panel_and_an_inset_shows_where_it_is(tmp_path: Path) -> None:
+def test_formation_fills_its_panel_and_an_inset_shows_where(tmp_path: Path) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=6, rounds=4))
     close = record.positions.copy()
     close[4] = 50.0 + 0.1 * (close[4] - 50.0)

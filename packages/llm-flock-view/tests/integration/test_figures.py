@@ -32,7 +32,7 @@ def words(figure: Figure) -> str:
     return "\n".join(text.get_text() for text in figure.findobj(mpl.text.Text))  # pyright: ignore
 
 
-def test_snapshots_at_chosen_rounds_show_paths_plans_influence_and_links(record: RunRecord) -> None:
+def test_snapshots_show_paths_plans_influence_and_links(record: RunRecord) -> None:
     figure = figures.snapshots(record, [0, 2, 10])
     assert [axes.get_title().split(" · ")[0] for axes in figure.axes] == ["start", "round 2", "round 10"]
     start, second, last = figure.axes
@@ -57,7 +57,7 @@ def test_snapshots_at_chosen_rounds_show_paths_plans_influence_and_links(record:
     assert last.get_xlim()[1] - last.get_xlim()[0] < 0.7 * 116.0, "a formation fills its panel"
 
 
-def test_the_title_says_what_was_flown_and_that_the_models_were_simulated(record: RunRecord) -> None:
+def test_title_says_what_was_flown_and_that_it_was_simulated(record: RunRecord) -> None:
     said = words(figures.snapshots(record))
     assert "circle · 5 robots" in said and "simulated:ideal" in said and "simulated language models" in said
     real = replace(record, run=record.run.model_copy(update={"simulated": False}))
@@ -81,7 +81,7 @@ def test_rounds_that_the_record_lacks_are_refused(record: RunRecord, rounds: lis
         figures.snapshots(record, rounds)
 
 
-def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -> None:
+def test_errors_of_one_label_are_averaged_with_t_intervals() -> None:
     curves = [np.array([4.0, 2.0, 1.0]), np.array([6.0, 4.0]), np.array([5.0, 6.0, 3.0])]
     mean, lows, highs = figures.mean_and_interval(curves)
     assert mean == pytest.approx([5.0, 4.0, 8.0 / 3.0])
@@ -92,7 +92,7 @@ def test_errors_of_runs_with_one_label_are_averaged_with_student_t_intervals() -
     assert alone.tolist() == [4.0, 2.0, 1.0] and np.isnan(none).all()
 
 
-def test_error_over_time_draws_one_line_a_label_with_a_band_for_many_runs(tmp_path: Path) -> None:
+def test_error_over_time_draws_a_line_per_label_with_a_band(tmp_path: Path) -> None:
     runs = [read_record(make_record(tmp_path / f"{i}.mcap", n=3, rounds=5 + i, seed=i)) for i in range(3)]
     figure = figures.error_over_time(runs, ["ours", "ours", "theirs"])
     (axes,) = figure.axes
@@ -183,7 +183,7 @@ def test_three_dimensions_are_seen_from_above(tmp_path: Path) -> None:
     np.testing.assert_allclose(drawn, record.positions[2, :, :2])
 
 
-def test_radio_links_are_of_the_whole_space_also_when_seen_from_above(tmp_path: Path) -> None:
+def test_radio_links_span_all_space_also_seen_from_above(tmp_path: Path) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=1, dim=3))
     # Over one another, but only the lower two within the range of 15.
     positions = np.array([[[50.0, 50.0, z], [51.0, 50.0, z + 10.0], [52.0, 50.0, 80.0]] for z in (5.0, 6.0)])

@@ -84,7 +84,7 @@ class EagerClient(FoxgloveClient):
             self.subscribe(*(one["topic"] for one in json.loads(data)["channels"]))
 
 
-def test_who_subscribes_at_once_misses_no_robot_of_the_announced_team() -> None:
+def test_early_subscriber_misses_no_robot_of_announced_team() -> None:
     with server() as live, EagerClient(live.url) as client:
         client.listen_for(0.3)
         assert "/robots/3/pose" in client.channels and not client.statuses

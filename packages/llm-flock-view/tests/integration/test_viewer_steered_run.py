@@ -84,7 +84,7 @@ def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -
     assert flight.recording.history.rounds == record.rounds
 
 
-def test_an_order_that_makes_no_sense_says_why_before_it_is_given(tmp_path: Path) -> None:
+def test_senseless_order_says_why_before_it_is_given(tmp_path: Path) -> None:
     _, flight = launched(tmp_path, n_robots=3, shape="triangle")
     until(lambda: flight.round >= 2)
     assert flight.refusal("kill", 1) is None and flight.refusal("pause") is None

@@ -53,7 +53,7 @@ def test_one_bad_model_is_named_under_the_papers_protocol(tmp_path: Path, bad: s
     assert found["robots"] == [2] and found["interesting"] == {"robot": 2, "why": "it kept the team from forming"}
 
 
-def test_a_plan_off_the_shape_is_its_proposers_and_of_the_model_that_made_it(tmp_path: Path) -> None:
+def test_plan_off_the_shape_is_its_proposers_and_its_models(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=8, agree=False))
     plan = run.plans[str(run.states[-1].plan_ids[1])]
     assert diagnose(run).robots == ()
@@ -77,7 +77,7 @@ def test_two_bad_models_are_both_named(tmp_path: Path) -> None:
     assert "simulated:collapse" in found["why"]
 
 
-def test_with_good_models_the_papers_rules_are_to_blame_and_something_is_worth_a_look(tmp_path: Path) -> None:
+def test_good_models_leave_blame_on_rules_and_something_to_see(tmp_path: Path) -> None:
     run = paper(tmp_path, "simulated:ideal", n_robots=10, model="simulated:ideal")
     found = outcome(run, over=True)
     assert found["why"].startswith("No robot is to blame: this protocol's rules (influence, nearest) did not bring ")
@@ -112,7 +112,7 @@ def test_who_cannot_hear_the_others_is_named_and_since_when(tmp_path: Path) -> N
     assert "3 parts out of radio range of one another: robots 0, 1; robots 2, 3; robot 4." in found.why
 
 
-def test_with_rules_that_settle_nothing_only_who_never_met_the_others_is_out_of_range(tmp_path: Path) -> None:
+def test_with_weak_rules_only_the_never_met_are_out_of_range(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=3))
     assert run.info is not None
     rules = {"consensus": "influence", "assignment": "nearest"}

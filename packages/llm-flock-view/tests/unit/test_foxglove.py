@@ -149,7 +149,7 @@ def entries(run: FakeRun) -> list[Entry]:
     return kept
 
 
-def test_the_file_has_chunks_and_an_index_and_is_read_like_a_record(tmp_path: Path) -> None:
+def test_file_has_chunks_and_an_index_and_reads_like_a_record(tmp_path: Path) -> None:
     record = make_record(tmp_path / "run.mcap", n=4, rounds=6)
     target = tmp_path / "new" / "foxglove.mcap"
     count = write_file(record, target)

@@ -40,10 +40,10 @@ def test_colours_that_follow_each_other_are_told_apart(palette: Sequence[str], v
     assert min(table[k, k + 1] for k in range(len(palette) - 1)) > LEAST
 
 
-def test_the_measure_sees_two_colours_that_are_one_without_a_cone() -> None:
+def test_measure_sees_two_colours_as_one_without_a_cone() -> None:
     assert distances(["#D55E00", "#B07A00"], "deuteranopia")[0, 1] < 4, "so these two do not follow each other"
 
 
-def test_no_two_series_of_one_colour_have_one_stroke_and_one_sign() -> None:
+def test_no_two_series_of_one_colour_share_stroke_and_sign() -> None:
     looks = [(LINES[k % len(LINES)], MARKERS[k % len(MARKERS)]) for k in range(len(SERIES))]
     assert len(set(looks)) == len(SERIES), "curves are told apart without their colours"

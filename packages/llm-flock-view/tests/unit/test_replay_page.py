@@ -44,7 +44,7 @@ def content(text: str) -> dict[str, Any]:
     return json.loads(zlib.decompress(b64decode(element('script type="text/plain" id="flock-run"', text))))
 
 
-def test_the_page_holds_the_run_and_its_policy_allows_only_its_own_script_and_style(tmp_path: Path) -> None:
+def test_page_holds_the_run_and_only_its_own_script_and_style(tmp_path: Path) -> None:
     text = page(loaded(make_record(tmp_path / "run.mcap", n=4, rounds=5)))
     policy = re.findall(r'Content-Security-Policy" content="([^"]*)"', text)[0]
     for kind, name in (('script type="module"', "script-src"), ("style", "style-src")):

@@ -90,7 +90,7 @@ def test_a_run_that_flies_has_not_failed(tmp_path: Path) -> None:
     assert (found["tone"], found["headline"], found["why"]) == ("open", "Not formed yet", "")
 
 
-def test_the_dead_are_named_and_disagreement_is_nobodys_fault_alone(tmp_path: Path) -> None:
+def test_dead_are_named_and_disagreement_is_nobodys_own_fault(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5, agree=False))
     found = told(run)
     assert "did not agree: 4 plans" in found["why"]
@@ -136,7 +136,7 @@ def test_a_run_without_a_round_is_nobodys_fault(tmp_path: Path) -> None:
     )
 
 
-def test_a_formation_with_empty_places_and_one_of_geometry_alone_say_so(tmp_path: Path) -> None:
+def test_outcome_tells_empty_places_and_geometry_alone(tmp_path: Path) -> None:
     found = told(flown(tmp_path / "gap", model="simulated:ideal", kill="1@3"))
     assert found["headline"].endswith(", with 1 place empty") and found["by"].startswith(
         "Robot 1 died in round 3 · plan by robot "

@@ -169,7 +169,7 @@ def test_a_live_run_shows_no_half_round(tmp_path: Path) -> None:
     assert run.history.rounds == 1 and "2" not in news(run, 0, 0, 0)["marks"]
 
 
-def test_what_happens_to_a_flight_is_told_and_marked_unless_it_is_routine(tmp_path: Path) -> None:
+def test_flight_events_are_told_and_marked_unless_routine(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=3))
     row = [[0.0, 0.0, 1.0]]
     run.write(BodySample(round=2, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[3.9], link=[1.0]))

@@ -60,7 +60,7 @@ def test_the_shape_changes_in_flight(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_once_formed_a_moving_formation_keeps_its_shape_heading_and_spacing(seed: int) -> None:
+def test_formed_moving_team_keeps_shape_heading_and_spacing(seed: int) -> None:
     velocity = (1.5, 0.5)
     mission = llm_flock.Mission(
         shape="circle", n_robots=6, center=(30, 40), velocity=velocity, arena=((0, 0), (300, 200))

@@ -208,7 +208,7 @@ def test_cut_off_answers_and_thoughts_are_known_on_the_wire(
         ("openai-compatible:any", "max_tokens"),
     ],
 )
-def test_the_cap_on_an_answer_goes_by_the_name_that_the_server_knows(name: str, field: str) -> None:
+def test_answer_cap_goes_by_the_name_the_server_knows(name: str, field: str) -> None:
     _, _, sent = talk(name, 200, completion(b"", ANSWER).decode(), CallSettings(max_tokens=77))
     assert sent[field] == 77
     assert not {"max_tokens", "max_completion_tokens"} - {field} & set(sent)

@@ -59,12 +59,12 @@ def test_trouble_is_met(options: dict[str, Any]) -> None:
     assert fly(5, **options).formed
 
 
-def test_one_dead_model_does_not_end_the_run_of_robots_that_fly_on_along_their_paths() -> None:
+def test_dead_model_does_not_end_a_run_of_robots_on_paths() -> None:
     dead = fly(1, model="0-8=simulated:ideal,9=simulated:flaky@1", max_tries=1, rounds=20)
     assert dead.stopped != "no_answers"
 
 
-def test_a_cassette_replays_and_the_record_says_why_models_were_asked(tmp_path: Path) -> None:
+def test_cassette_replays_and_record_says_why_models_are_asked(tmp_path: Path) -> None:
     cassette = tmp_path / "talk.jsonl"
     first = fly(2, record_llm=str(cassette), out=str(tmp_path / "first"))
     again = fly(2, model=f"replay:{cassette}")

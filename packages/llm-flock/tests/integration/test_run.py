@@ -51,13 +51,13 @@ def test_a_large_team_is_measured_when_all_are_at_their_goals(monkeypatch: pytes
 
 
 @pytest.mark.parametrize("extra", [{"answers": "json"}, {"history": "last:2"}, {"observe": "all"}, {"noise": 0.1}])
-def test_options_of_the_conversation_do_not_keep_the_team_from_forming(extra: dict[str, Any]) -> None:
+def test_conversation_options_do_not_prevent_forming(extra: dict[str, Any]) -> None:
     result = llm_flock.run(llm_flock.Mission(shape="square", n_robots=4), seed=2, **extra)
     assert result.formed
     assert result.summary.min_separation is not None and result.summary.min_separation >= 3 - 1e-6
 
 
-def test_the_literal_paper_and_the_baseline_do_not_form_the_circle() -> None:
+def test_literal_paper_and_baseline_do_not_form_the_circle() -> None:
     mission = llm_flock.Mission(shape="circle", n_robots=10)
     for protocol in ("paper", "baseline"):
         figures = llm_flock.run(mission, protocol=protocol, seed=7, rounds=40).summary
@@ -172,7 +172,7 @@ def _still(line: str) -> dict[str, Any]:
     return {key: value for key, value in json.loads(line).items() if key != "latency_s"}
 
 
-def test_when_no_model_answers_any_more_the_run_ends_and_says_why() -> None:
+def test_run_ends_and_says_why_once_no_model_answers() -> None:
     mission = llm_flock.Mission(shape="triangle", n_robots=3)
     fallbacks: tuple[tuple[Fallback, int], ...] = (("breaker", 2), ("hold", 3))
     for fallback, rounds in fallbacks:
@@ -181,7 +181,7 @@ def test_when_no_model_answers_any_more_the_run_ends_and_says_why() -> None:
         assert figures.reason and "simulated" in figures.reason
 
 
-def test_when_no_model_gives_a_plan_the_run_ends_and_says_what_was_wrong() -> None:
+def test_run_without_any_plan_ends_and_says_what_was_wrong() -> None:
     figures = llm_flock.run(llm_flock.Mission(n_robots=10), model="simulated:distorted", seed=2).summary
     assert figures.stopped == "no_plan" and figures.rounds <= 10 and figures.model_calls <= 6 * 10
     assert figures.reason and re.match(r"\d+ of 10 robots: no usable answer in 3 tries; the last: ", figures.reason)
@@ -208,7 +208,7 @@ def test_who_did_the_work_is_said() -> None:
     assert plain.formed and plain.plan_by == "geometry" and not plain.formed_by_models
 
 
-def test_the_default_number_of_rounds_follows_from_the_lower_bound() -> None:
+def test_default_rounds_follow_from_the_lower_bound() -> None:
     wide = {"shape": "line", "n_robots": 2, "center": (500, 500), "arena": ((0, 0), (1000, 1000))}
     far = ((1.0, 1.0), (9.0, 1.0))
     figures = llm_flock.run(llm_flock.Mission(**wide), start_positions=far).summary
@@ -225,7 +225,7 @@ def test_what_is_called_formed_is_formed() -> None:
     assert (figures.stopped == "formed") == figures.formed
 
 
-def test_a_formation_out_of_radio_contact_is_warned_of_and_its_bound_is_known(caplog: pytest.LogCaptureFixture) -> None:
+def test_formation_out_of_radio_contact_is_warned_and_bounded(caplog: pytest.LogCaptureFixture) -> None:
     mission = llm_flock.Mission(n_robots=10, comm_range=5, sense_range=15)
     figures = llm_flock.run(mission, seed=0, rounds=60).summary
     assert figures.lower_bound_rounds and figures.plans_in_use == 1
@@ -260,7 +260,7 @@ def test_faulty_models_hold_their_robot_and_never_the_others(tmp_path: Path) -> 
     assert (result.positions[-1][3] == result.positions[0][3]).all()
 
 
-def test_overshooting_models_are_held_to_the_step_limit_and_clipped_to_the_goal() -> None:
+def test_overshooting_models_keep_the_limit_and_are_clipped() -> None:
     mission = llm_flock.Mission(shape="triangle", n_robots=3)
     results = [llm_flock.run(mission, model="simulated:overshoot", seed=3, verify=verify) for verify in (False, True)]
     for result in results:
@@ -314,7 +314,7 @@ def test_faulty_models_together_still_form_within_the_retries(tmp_path: Path, sh
     assert not any("beyond your goal" in reason for reason in reasons), "that is clipped and flown"
 
 
-def test_hallucinated_plans_win_without_verification_and_not_with_it() -> None:
+def test_hallucinated_plans_win_only_without_verification() -> None:
     mission = llm_flock.Mission(shape="triangle", n_robots=6)
     model = "0-4=simulated:ideal,5=simulated:distorted"
     assert not any(llm_flock.run(mission, model=model, seed=s, verify=False, shield=True).formed for s in (1, 2))
@@ -323,7 +323,7 @@ def test_hallucinated_plans_win_without_verification_and_not_with_it() -> None:
         assert result.formed and result.plans[5] == result.plans[0]
 
 
-def test_plain_geometry_stands_in_only_where_the_operator_allows_it(tmp_path: Path) -> None:
+def test_plain_geometry_stands_in_only_where_allowed(tmp_path: Path) -> None:
     mission = llm_flock.Mission(shape="triangle", n_robots=3)
     held = llm_flock.run(mission, model="simulated:malformed", seed=1, rounds=5, fallback="hold")
     assert held.summary.waypoint_shares["hold"] == 1.0 and held.summary.robots_without_plan == 3
@@ -339,7 +339,7 @@ def test_a_fallback_needs_verification() -> None:
         llm_flock.run(llm_flock.Mission(), protocol="paper", fallback="geometry")
 
 
-def test_of_several_orders_in_a_round_the_team_flies_the_last_one() -> None:
+def test_team_flies_the_last_of_several_orders_in_a_round() -> None:
     """Given to robots at the two ends of a line that are no neighbours."""
     line = llm_flock.Mission(shape="line", n_robots=4)
     orders = [

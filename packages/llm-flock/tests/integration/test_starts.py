@@ -21,7 +21,7 @@ def test_given_starts_are_taken_or_refused() -> None:
             llm_flock.run(mission, start_positions=((0, 100), outside), rounds=1)
 
 
-def test_separated_starts_keep_the_safe_distance_and_uniform_ones_may_not() -> None:
+def test_separated_starts_keep_safe_distance_uniform_may_not() -> None:
     from llm_flock.metrics import min_separation
     from llm_flock.simulate import draw_start
 

@@ -49,7 +49,7 @@ def test_starts_that_are_too_near_are_counted_and_separated(tmp_path: Path) -> N
     assert max(number for number, _ in separating) == summary.rounds_to_separate
 
 
-def test_without_the_shield_obstacles_and_near_starts_are_left_alone() -> None:
+def test_unshielded_obstacles_and_near_starts_are_left_alone() -> None:
     result = run(
         protocol="paper", n_robots=3, shape="triangle", start_positions=[[50, 50], [50, 51], [60, 50]], rounds=3
     )

@@ -130,7 +130,7 @@ def test_a_robot_in_an_empty_cell_stands_still(dim: int) -> None:
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_a_robot_that_cannot_get_clear_in_one_step_backs_off_as_far_as_it_can(dim: int) -> None:
+def test_robot_unable_to_get_clear_in_one_step_backs_off_fully(dim: int) -> None:
     """Half a unit from its neighbour it would have to back off 1.25, but may move 1."""
     own = (0.0,) * dim
     moved = project(own, (5.0, *own[1:]), [(0.5, *own[1:])], safe_distance=SAFE, max_step=1.0)

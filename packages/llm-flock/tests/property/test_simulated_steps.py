@@ -28,7 +28,7 @@ lengths = st.floats(0.01, 30)
     lengths,
     st.sampled_from(["ideal", "overshoot"]),
 )  # fmt: skip
-def test_no_step_exceeds_the_limit_and_a_goal_in_reach_is_met_exactly(
+def test_no_step_exceeds_the_limit_near_goals_are_met_exactly(
     points: tuple[tuple[float, ...], tuple[float, ...]], max_step: float, profile: str
 ) -> None:
     position, target = points

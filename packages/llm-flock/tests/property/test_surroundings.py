@@ -69,7 +69,7 @@ def test_no_way_leads_near_an_obstacle_or_out_of_the_arena(seed: int, noise: flo
 
 @cases(20)
 @given(seed=st.integers(0, 2**32))
-def test_from_inside_an_obstacle_or_outside_the_arena_the_way_leads_back(seed: int) -> None:
+def test_way_leads_back_from_obstacles_and_outside_the_arena(seed: int) -> None:
     rng = np.random.default_rng(seed)
     here: tuple[float, ...] = tuple(rng.uniform(-40, 140, 2).tolist())
     for _ in range(40):

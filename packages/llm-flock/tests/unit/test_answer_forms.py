@@ -70,7 +70,7 @@ def test_a_reason_goes_before_the_answer_and_is_bounded():
     assert not accepts("plan", without, "A triangle.\n" + PLAN)
 
 
-def test_a_step_is_one_position_and_a_path_as_many_as_fit_the_horizon():
+def test_step_is_one_position_and_path_at_most_the_horizon():
     assert accepts("step", AnswerForm(n=3, dim=2), "Position: [1.5, -2]")
     assert accepts("step", AnswerForm(n=3, dim=3), "Position: [1.5, -2, 0]")
     assert not accepts("step", AnswerForm(n=3, dim=2), "Position: [1.5, -2, 0]")

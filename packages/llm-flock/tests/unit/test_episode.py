@@ -36,7 +36,7 @@ def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:
     return episode.bound
 
 
-def test_the_bound_is_from_where_the_robots_were_when_the_mission_was_given() -> None:
+def test_bound_starts_where_robots_were_given_the_mission() -> None:
     episode = Episode(LINE, 0, START)
     assert bound(episode, [0, 1, 2], Mind(PLAN), Mind(PLAN), Mind(PLAN)) == 5
     assert bound(episode, [0, 1], Mind(PLAN), Mind(PLAN)) == 2, "the robot far off is not awake"
@@ -80,7 +80,7 @@ def test_forming_counts_from_the_mission() -> None:
     assert (episode.formed_at, episode.rounds_to_formed) == (80, 70)
 
 
-def test_the_deadline_follows_from_the_plan_and_from_what_came_last() -> None:
+def test_deadline_follows_from_plan_and_last_disturbance() -> None:
     episode = Episode(LINE, 10, START)
     minds = [Mind(PLAN), Mind(PLAN), Mind(PLAN)]
     due = 3 * 5 + 20 + 2  # it has formed when it has held for two more rounds
@@ -95,7 +95,7 @@ def test_the_deadline_follows_from_the_plan_and_from_what_came_last() -> None:
     assert words.deadline([0], [Mind(None)], 0) == 3 * int(np.ceil((np.hypot(*(START[0] - 50)) - 0.5) / 6)) + 22
 
 
-def test_as_many_robots_as_there_are_can_be_compared_with_a_shape_of_that_number() -> None:
+def test_robots_left_are_compared_with_a_shape_of_their_number() -> None:
     square = Episode(Mission(shape="square", n_robots=8), 0, np.zeros((8, 2)))
     assert square.error(np.array(square.mission.ideal)) is not None
     four = square.error(np.array([[0.0, 0.0], [10, 0], [10, 10], [0, 10]]))

@@ -25,7 +25,7 @@ def test_a_run_that_computes_is_its_own_rehearsal() -> None:
     assert (found.tokens_input, found.tokens_output) == pytest.approx((flown.tokens_input, flown.tokens_output))
 
 
-def test_a_real_model_is_rehearsed_with_the_same_questions_for_free() -> None:
+def test_real_model_is_rehearsed_for_free_with_same_questions() -> None:
     config = team(model="openai:gpt-4o", max_calls=50, max_cost=1.0, temperature="0.5", record_llm="x.jsonl")
     double = stand_in(config, "ideal")
     assert double.model.model == "simulated:ideal" and double.mission == config.mission

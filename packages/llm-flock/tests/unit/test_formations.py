@@ -52,7 +52,7 @@ def test_legal_sizes(spec: str, sizes: range) -> None:
 
 
 @pytest.mark.parametrize("spec", NAMED)
-def test_nearest_neighbours_are_exactly_the_spacing_apart_around_the_centre(spec: str) -> None:
+def test_nearest_neighbours_are_one_spacing_apart_round_centre(spec: str) -> None:
     largest = next(n for n in range(1001, 1, -1) if takes(spec, n))
     for n in (*(n for n in range(2, 60) if takes(spec, n)), largest):
         points = ideal(spec, n)
@@ -200,7 +200,7 @@ def test_free_text_has_no_ideal() -> None:
     assert formations.ideal_points("text:a heart", 5, (0, 0, 0), SPACING) is None
 
 
-def test_custom_points_are_moved_to_the_centre_and_kept_otherwise() -> None:
+def test_custom_points_are_only_moved_to_the_centre() -> None:
     rows = [(0.0, 0.0, 0.0), (3.0, 0.0, 1.0), (0.0, 6.0, 2.0)]
     points = formations.ideal_points("points", 3, (1, 2, 3), SPACING, rows)
     assert points is not None

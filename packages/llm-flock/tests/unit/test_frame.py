@@ -64,7 +64,7 @@ def close(a: Sequence[float], b: Sequence[float], tolerance: float = 1e-9) -> bo
     return math.dist(a, b) <= tolerance
 
 
-def test_a_mission_in_an_own_frame_is_the_mission_moved_and_scaled() -> None:
+def test_mission_in_own_frame_is_the_mission_moved_and_scaled() -> None:
     told = frame_plan(ASK, "own").framed.mission
     assert told.center == (0.0, 0.0) and told.spacing == 1.0
     assert (told.safe_distance, told.max_step, told.comm_range) == (0.3, 0.6, 1.5)
@@ -78,7 +78,7 @@ def test_a_mission_in_an_own_frame_is_the_mission_moved_and_scaled() -> None:
         assert close([40 + 10 * mine[0], 55 + 10 * mine[1]], theirs, 1e-5)
 
 
-def test_points_of_a_custom_shape_and_the_sensors_range_are_scaled() -> None:
+def test_custom_points_and_the_sensor_range_are_scaled() -> None:
     mission = build_mission(points=[[0.0, 0.0], [8.0, 0.0], [0.0, 6.0]], sense_range=30.0, max_step=4.0)
     told = frame_plan(replace(ASK, mission=mission, still=()), "own").framed.mission
     assert told.points == ((0.0, 0.0), (0.8, 0.0), (0.0, 0.6)) and told.sense_range == 3.0
@@ -99,7 +99,7 @@ def test_a_step_is_asked_for_from_the_origin_in_step_limits() -> None:
     assert prompts.step(told).endswith(f"1 a step from [0, 0].\nKeep 0.5 from [0.29, 0.16].\nGoal: {list(told.goal)}")
 
 
-def test_coarse_numbers_beside_the_safe_distance_get_more_decimals() -> None:
+def test_coarse_numbers_near_safe_distance_get_more_decimals() -> None:
     fine = build_mission(shape="circle", n_robots=5, spacing=10.0, safe_distance=0.1, max_step=6.0)
     assert frame_step(replace(STEP, mission=fine), "own").framed.neighbors == ((0.294, 0.164),)
 
@@ -125,7 +125,7 @@ def test_a_repeated_goal_is_the_goal_to_the_last_digit() -> None:
     assert isinstance(answer, StepAnswer) and answer.waypoint == near.goal
 
 
-def test_answers_are_judged_and_kept_in_the_world_and_recorded_as_they_were_given() -> None:
+def test_answers_are_judged_in_world_and_recorded_as_given() -> None:
     heard: list[Attempt] = []
     far = replace(STEP, position=(23.456, 63.21), neighbors=())
     g = frame_step(far, "own").framed.goal

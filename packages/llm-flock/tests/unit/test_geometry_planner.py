@@ -39,7 +39,7 @@ def test_without_chance_the_plan_is_the_reference_orientation() -> None:
     np.testing.assert_allclose(answer.plan.array, np.array(CIRCLE.ideal), atol=1e-6)
 
 
-def test_chance_turns_the_plan_about_the_centre_and_the_seed_repeats_it() -> None:
+def test_chance_turns_the_plan_about_centre_seed_repeats_it() -> None:
     plans = [plan_of(GeometryPlanner(np.random.default_rng(seed))).plan for seed in (1, 1, 2)]
     assert plans[0] == plans[1] != plans[2]
     radii = np.linalg.norm(plans[2].array - CIRCLE.center, axis=1)
@@ -90,7 +90,7 @@ def test_in_space_a_formation_turns_about_the_third_axis() -> None:
     assert waypoint == pytest.approx((0, 0, 6))
 
 
-def test_the_question_says_how_many_places_and_where_and_spares_count_on() -> None:
+def test_question_sets_place_count_and_centre_spares_count_on() -> None:
     planner = GeometryPlanner()
     spares = plan_of(planner, CIRCLE.change(places=8, center=(40, 45)), robot=9)
     assert len(spares.plan) == 8 and spares.slot == 1

@@ -78,9 +78,7 @@ def faults(*kinds: str) -> list[ModelError]:
 
 
 @pytest.mark.parametrize(("told_s", "latency_s"), [(0.0, 2.5), (1.5, 1.5)])
-def test_the_time_that_a_single_try_took_is_measured_where_the_model_does_not_tell_it(
-    told_s: float, latency_s: float
-) -> None:
+def test_time_of_a_try_is_measured_where_the_model_tells_none(told_s: float, latency_s: float) -> None:
     time = FakeTime()
 
     class Slow(Scripted):
@@ -137,7 +135,7 @@ def test_giving_up_tells_the_whole_story() -> None:
     assert (error.kind, error.faults, model.asked) == ("server", ("server",) * 3, 3)
 
 
-def test_responses_of_no_protocol_are_asked_for_again_only_for_some_seconds() -> None:
+def test_garbage_responses_are_retried_only_for_some_seconds() -> None:
     """A server that sends `"choices": []` for ever kept the whole team waiting for 46 s a question."""
     time = FakeTime()
     model = Scripted(*faults(*["garbage"] * 9))
@@ -185,7 +183,7 @@ def test_a_slot_is_free_while_somebody_waits_to_retry() -> None:
     assert order == ["robot 0", "robot 1", "robot 0"]
 
 
-def test_a_try_times_out_but_standing_in_the_queue_does_not_count() -> None:
+def test_try_times_out_but_waiting_in_the_queue_does_not_count() -> None:
     async def scenario(delay_s: float, calls: int) -> list[Reply | BaseException]:
         shared = CallLimits(
             max_concurrent=1, timeout_s=0.2, retry=RetryPolicy(max_tries=1), rng=np.random.default_rng(0)

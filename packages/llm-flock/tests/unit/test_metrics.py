@@ -47,7 +47,7 @@ def test_bottleneck_is_the_best_of_all_assignments(seed: int) -> None:
     assert bottleneck_distance(start, goals) == pytest.approx(best, abs=1e-12)
 
 
-def test_bottleneck_is_not_the_largest_distance_to_the_nearest_goal() -> None:
+def test_bottleneck_is_not_largest_distance_to_nearest_goal() -> None:
     """Both robots are nearest to the same goal, so one must go on to the other."""
     assert bottleneck_distance([(0, 0), (1, 0)], [(1, 0), (10, 0)]) == 9.0
 
@@ -166,7 +166,7 @@ def test_with_more_robots_or_more_goals_the_fewer_are_all_served(seed: int) -> N
     assert bottleneck_distance(start, places) == pytest.approx(best, abs=1e-12)
 
 
-def test_the_lower_bound_to_a_plan_that_travels_is_the_first_round_in_which_it_can_be_met() -> None:
+def test_lower_bound_to_a_moving_plan_is_when_it_can_be_met() -> None:
     def bound(x: float, velocity: float) -> int:
         return lower_bound_rounds([(0, 0)], [(x, 0)], 6, lambda rounds: (velocity * rounds, 0.0))
 
@@ -176,7 +176,7 @@ def test_the_lower_bound_to_a_plan_that_travels_is_the_first_round_in_which_it_c
     assert bound(0, 3) == 0
 
 
-def test_spares_need_no_goal_and_places_that_cannot_be_used_need_no_robot() -> None:
+def test_spares_need_no_goal_and_unusable_places_no_robot() -> None:
     spare = but(slots=[2, 0, None], goal_distances=[0.5, 0.0, math.inf])
     for usable, fine in ((2, True), (3, False), (1, False)):
         tracker = FormedTracker(spacing=10)

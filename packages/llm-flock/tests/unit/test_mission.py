@@ -131,7 +131,7 @@ def test_a_moving_centre_is_where_it_is_at_the_end_of_a_round() -> None:
     assert still.at(100) is still and still.drift(100) == (0, 0)
 
 
-def test_a_formation_stops_as_a_whole_where_it_would_touch_a_wall() -> None:
+def test_formation_stops_as_a_whole_before_touching_a_wall() -> None:
     mission = Mission(shape="line", n_robots=3, velocity=(2, 0))  # reaches 10 to both sides
     assert mission.drift(19) == (38, 0) and mission.drift(20) == mission.drift(1000) == (40, 0)
     assert mission.at(1000).center == (90, 50)

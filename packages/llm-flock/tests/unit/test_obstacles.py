@@ -81,7 +81,7 @@ def test_clearance_of_points_and_ways() -> None:
     assert segment_clearance((11.0, 0.0), (20.0, 0.0), both) < 0.0
 
 
-def test_on_the_boundary_and_in_the_centre_there_is_still_a_way_out() -> None:
+def test_there_is_a_way_out_from_the_boundary_and_the_centre() -> None:
     (on_side,) = Obstacle(polygon=SQUARE).nearest((2.0, 1.0))
     assert (on_side.distance, on_side.outward) == (0.0, (1.0, 0.0))
     (middle,) = Obstacle(center=(5.0, 5.0), radius=2.0).nearest((5.0, 5.0))

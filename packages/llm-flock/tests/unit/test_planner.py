@@ -169,7 +169,7 @@ def test_a_drifting_replay_is_not_swallowed() -> None:
         asyncio.run(thinker.step(step_question()))
 
 
-def test_attempts_are_numbered_through_a_round_over_both_questions() -> None:
+def test_attempts_are_numbered_per_round_over_both_questions() -> None:
     model = Scripted("hm", PLAN_TEXT, "Position: [1, 2]", "Position: [3, 4]", ModelError("server", ""), PLAN_TEXT)
     thinker, _ = planner(model)
 
@@ -318,7 +318,7 @@ def test_the_question_says_how_many_places_a_plan_has() -> None:
     assert schema is not None and schema["properties"]["plan"]["maxItems"] == 2
 
 
-def test_another_mission_begins_another_conversation_and_a_centre_that_travels_does_not() -> None:
+def test_new_mission_not_travel_begins_a_new_conversation() -> None:
     moving = MISSION.change(velocity=(1, 0))
     missions = [MISSION, MISSION, moving, moving.at(3), moving.at(4), moving.change(velocity=(1, 1)), MISSION]
     model = Scripted(*["Position: [1, 2]"] * len(missions))

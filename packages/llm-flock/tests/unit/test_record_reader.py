@@ -69,7 +69,7 @@ def test_a_file_cut_anywhere_gives_its_complete_rounds(tmp_path: Path) -> None:
             assert all(plan.round < complete for plan in record.plans)
 
 
-def test_calls_of_a_round_that_was_interrupted_are_kept_when_the_run_ended_cleanly(tmp_path: Path) -> None:
+def test_calls_of_an_interrupted_round_are_kept_on_a_clean_end(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with RecordWriter(path) as writer:
         FakeRun(n=2, rounds=1).write(writer, finish=False)
@@ -131,7 +131,7 @@ def plain_file(path: Path, *messages: tuple[str, bytes]) -> Path:
     return path
 
 
-def test_a_newer_format_is_refused_even_with_fields_that_are_not_known(tmp_path: Path) -> None:
+def test_newer_format_is_refused_even_with_unknown_fields(tmp_path: Path) -> None:
     newer = json.loads(run_info().encoded()) | {"format_version": 2, "new_field": 1}
     path = plain_file(tmp_path / "run.mcap", ("/run", json.dumps(newer).encode()))
     with pytest.raises(RecordError, match="format version 2; this release reads version 1"):
@@ -150,7 +150,7 @@ def test_an_mcap_file_of_something_else_is_no_record(tmp_path: Path) -> None:
         read_record(path)
 
 
-def test_a_message_on_a_channel_that_was_never_announced_is_damage(tmp_path: Path) -> None:
+def test_message_on_an_unannounced_channel_is_damage(tmp_path: Path) -> None:
     data = plain_file(tmp_path / "run.mcap", ("/run", run_info().encoded())).read_bytes()
     # The channel record says id 1; the message after it then belongs to nobody.
     damaged = data.replace(b"\x01\x00\x00\x00\x04\x00\x00\x00/run", b"\x09\x00\x00\x00\x04\x00\x00\x00/run", 1)
@@ -160,7 +160,7 @@ def test_a_message_on_a_channel_that_was_never_announced_is_damage(tmp_path: Pat
         read_record(tmp_path / "run.mcap")
 
 
-def test_the_format_version_that_is_written_is_the_one_that_is_read() -> None:
+def test_written_format_version_is_the_one_that_is_read() -> None:
     assert RunInfo.model_fields["format_version"].default == run_info().format_version
 
 

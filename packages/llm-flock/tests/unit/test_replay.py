@@ -64,7 +64,7 @@ def test_answers_come_back_exactly_in_any_order(tmp_path: Path) -> None:
             assert asyncio.run(model.ask(attempt.call)) == attempt.reply
 
 
-def test_why_an_answer_ended_is_kept_and_older_cassettes_do_not_say(tmp_path: Path) -> None:
+def test_end_reason_of_an_answer_is_kept_old_cassettes_lack_it(tmp_path: Path) -> None:
     attempt = answered(call())
     cut = replace(attempt, reply=replace(attempt.reply, finish_reason="length", thought=True))
     path = record(tmp_path / "a.jsonl", cut)
@@ -149,9 +149,7 @@ def test_a_question_that_was_never_asked_is_drift(tmp_path: Path) -> None:
         ask(path, call(robot=1))
 
 
-def test_a_cassette_cut_off_anywhere_in_its_last_line_loses_only_that(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_cassette_cut_off_in_its_last_line_loses_only_that(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     whole = record(tmp_path / "whole.jsonl", answered(call()), answered(call(round=1))).read_bytes()
     last = whole.rstrip(b"\n").rfind(b"\n") + 1
     path = tmp_path / "cut.jsonl"

@@ -136,7 +136,7 @@ discs = st.lists(st.tuples(spots, st.floats(0.5, 12.0)), min_size=1, max_size=8)
 @example(found=[((0.0, 2.0), 1.0), ((0.0, 60.75), 1.125)], here=(0.0, 58.125), goal=(0.0, 64.0))
 @example(found=[((0.0, 2.0), 1.0), ((0.0, 53.5), 2.5)], here=(0.0, 49.0), goal=(0.0, 59.0))
 @given(found=discs, here=spots, goal=spots)
-def test_every_leg_is_clear_and_no_way_is_shorter_than_the_straight_line(
+def test_every_leg_is_clear_and_no_way_beats_the_straight_line(
     found: list[tuple[Point, float]], here: Point, goal: Point
 ) -> None:
     obstacles = [Obstacle(center=center, radius=radius) for center, radius in found]
@@ -161,7 +161,7 @@ def test_every_leg_is_clear_and_no_way_is_shorter_than_the_straight_line(
 
 
 @pytest.mark.parametrize("out", [0.0, 0.001, 0.02, 0.1, 0.5, 0.8])
-def test_whoever_stands_close_to_an_obstacle_finds_a_way_round_it(out: float) -> None:
+def test_robot_close_to_an_obstacle_finds_a_way_round_it(out: float) -> None:
     disc, apart = Obstacle(center=(50.0, 50.0), radius=10.0), 10.0 + RADIUS + out
     roadmap = Roadmap(PLANE, [disc], RADIUS)
     for k in range(90):

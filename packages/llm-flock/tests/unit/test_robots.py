@@ -30,7 +30,7 @@ def norm(a, b=(0.0, 0.0, 0.0)):
 
 
 @given(start=POINT.filter(BOX.contains), target=POINT, duration=st.floats(0.1, 5.0))
-def test_a_clipped_target_is_on_the_line_in_the_box_and_slow_enough(start, target, duration):
+def test_clipped_target_is_on_the_line_in_the_box_and_slow(start, target, duration):
     sent = BOX.clip(start, target, duration)
     assert sent.duration_s == duration
     assert BOX.contains(sent.target)
@@ -70,14 +70,14 @@ def test_a_segment_keeps_its_ends_and_comes_to_rest(start, target, velocity, acc
     assert np.allclose(np.subtract(after, before) / (2 * h), v, atol=1e-4)
 
 
-def test_the_peak_speed_of_a_segment_is_the_one_that_limits_assume():
+def test_peak_speed_of_a_segment_is_the_one_limits_assume():
     segment = Segment(start=(0.0, 0.0, 0.0), target=(1.0, 0.0, 0.0), duration_s=2.0)
     speeds = [segment.at(t)[1][0] for t in np.linspace(0, 2, 2001)]
     assert max(speeds) == pytest.approx(PEAK_SPEED / 2.0, abs=1e-9)
 
 
 @given(st.lists(st.tuples(POINT, POINT), min_size=2, max_size=4), st.floats(0.1, 1.9))
-def test_robots_that_start_together_have_flown_the_same_share_of_their_ways(ways, time):
+def test_robots_started_together_have_flown_the_same_share(ways, time):
     shares = []
     for start, target in ways:
         at, _, _ = Segment(start=start, target=target, duration_s=2.0).at(time)
@@ -86,7 +86,7 @@ def test_robots_that_start_together_have_flown_the_same_share_of_their_ways(ways
     assert all(a == pytest.approx(b, abs=1e-6) for a, b in itertools.pairwise(shares))
 
 
-def test_a_stopping_point_lies_on_the_way_and_is_reached_without_turning_back():
+def test_stopping_point_is_on_the_way_without_turning_back():
     segment = Segment(start=(0.0, 0.0, 1.0), target=(2.0, 0.0, 1.0), duration_s=4.0)
     for t in np.linspace(0.0, 2.5, 26):
         stop = stopping_point(segment, float(t), 1.0)
@@ -129,7 +129,7 @@ def test_a_point_mass_falls_when_its_motors_stop():
     assert landed_too_high.position(5.0)[2] == 0.0
 
 
-def test_after_a_jump_of_the_estimate_the_body_follows_its_wrong_belief():
+def test_body_follows_its_wrong_belief_after_an_estimate_jump():
     body = PointMass(home=(0.0, 0.0, 0.0), auto_arm=True)
     body.take_off(1.0, 1.0, now=0.0)
     body.jump((0.3, 0.0, 0.0), now=2.0)

@@ -63,7 +63,7 @@ def test_what_cannot_happen_is_refused(fields: dict[str, Any], field: str, words
     assert caught.value.field == field and words in caught.value.says
 
 
-def test_random_deaths_and_joins_are_drawn_from_the_seed_among_robots_named_nowhere_else() -> None:
+def test_random_deaths_and_joins_follow_seed_among_the_unnamed() -> None:
     fields: dict[str, Any] = {
         "kill": "0@5",
         "kill_random": 2,

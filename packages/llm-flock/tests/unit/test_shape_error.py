@@ -50,7 +50,7 @@ def test_both_formulas_by_hand() -> None:
     assert error.mean_squared == pytest.approx(4.0)
 
 
-def test_the_mean_of_distances_is_not_the_root_of_the_mean_of_squares() -> None:
+def test_mean_of_distances_is_not_the_root_mean_square() -> None:
     team = ideal("circle", 10)
     team[0] += (team[0] - 50) * 0.5
     error = procrustes(team, ideal("circle", 10))

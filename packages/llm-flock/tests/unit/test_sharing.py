@@ -35,7 +35,7 @@ def test_no_window_holds_more_calls_than_are_allowed() -> None:
     assert sent[3] - sent[0] < 0.15
 
 
-def test_no_window_holds_more_tokens_than_are_allowed_as_far_as_they_are_known() -> None:
+def test_no_window_exceeds_the_allowed_tokens_as_far_as_known() -> None:
     async def go() -> list[float]:
         gate = SharedGate(rates={"simulated": Rate(tokens_per_minute=450)}, window_s=0.2)
         await once(gate)  # what answers are like is not known before the first one

@@ -29,7 +29,7 @@ def test_a_careful_model_among_robots_on_all_sides_waits() -> None:
     assert parse_step(responder("careful").answer(step_talk(neighbors=crowd)), 2) == (20.0, 20.0)
 
 
-def test_a_careful_model_turns_its_plan_away_from_robots_that_stand_still() -> None:
+def test_careful_model_turns_its_plan_away_from_still_robots() -> None:
     assert CIRCLE.ideal is not None
     body = CIRCLE.ideal[0]
     question = PlanQuestion(

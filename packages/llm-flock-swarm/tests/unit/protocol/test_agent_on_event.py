@@ -67,7 +67,7 @@ def given_way(agent: Agent, way: tuple[Point, ...] = WAY) -> Agent:
 
 @pytest.mark.parametrize("verify", [True, False])
 @pytest.mark.parametrize("shield_on", [True, False])
-def test_a_path_is_flown_to_the_goal_and_held_there_without_a_question(verify: bool, shield_on: bool) -> None:
+def test_path_is_flown_to_the_goal_and_held_without_a_question(verify: bool, shield_on: bool) -> None:
     agent = given_way(make(verify=verify, shield_on=shield_on))
     here = WAY[0]
     for waypoint in (*WAY[1:], GOAL, GOAL):
@@ -173,7 +173,7 @@ def test_no_step_is_flown_unverified_or_unshielded(
         here = step.waypoint
 
 
-def test_the_shield_measures_arrival_by_the_spacing_of_the_mission_in_force() -> None:
+def test_shield_measures_arrival_by_current_mission_spacing() -> None:
     """Kept 0.8 units from its goal by a body, a robot has arrived for a spacing of 20 units, and is blocked for 10."""
     goal = PLAN.points[0]
     here, body = (goal[0] - 0.8, *goal[1:]), (goal[0] - 0.8 + MISSION.safe_distance, *goal[1:])

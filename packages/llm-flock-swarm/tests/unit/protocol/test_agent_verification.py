@@ -71,7 +71,7 @@ def test_a_received_plan_that_fails_dies_with_its_author() -> None:
     assert agent.rejected == {"unverified_plan": 3}, "counted each time"
 
 
-def test_a_robot_without_a_plan_takes_over_no_bad_one_and_names_its_fallback() -> None:
+def test_robot_without_plan_adopts_no_bad_one_names_fallback() -> None:
     agent = checking()
     agent.handle(began())
     agent.handle(Planned(NoAnswer(cause="answer", reason="none")))
@@ -98,7 +98,7 @@ def test_an_exact_plan_beats_a_crude_one_of_higher_influence() -> None:
 
 
 @pytest.mark.parametrize("accepted", [True, False])
-def test_an_overshooting_answer_is_clipped_to_the_goal_and_counted_as_such(accepted: bool) -> None:
+def test_overshooting_answer_counts_as_clipped_to_the_goal(accepted: bool) -> None:
     agent = deciding(checking())
     assert agent.goal is not None
     (x, y), (gx, gy) = agent.position, agent.goal

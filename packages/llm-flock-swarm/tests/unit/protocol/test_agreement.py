@@ -34,7 +34,7 @@ def kinds(effects: list[Effect]) -> list[str]:
     return [effect.kind for effect in effects if isinstance(effect, Note)]
 
 
-def test_a_mission_over_the_radio_voids_what_belonged_to_the_one_before() -> None:
+def test_mission_over_the_radio_voids_what_the_last_one_left() -> None:
     driven = DrivenAgent(make())
     driven.round()
     new = LINE.change(center=(60.0, 50.0), since=2)
@@ -50,7 +50,7 @@ def test_a_mission_over_the_radio_voids_what_belonged_to_the_one_before() -> Non
 
 
 @pytest.mark.parametrize("counter", [0, 1])
-def test_of_two_missions_the_higher_stamp_is_in_force_whichever_comes_first(counter: int) -> None:
+def test_mission_of_higher_stamp_holds_whichever_comes_first(counter: int) -> None:
     one, other = LINE.change(center=(60.0, 50.0)), LINE.change(center=(40.0, 50.0))
     low, high = sorted((one, other), key=lambda mission: mission.digest)
     stamps = {low.digest: counter + 1, high.digest: 1}  # a higher counter beats a higher digest
@@ -82,7 +82,7 @@ def test_a_plan_counts_only_with_its_mission() -> None:
     assert driven.agent.plan == ahead
 
 
-def test_a_plan_named_by_its_digest_is_followed_if_it_arrived_in_full_before() -> None:
+def test_plan_named_by_digest_is_followed_if_it_came_in_full() -> None:
     named = says(1, plan=PLAN, named_only=True)
     driven = DrivenAgent(make(), plan=Plan.of([[x, y + 1.0] for x, y in PLAN.points]))
     driven.begin()
@@ -109,7 +109,7 @@ def test_a_flood_of_plans_costs_bounded_memory() -> None:
     assert driven.agent.plan == last
 
 
-def test_a_moving_mission_heard_in_a_round_is_seen_in_its_own_frame_at_once() -> None:
+def test_moving_mission_is_seen_in_its_own_frame_once_heard() -> None:
     """It has travelled since round 1; a spare robot's places are where the frame has them, not where they began."""
     moving = LINE.change(velocity=(2.0, 0.0), since=1)
     driven = DrivenAgent(make(), here=(50.0, 50.0))
@@ -138,7 +138,7 @@ def test_a_plan_for_a_moving_centre_is_kept_in_its_frame() -> None:
     assert driven.agent.plan == PLAN
 
 
-def test_on_a_committed_path_in_a_moving_frame_the_robot_asks_once() -> None:
+def test_committed_path_in_a_moving_frame_is_asked_about_once() -> None:
     moving = Mission(shape="line", n_robots=1, velocity=(2.0, 0.0))
     plan = Plan.of(moving.at(1).ideal or ())
     driven = DrivenAgent(make(mission=moving, on_event=True), here=(50.0, 50.0), plan=plan)
@@ -200,7 +200,7 @@ def asked_by(driven: DrivenAgent, rule: Counting, *payloads: bytes) -> int:
     return rule.asked - before
 
 
-def test_a_rule_is_not_asked_again_while_its_arguments_are_the_same() -> None:
+def test_rule_is_not_asked_again_with_unchanged_arguments() -> None:
     rule, driven = counting()
     driven.begin()
     same = says(1, plan=PLAN, table=(UNSAID, UNSAID, (0, -1.0, 1)))
@@ -238,7 +238,7 @@ def test_a_rule_is_asked_as_soon_as_an_argument_changes() -> None:
     assert asked_by(driven, rule, other) == 1, "a sensed robot has moved"
 
 
-def test_a_rule_is_asked_again_without_the_occupancy_that_it_gets_once_a_round() -> None:
+def test_rule_is_asked_again_once_its_occupancy_is_used_up() -> None:
     rule, driven = counting()
     for _ in range(3):
         driven.round()
@@ -246,7 +246,7 @@ def test_a_rule_is_asked_again_without_the_occupancy_that_it_gets_once_a_round()
     assert [asked_by(driven, rule) for _ in range(4)] == [1, 1, 0, 0]
 
 
-def test_a_rule_is_asked_in_every_communication_round_while_its_claim_holds_an_offer() -> None:
+def test_rule_is_asked_each_communication_round_of_an_offer() -> None:
     """The offer expires after a number of communication rounds, whatever is heard."""
     rule, driven = counting()
     table: BidTable = ((1, -1.0, 1), (1, -1.0, 0), (0, 0.0, NO_OWNER))

@@ -148,7 +148,7 @@ class Robot:
         return [(n.detail["question"], n.detail["state"]) for n in self.notes if n.kind == "breaker"]
 
 
-def test_a_robot_whose_steps_are_all_refused_is_flown_by_geometry_and_its_model_probed() -> None:
+def test_refused_steps_give_way_to_geometry_and_model_probes() -> None:
     robot = Robot().fly(9)
     assert robot.origins == ["hold"] + ["geometry"] * 8
     steps = [(q.round, q.probe) for q in robot.asked if isinstance(q, StepQuestion)]
@@ -170,7 +170,7 @@ def test_a_probe_that_is_answered_well_closes_the_breaker() -> None:
 
 
 @pytest.mark.parametrize("times", [1.5, 3.0, 40.0])
-def test_a_step_that_is_too_long_in_the_right_direction_is_clipped_and_flown(times: float) -> None:
+def test_too_long_step_in_the_right_direction_is_clipped(times: float) -> None:
     robot = Robot()
     robot.model = good_plan, lambda q: StepAnswer(waypoint=towards(q, 6.0 * times))
     robot.fly(3)
@@ -180,7 +180,7 @@ def test_a_step_that_is_too_long_in_the_right_direction_is_clipped_and_flown(tim
     assert len(clipped) == 3 and clipped[0].detail["flown"] == robot.moves[0].waypoint
 
 
-def test_a_path_of_steps_that_are_too_long_is_cut_into_steps_that_are_not() -> None:
+def test_path_of_too_long_steps_is_cut_into_allowed_steps() -> None:
     robot = Robot(on_event=True)
 
     def two_leaps(question: StepQuestion) -> StepAnswer:
@@ -203,7 +203,7 @@ def test_a_path_that_ends_short_of_the_goal_is_cut_up_to_its_end() -> None:
     assert len([q for q in robot.asked if isinstance(q, StepQuestion)]) == 1
 
 
-def test_a_path_whose_first_step_alone_can_be_clipped_is_asked_about_again() -> None:
+def test_path_with_only_a_clippable_first_step_is_asked_again() -> None:
     robot = Robot(on_event=True)
     robot.model = good_plan, lambda q: StepAnswer(waypoint=towards(q, 12.0), path=((0.0, 0.0), (50.0, 50.0)))
     robot.fly(2)
@@ -211,7 +211,7 @@ def test_a_path_whose_first_step_alone_can_be_clipped_is_asked_about_again() -> 
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 50.0), (20.0, 50.0, 1.0)])
-def test_a_path_with_a_point_that_is_none_is_refused_or_ends_before_it(bad: Point) -> None:
+def test_path_with_a_bad_point_is_refused_or_ends_before_it(bad: Point) -> None:
     robot = Robot(on_event=True)
     robot.model = good_plan, lambda q: StepAnswer(waypoint=towards(q, 9.0), path=(bad,))
     robot.fly(1)
@@ -240,7 +240,7 @@ def test_a_model_that_only_just_passes_its_checks_is_too_slow() -> None:
     assert any(n.kind == "breaker" and "nearer to the goal" in n.detail["reason"] for n in robot.notes)
 
 
-def test_a_robot_that_has_almost_arrived_or_is_blocked_is_not_called_slow() -> None:
+def test_nearly_arrived_or_blocked_robot_is_not_called_slow() -> None:
     pace = Pace()
     goal = IDEAL.points[0]
     question = StepQuestion(
@@ -293,13 +293,13 @@ def test_with_geometry_no_round_is_lost() -> None:
     assert [note.detail["by"] for note in robot.notes if note.kind == "proposed"] == ["geometry"]
 
 
-def test_a_geometry_that_knows_no_points_leaves_a_robot_without_a_plan() -> None:
+def test_geometry_without_points_leaves_a_robot_without_a_plan() -> None:
     words = Mission(shape="text:a cloud", n_robots=3, comm_range=40)
     robot = Robot(no_plan, mission=words, fallback="geometry").fly(3)
     assert robot.agent.plan is None and robot.agent.hopeless == REFUSED
 
 
-def test_a_robot_without_a_plan_goes_to_the_centre_and_its_model_is_asked_rarely() -> None:
+def test_robot_without_plan_goes_to_centre_and_asks_rarely() -> None:
     robot = Robot(no_plan).fly(12)
     assert [(q.round, q.probe) for q in robot.asked] == [(1, False), (2, False), (4, True), (8, True)]
     assert math.dist(robot.here, MISSION.center) <= 0.5 * MISSION.spacing

@@ -109,7 +109,7 @@ def tables(team: SignedTeam) -> list[BidTable]:
     return [agent.claim.table or () for agent in team.agents]
 
 
-def test_the_places_of_who_is_excluded_are_free_at_once_and_its_claims_count_for_nothing() -> None:
+def test_places_of_the_excluded_are_free_and_their_claims_void() -> None:
     team, gang = settled_team()
     free = next(slot for slot in gang.places if slot not in team.slots)
     team.comm_round(said_by=[gang.message(6, {free: gang.claim(6, free)}, slot=free)])
@@ -128,7 +128,7 @@ def test_the_places_of_who_is_excluded_are_free_at_once_and_its_claims_count_for
     assert all(unwrap(payload, N)[1].restless for payload in team.comm_round())
 
 
-def test_a_version_of_which_no_words_are_held_is_freed_by_witnesses() -> None:
+def test_version_without_held_words_is_freed_by_witnesses() -> None:
     team, gang = settled_team()
     evidence = evidence_of(team.agents[0])
     free = [slot for slot in gang.places if slot not in team.slots]
@@ -163,7 +163,7 @@ def test_words_about_robots_that_left_nothing_are_not_kept() -> None:
     assert not any(unwrap(one, N)[1].restless for one in said)
 
 
-def test_own_words_are_said_in_each_message_and_those_of_others_in_turn() -> None:
+def test_own_words_are_in_each_message_those_of_others_in_turn() -> None:
     team, gang = settled_team()
     evidence, signature = evidence_of(team.agents[0]), b"x"
     for robot, witness in itertools.product(range(20, 60), (0, 5)):
@@ -178,7 +178,7 @@ def test_own_words_are_said_in_each_message_and_those_of_others_in_turn() -> Non
     assert gang.members == [5, 6]
 
 
-def test_who_hears_too_few_to_have_an_honest_one_among_them_blames_nobody() -> None:
+def test_nobody_is_blamed_by_who_may_hear_no_honest_robot() -> None:
     team, gang = settled_team()
     slot, *_ = claimed_in_secret(team, gang)
     evidence, table = evidence_of(team.agents[1]), tables(team)[1]
@@ -213,7 +213,7 @@ def test_who_moves_on_again_and_again_is_excluded_by_all() -> None:
 
 
 @pytest.mark.no_cover
-def test_nobody_is_blamed_for_leaving_a_place_that_a_liar_took_in_secret() -> None:
+def test_nobody_is_blamed_for_leaving_a_secretly_taken_place() -> None:
     """Only the framed robot hears a claim on its place; those out of its radio contact hear of the cause by others."""
     mission = Mission(shape="circle", n_robots=10)
     team = beside_lies("frames one robot", mission, spread(mission), liars=3, rounds=40)
@@ -238,7 +238,7 @@ def claimed_in_secret(team: SignedTeam, gang: Gang) -> tuple[int, Message, Proof
     return slot, decode(content, N, 2), msgspec.structs.replace(proofs, causes=(cause,))
 
 
-def test_a_claim_that_counts_no_more_is_passed_on_as_the_cause_why_another_left() -> None:
+def test_outdated_claim_is_passed_on_as_cause_of_a_departure() -> None:
     team, gang = settled_team()
     slot, _, proofs = claimed_in_secret(team, gang)
     assert team.slots[0] != slot and tables(team)[1][slot][2] == 0
@@ -253,7 +253,7 @@ def test_a_claim_that_counts_no_more_is_passed_on_as_the_cause_why_another_left(
     assert all(grant is None or grant.by == 6 for grant in freed) and stated <= {NO_OWNER, left_by(6)}
 
 
-def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_no_more() -> None:
+def test_outdated_cause_is_checked_and_must_outbid_a_claim() -> None:
     team, gang = settled_team()
     slot, message, proofs = claimed_in_secret(team, gang)
     (cause,) = proofs.causes
@@ -281,7 +281,7 @@ def test_a_cause_is_checked_and_of_use_only_where_it_outbids_a_claim_and_counts_
     )
 
 
-def test_words_about_a_departure_count_only_of_those_who_may_have_claimed_the_place() -> None:
+def test_departure_words_count_only_of_possible_claimants() -> None:
     team, gang = settled_team()
     slot = next(a for a in gang.places if a == team.slots[0])
     words = [gang.word(6, slot, left_by(robot)) for robot in (0, 3)]

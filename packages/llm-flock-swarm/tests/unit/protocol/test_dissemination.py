@@ -90,7 +90,7 @@ def slots_of(message: Message) -> set[int]:
     return {a for a, entry in enumerate(message.table) if entry != UNSAID}
 
 
-def test_a_greeting_spells_out_everything_and_later_messages_name_it() -> None:
+def test_greeting_spells_out_everything_later_messages_name_it() -> None:
     sender = Sender()
     table = table_of(MISSION, s1=(0, -2.0, 0))
     first = sender.send(standing(table=table, slot=1))
@@ -102,7 +102,7 @@ def test_a_greeting_spells_out_everything_and_later_messages_name_it() -> None:
     assert second.slot == 1 and slots_of(second) == {1}, "the own claim is always spelled out"
 
 
-def test_in_a_large_team_newcomers_are_told_only_what_they_turn_out_to_lack() -> None:
+def test_large_team_tells_newcomers_only_what_they_lack() -> None:
     sender, table = Sender(LARGE), table_of(LARGE, s1=(0, -2.0, 0))
     whole = standing(LARGE, table=table)
     for _ in range(3):
@@ -137,7 +137,7 @@ def test_a_neighbour_that_was_silent_for_a_round_is_forgotten() -> None:
     assert sender.send(standing(LARGE)).plan is None
 
 
-def test_a_plan_is_spelled_out_when_it_is_new_and_to_neighbours_that_follow_another() -> None:
+def test_plan_is_spelled_out_when_new_or_neighbours_differ() -> None:
     sender, new = Sender(), plan_of(MISSION, 1.0)
     sender.send(standing())
     sender.dissemination.hear(standing(sender=1))
@@ -150,14 +150,14 @@ def test_a_plan_is_spelled_out_when_it_is_new_and_to_neighbours_that_follow_anot
     assert sender.send(standing(plan=new)).plan == new, "until it names the same: messages may be lost"
 
 
-def test_a_new_plan_is_spelled_out_even_if_all_neighbours_follow_it() -> None:
+def test_new_plan_is_spelled_out_even_if_neighbours_follow_it() -> None:
     sender, new = Sender(), plan_of(MISSION, 1.0)
     sender.send(standing())
     sender.dissemination.hear(standing(sender=1, plan=new))
     assert sender.send(standing(plan=new)).plan == new
 
 
-def test_a_mission_is_spelled_out_only_for_neighbours_with_an_older_one() -> None:
+def test_mission_is_spelled_out_only_for_outdated_neighbours() -> None:
     old, new = MISSION, MISSION.change(shape="line", since=3)
     sender = Sender(new)
     ahead = standing(new, counter=1)
@@ -178,9 +178,7 @@ def test_a_spelled_out_mission_leaves_out_a_robots_own_limits() -> None:
 
 
 @pytest.mark.parametrize(("mission", "whole"), [(MISSION, True), (LARGE, False)])
-def test_where_digests_differ_small_tables_are_spelled_out_and_large_ones_once_a_round(
-    mission: Mission, whole: bool
-) -> None:
+def test_small_differing_tables_are_sent_whole_large_ones_once(mission: Mission, whole: bool) -> None:
     sender = Sender(mission)
     table = table_of(mission, s0=(0, -1.0, 1), s2=(0, -2.0, 0))
     sender.send(standing(mission, table=table, slot=2))
@@ -211,7 +209,7 @@ def test_a_change_in_a_large_table_is_sent_in_two_broadcasts() -> None:
     assert said == [{5}, {5, 7}, {7}, set()]
 
 
-def test_a_large_table_that_never_rests_is_spelled_out_at_the_start_of_every_fourth_round() -> None:
+def test_restless_large_table_is_sent_whole_every_fourth_round() -> None:
     sender, entries, full = Sender(LARGE), {"s0": (0, -1.0, 1)}, list[int]()
     for number in range(2 * RESTLESS_ROUNDS + 1):
         sender.begin()

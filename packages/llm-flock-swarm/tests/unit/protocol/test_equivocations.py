@@ -144,7 +144,7 @@ def test_the_proof_reaches_who_heard_neither(team: SignedTeam, liar: Liar) -> No
     assert len(said) < max_signed_bytes(N)
 
 
-def test_a_robot_that_has_forgotten_its_first_plan_withdraws_both() -> None:
+def test_robot_that_forgot_its_first_plan_withdraws_both() -> None:
     """Restarted out of contact, it has proposed another plan, and then hears of its own first one."""
     team = SignedTeam(MISSION, line_up(N))
     team.fly(2)
@@ -206,7 +206,7 @@ def test_forged_proofs_are_no_proofs(team: SignedTeam, liar: Liar) -> None:
         known.hear(MissionStamp(1, MISSION.digest), Proofs(equivocations=(Equivocation(2, (first, second)),)))
 
 
-def test_a_message_with_a_forged_proof_is_dropped_and_shows_guilt(team: SignedTeam, liar: Liar) -> None:
+def test_message_with_a_forged_proof_is_dropped_showing_guilt(team: SignedTeam, liar: Liar) -> None:
     proof = Equivocation(2, (signed(2, "a" * 16), signed(2, "b" * 16, by=3)))
     content, proofs = unwrap(plan_of(liar, 3), N)
     lie = wrap(content, msgspec.structs.replace(proofs, equivocations=(proof,)))
@@ -258,7 +258,7 @@ def test_proofs_are_about_one_mission(team: SignedTeam, liar: Liar) -> None:
     assert channel.void(STAMP) == channel.void(later) == frozenset()
 
 
-def test_a_robot_that_has_followed_no_other_plan_listens_and_then_asks_its_model(team: SignedTeam, liar: Liar) -> None:
+def test_robot_that_followed_no_other_plan_listens_then_asks(team: SignedTeam, liar: Liar) -> None:
     """It may have proposed one in a former life: a second one would void both."""
     team.begin()
     team.comm_round([plan_of(liar, 3)])

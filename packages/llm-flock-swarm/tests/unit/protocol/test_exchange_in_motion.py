@@ -58,7 +58,7 @@ class Corridor(DrivenTeam):
         return sum(math.dist(x, PLAN.points[slot or 0]) ** 2 for x, slot in pairs)
 
 
-def test_they_exchange_when_they_hear_each_other_and_both_turn_round() -> None:
+def test_robots_exchange_on_hearing_each_other_and_turn_round() -> None:
     team = Corridor()
     while math.dist(*team.positions) > MISSION.comm_range:
         assert team.slots == [0, 1], "out of radio range nobody knows of the other"

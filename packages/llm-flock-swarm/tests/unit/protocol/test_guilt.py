@@ -119,7 +119,7 @@ def test_a_word_in_the_name_of_another_is_shown() -> None:
 
 
 @pytest.mark.parametrize("first", [-0.0, 0.0])
-def test_no_honest_robot_passes_on_what_shows_it_to_lie_to_those_who_read_another_zero(first: float) -> None:
+def test_zero_bids_of_either_sign_never_incriminate_the_honest(first: float) -> None:
     """One liar claims a place with a bid of 0.0 and one of -0.0, each rightly signed: equal, but not the same bytes."""
     team = SignedTeam(MISSION, line_up(N))
     gang = Gang({N - 1: ToyKeys(N - 1)}, MISSION)

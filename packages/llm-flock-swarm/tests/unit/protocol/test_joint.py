@@ -79,7 +79,7 @@ def owners(table: BidTable) -> list[int]:
     return [owner for _, _, owner in table]
 
 
-def test_reports_are_passed_on_once_and_the_own_one_is_new_in_each_round() -> None:
+def test_reports_are_passed_on_once_own_one_is_new_each_round() -> None:
     in_touch = JointAssignment(0, N)
     in_touch.begin_round()
     assert report(in_touch, (1.234, 5.0), EMPTY, greeting=True) == {0: (1, (1.23, 5.0), ())}
@@ -101,7 +101,7 @@ def test_a_restarted_robot_counts_on_from_its_former_reports() -> None:
     assert (report(in_touch, (1.0, 1.0), EMPTY, greeting=True) or {})[0] == (LAST_ROUND, (9.0, 9.0), ())
 
 
-def test_nothing_is_reported_once_all_are_placed_or_nobody_new_has_come_for_long() -> None:
+def test_reports_end_once_all_are_placed_or_nobody_new_comes() -> None:
     everybody: BidTable = ((N * VERSION, 0.0, 0),) * N
     in_touch = knowing((0.0, 0.0), (5.0, 0.0))
     assert report(in_touch, (0.0, 0.0), everybody, greeting=True) is None
@@ -144,7 +144,7 @@ def test_a_table_is_due_when_more_robots_live_than_it_places() -> None:
     assert in_touch.positions(MISSION, ROW, (*EMPTY[:-1], (1, 0.0, BLOCKED)), ()) is None
 
 
-def test_who_has_not_been_heard_for_some_rounds_has_flown_on_towards_its_place() -> None:
+def test_robot_unheard_for_rounds_has_flown_towards_its_place() -> None:
     in_touch = knowing((0.0, 0.0), (10.0, 60.0), (20.0, 1.0), rounds=3)
     in_touch.hear({0: (3, (0.0, 1.0), ())})
     table: BidTable = ((0, 0.0, 0), (0, 0.0, 1), (0, 0.0, 2), UNSAID)
@@ -186,7 +186,7 @@ def now(robot: int, **changes: Any) -> AssignmentInput:
     return AssignmentInput(**given)
 
 
-def test_a_robot_moves_to_its_new_place_though_its_old_one_has_come_free() -> None:
+def test_robot_moves_to_its_new_place_though_its_old_is_free() -> None:
     rule = AuctionAssignment()
     alone = rule.take(now(0))
     assert alone.slot == 0
@@ -201,7 +201,7 @@ def test_a_robot_moves_to_its_new_place_though_its_old_one_has_come_free() -> No
     assert reclaimed(0, held, (freed[0], *EMPTY[1:]))[0] == (2, 0.0, 0), "nobody gave it another one"
 
 
-def test_a_robot_that_no_joint_table_places_takes_what_it_leaves_free() -> None:
+def test_robot_unplaced_by_any_joint_table_takes_a_free_place() -> None:
     table = written((0.0, 0.0), (9.0, 0.0))
     claim = AuctionAssignment().update(Claim(slot=None, table=table, bids=(0.0, -10.0, -20.0, -30.0)), now(3))
     assert claim.slot == 2 and claim.table is not None and owners(claim.table) == [0, 1, 3, NO_OWNER]
@@ -305,7 +305,7 @@ def test_starts_are_forgotten_when_they_are_out_of_date() -> None:
     assert told(joint, (7.123, 1.0)) == {0: (0, (7.12, 1.0), ())}
 
 
-def test_a_waiting_robot_reports_where_it_waits_and_again_when_it_has_moved() -> None:
+def test_waiting_robot_reports_its_place_and_again_once_moved() -> None:
     joint = after()
     assert told(joint, on_circle(0.0), plan=LONG_ROW) is None, "there is no circle to wait on"
     assert told(joint, on_circle(0.0), plan=None) is None, "it has no plan"
@@ -368,7 +368,7 @@ def test_surplus_places_stay_free_and_surplus_robots_get_no_slot() -> None:
 
 
 @given(st.permutations(EVERYBODY))
-def test_each_of_robots_above_the_places_of_a_row_gets_the_place_below_it(order: list[int]) -> None:
+def test_each_robot_above_a_row_gets_the_place_below_it(order: list[int]) -> None:
     table = optimal_assignment(LONG_ROW, (VERSION, EVERYBODY, tuple((10.0 * k, 3.0) for k in order)))
     assert owners(table) == [order.index(k) for k in EVERYBODY]
     assert {(version, bid) for version, bid, _ in table} == {(VERSION, 0.0)}
@@ -379,7 +379,7 @@ def test_an_entry_left_out_is_not_jointly_assigned() -> None:
     assert not given_jointly(((VERSION, 0.0, 3),), None) and given_jointly(((VERSION + 7, 0.0, 3),), 0)
 
 
-def test_jointly_assigned_places_are_exchanged_by_straight_distances() -> None:
+def test_jointly_assigned_places_are_swapped_by_straight_lines() -> None:
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     here = now(0, position=(99.0, 0.0), plan=ring)
     there = ring.points[1]
@@ -392,7 +392,7 @@ def test_jointly_assigned_places_are_exchanged_by_straight_distances() -> None:
 
 
 @pytest.mark.parametrize(("version", "offered"), [(1, True), (VERSION, False), (VERSION + 1, False)])
-def test_a_jointly_assigned_place_is_not_handed_on_along_the_formation(version: int, *, offered: bool) -> None:
+def test_jointly_assigned_place_is_not_handed_on(version: int, *, offered: bool) -> None:
     """Across a ring, a robot flies straight to an assigned place; a place won by bids is handed on one by one."""
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     table = tuple((version, -1.0, {30: 0, 1: 1}.get(slot, k)) for slot, k in zip(range(60), range(2, 62), strict=True))

@@ -37,7 +37,7 @@ def test_another_mission_drops_messages_and_keeps_heartbeats() -> None:
     assert driven.agent._membership.beats[1:] == (7, 3)
 
 
-def test_a_way_that_is_asked_for_is_forgotten_two_rounds_after_its_sender_fell_silent() -> None:
+def test_requested_way_is_forgotten_two_rounds_after_silence() -> None:
     driven = DrivenAgent(make())
     driven.begin()
     asked = Course(level=1, of=1, path=((60.0, 50.0),))
@@ -73,7 +73,7 @@ class Opened:
         return len(self.payloads) - before
 
 
-def test_a_payload_repeated_in_a_round_is_opened_once_and_heard_each_time() -> None:
+def test_payload_repeated_in_a_round_is_opened_only_once() -> None:
     driven = DrivenAgent(make())
     opened = Opened(driven.agent)
     driven.begin()
@@ -139,7 +139,7 @@ def test_a_flood_of_payloads_costs_bounded_memory() -> None:
     assert opened.during(lambda: driven.comm_round(*flood)) == len(flood) - REMEMBERED_PAYLOADS
 
 
-def test_a_refused_plan_is_noted_once_and_a_flood_of_them_costs_bounded_memory() -> None:
+def test_refused_plan_is_noted_once_and_a_flood_bounds_memory() -> None:
     refused = make()._messaging
     plans = [Plan.of([[float(k), 0.0]]) for k in range(REMEMBERED_REFUSALS + 1)]
     for plan in plans:

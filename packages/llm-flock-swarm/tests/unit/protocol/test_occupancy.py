@@ -15,7 +15,7 @@ from llm_flock.protocol._planning import StepAnswer
 FAR: Point = (50.0, 90.0)
 
 
-def test_the_place_of_a_silent_robot_becomes_free_with_a_raised_version() -> None:
+def test_place_of_a_silent_robot_is_freed_with_raised_version() -> None:
     driven = DrivenAgent(make())
     theirs: BidTable = ((0, 0.0, NO_OWNER), (4, -1.0, 1), (0, 0.0, NO_OWNER))
     driven.round(says(1, (0, 2, 0), plan=PLAN, table=theirs))
@@ -36,7 +36,7 @@ def test_a_robot_taken_for_dead_takes_its_place_back() -> None:
     assert driven.agent.claim.slot == 0 and table is not None and (table[0][0], table[0][2]) == (4, 0)
 
 
-def test_a_place_under_a_silent_body_is_blocked_until_the_body_has_moved_off() -> None:
+def test_place_under_a_silent_body_is_blocked_until_it_moves() -> None:
     driven = DrivenAgent(make())
     body = {1: (PLAN.points[1][0] + 1.0, PLAN.points[1][1])}
     driven.round(says(1, (0, 8, 0)), sensed=body)
@@ -55,7 +55,7 @@ def test_a_place_under_a_silent_body_is_blocked_until_the_body_has_moved_off() -
     assert table is not None and table[1][2] == NO_OWNER and table[1][0] == again[1][0] + 1
 
 
-def test_a_restarted_robot_frees_the_place_that_its_own_body_blocked() -> None:
+def test_restarted_robot_frees_the_place_its_own_body_blocked() -> None:
     """Those who noted it may be out of sight by now, and it has never met a body itself."""
     theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     driven = DrivenAgent(make(), here=PLAN.points[1])
@@ -65,7 +65,7 @@ def test_a_restarted_robot_frees_the_place_that_its_own_body_blocked() -> None:
     assert table is not None and driven.agent.claim.slot == 1 and table[1] == (4, 0.0, 0)
 
 
-def test_a_place_under_an_unidentified_body_is_left_to_robots_that_know_it() -> None:
+def test_place_under_an_unknown_body_is_left_to_who_knows_it() -> None:
     """A late joiner has not counted the silence yet: it takes the dead for alive."""
     theirs: BidTable = ((0, 0.0, NO_OWNER), (3, 0.0, BLOCKED), (0, 0.0, NO_OWNER))
     driven = DrivenAgent(make())
@@ -89,7 +89,7 @@ def test_a_living_robot_blocks_no_place() -> None:
     assert owners == [BLOCKED, BLOCKED, NO_OWNER], "a counter that stands still may be that of the dead"
 
 
-def test_a_robot_without_a_place_goes_to_see_whether_a_blocked_one_has_come_free() -> None:
+def test_robot_without_place_checks_if_a_blocked_one_is_free() -> None:
     """Nobody else may be near enough, and in the others' tables the place is blocked for ever."""
     near = Mission(shape="line", n_robots=3, comm_range=15)
     theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
@@ -123,7 +123,7 @@ def test_places_out_of_sight_stay_as_in_the_tables_of_others() -> None:
     assert table is not None and [entry[2] for entry in table] == [0, BLOCKED, BLOCKED]
 
 
-def test_a_place_searched_in_vain_is_a_gap_that_names_the_missing_robots() -> None:
+def test_place_searched_in_vain_is_a_gap_naming_missing_robots() -> None:
     """One of two others has been heard of and is silent, one never was: after enough looks a place stays empty.
 
     The silent one keeps its place: who hears nobody takes nobody's.
@@ -150,7 +150,7 @@ def test_a_place_searched_in_vain_is_a_gap_that_names_the_missing_robots() -> No
     assert table is not None and table[2][1] == LOOKS, "looks are counted in the table"
 
 
-def test_in_a_formation_without_radio_contact_silence_frees_and_blocks_nothing() -> None:
+def test_silence_out_of_radio_contact_frees_or_blocks_nothing() -> None:
     """Places 10 apart, and a radio that reaches 5: whoever is at its place hears nobody, and is not dead."""
     short = Mission(shape="line", n_robots=3, comm_range=5, sense_range=15)
     driven = DrivenAgent(make(mission=short))

@@ -22,7 +22,7 @@ from llm_flock.message import (
 NOW = 1_700_000_000_000
 
 
-def test_every_order_is_later_than_the_one_before_whatever_the_clock_says() -> None:
+def test_every_order_is_later_than_the_last_whatever_the_clock() -> None:
     walls = iter([NOW, NOW, NOW + 5, NOW - 10_000, NOW + 6])
     clock = OperatorClock(lambda: next(walls))
     times = [clock.next() for _ in range(5)]
@@ -30,7 +30,7 @@ def test_every_order_is_later_than_the_one_before_whatever_the_clock_says() -> N
     assert times[0] == order_time(NOW) and times[2] == order_time(NOW + 5) and times[4] == order_time(NOW + 6)
 
 
-def test_an_operator_that_was_restarted_goes_on_from_what_it_hears() -> None:
+def test_restarted_operator_goes_on_from_what_it_hears() -> None:
     before = order_time(NOW + 60_000, 3)
     clock = OperatorClock(lambda: NOW)
     clock.witness(before)
@@ -58,7 +58,7 @@ def test_an_older_order_is_refused_with_both_times() -> None:
     assert driven.agent.ordered_at == new and driven.agent.mission.spacing == 11
 
 
-def test_times_of_orders_fit_the_wire_and_nothing_above_them_does() -> None:
+def test_times_of_orders_fit_the_wire_and_nothing_above_does() -> None:
     message = Message(sender=1, sequence=0, degree=0, stamp=MissionStamp(LATEST - 1, "0" * 16))
     assert decode(encode(message), 3, 2).mission.counter == LATEST - 1
     beyond = Message(sender=1, sequence=0, degree=0, stamp=MissionStamp(LATEST, "0" * 16))

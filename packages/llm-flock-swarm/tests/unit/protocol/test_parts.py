@@ -59,14 +59,14 @@ def test_the_papers_messages_tell_no_heartbeats_and_no_positions() -> None:
     assert message.plan == PLAN and message.beats is None and message.positions is None
 
 
-def test_heartbeats_and_positions_of_others_change_nothing_in_the_papers_robot() -> None:
+def test_others_heartbeats_change_nothing_in_the_papers_robot() -> None:
     driven = DrivenAgent(papers())
     driven.begin({})
     driven.comm_round(says(1, (0, 9, 9), plan=PLAN, slot=1, positions={1: (1, HERE, ())}))
     assert driven.agent.claim.slot == 0 and not driven.agent.rejected
 
 
-def test_a_robot_that_knows_no_team_proposes_once_and_neither_seeks_nor_waits_elsewhere() -> None:
+def test_robot_without_team_proposes_once_and_never_seeks() -> None:
     nobody, now = Membership(), Situation(LINE)
     now.position, now.sensed = HERE, {1: BESIDE}
     assert nobody.places(now) == 3

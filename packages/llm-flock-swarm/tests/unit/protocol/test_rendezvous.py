@@ -42,7 +42,7 @@ def owned(count: int) -> tuple[BidEntry, ...]:
     return tuple((0, -1.0, a) if a < count else FREE for a in range(len(PLAN)))
 
 
-def test_places_of_any_turn_lie_on_one_circle_each_where_it_is_seen_from_the_centre() -> None:
+def test_places_of_any_turn_lie_on_one_circle_seen_from_centre() -> None:
     angle = 0.6
     turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
     center = np.array(SQUARE.center)
@@ -75,7 +75,7 @@ def test_places_in_the_centre_have_no_direction() -> None:
     assert meeting_places(SQUARE, plan, (FREE,) * 2) == plan
 
 
-def test_an_obstacle_on_the_circle_keeps_the_places_where_they_are() -> None:
+def test_obstacle_on_the_circle_keeps_the_places_as_they_are() -> None:
     there = meeting_places(SQUARE, PLAN, owned(1)).points[3]
     mission = SQUARE.model_copy(update={"obstacles": (Obstacle(center=there, radius=1.0),)})
     assert meeting_places(mission, PLAN, owned(1)) == PLAN
@@ -134,7 +134,7 @@ def test_without_a_circle_in_the_plane_nobody_waits() -> None:
     assert landing(space, Plan.of(space.ideal or ()), (1.0, 0.0, 0.0)) is None
 
 
-def test_alone_or_where_everybody_is_as_far_apart_as_they_hold_nobody_moves() -> None:
+def test_nobody_moves_alone_or_where_all_are_at_hold_distance() -> None:
     apart = HOLD * SQUARE.comm_range
     assert went(0.0, []) == pytest.approx(0.0)
     for k in range(5):
@@ -217,7 +217,7 @@ def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
     assert not [e for e in flown(agent, ROUNDS + 2, here) if isinstance(e, Note)]
 
 
-def test_it_leaves_when_a_joint_assignment_has_placed_all_robots_that_it_hears() -> None:
+def test_it_leaves_once_all_robots_it_hears_are_jointly_placed() -> None:
     agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[5]
     for number in range(1, ROUNDS + 1):

@@ -27,7 +27,7 @@ def test_the_living_robot_with_the_lowest_id_replans_first(robot: int, waits: in
     assert driven.agent.provenance is not None and driven.agent.provenance.epoch == 1
 
 
-def test_a_robot_that_sees_the_body_in_the_way_replans_at_once_and_knows_of_it() -> None:
+def test_robot_seeing_the_body_in_the_way_replans_at_once() -> None:
     driven = DrivenAgent(make(2, gaps="replan"), here=PLAN.points[2])
     body = {1: PLAN.points[1]}
     for number in range(1, 4 + REPLAN_PATIENCE + 1):
@@ -40,7 +40,7 @@ CROSS = Mission(shape="cross", n_robots=5, comm_range=60)
 
 
 @pytest.mark.parametrize(("mission", "gaps"), [(LINE, "report"), (CROSS, "replan")])
-def test_gaps_stay_where_they_are_to_be_reported_or_no_smaller_shape_exists(mission: Mission, gaps: Gaps) -> None:
+def test_gaps_stay_if_to_be_reported_or_without_smaller_shape(mission: Mission, gaps: Gaps) -> None:
     """Robot 1 is heard of once; all others go on."""
     plan = Plan.of(mission.ideal or ())
     driven = DrivenAgent(make(mission=mission, gaps=gaps), here=plan.points[0], plan=plan)

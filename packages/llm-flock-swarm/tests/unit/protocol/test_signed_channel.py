@@ -104,9 +104,7 @@ def test_origins_are_remembered_in_bounded_memory(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("adopted", [False, True])
-def test_the_origin_of_the_plan_in_force_is_kept_whatever_else_comes(
-    adopted: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_origin_of_the_current_plan_is_kept_whatever_comes(adopted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its proposer floods the team with earlier plans, and falls silent: the others go on to hear each other."""
     monkeypatch.setattr("llm_flock_swarm._signed.channel.REMEMBERED_ORIGINS", 4)
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
@@ -126,7 +124,7 @@ def test_the_origin_of_the_plan_in_force_is_kept_whatever_else_comes(
 
 
 @pytest.mark.parametrize("places", [3, 4, 5])
-def test_a_plan_of_the_last_epoch_gives_way_to_one_for_more_robots_only(places: int) -> None:
+def test_last_epoch_plan_yields_only_to_one_for_more_robots(places: int) -> None:
     """A liar proposes the last plan that counts, for fewer robots than are there: nobody is left without a place."""
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
     liar = Liar(team)
@@ -213,14 +211,14 @@ def test_a_robot_without_a_plan_sends_no_signature_of_one() -> None:
     assert team.tell(1, sent.payload, 0) == []
 
 
-def test_a_signed_rule_has_the_name_of_the_rule_that_it_decorates() -> None:
+def test_signed_rule_has_the_name_of_the_rule_it_decorates() -> None:
     assert SignedAssignment(AuctionAssignment(), Evidence(0, ToyKeys(0))).name == "auction"
 
 
 # ---------------------------------------------------------------- heartbeats
 
 
-def test_heartbeats_of_refused_messages_are_not_kept_and_few_of_others(team: SignedTeam, liar: Liar) -> None:
+def test_refused_heartbeats_are_not_kept_and_few_of_others(team: SignedTeam, liar: Liar) -> None:
     channel = channel_of(team.agents[0])
 
     def tell(count: int, forged: bytes) -> list[str]:
@@ -238,7 +236,7 @@ def test_heartbeats_of_refused_messages_are_not_kept_and_few_of_others(team: Sig
     assert list(channel._beats[1]) == [10**6 + 50 - k for k in range(MOST_PENDING, 0, -1)]
 
 
-def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:
+def test_robot_can_neither_stop_nor_fake_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:
     before = team.agents[0]._membership.beats
     high = tuple(2**40 - 1 for _ in range(5))
     team.tell(0, liar.says(beats=high), team.liar)
@@ -254,7 +252,7 @@ def test_a_robot_can_neither_stop_nor_fake_the_heartbeats_of_others(team: Signed
     assert team.settled()
 
 
-def test_after_the_first_forged_heartbeat_no_more_signatures_are_checked(
+def test_no_signature_is_checked_after_first_forged_heartbeat(
     team: SignedTeam, liar: Liar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A check takes a tenth of a millisecond, and a message may come every hundredth of a second."""
@@ -361,7 +359,7 @@ def signed(mission: Mission, time: int) -> MissionGiven:
     return MissionGiven(mission=mission, ordered_at=time, authorization=authorization)
 
 
-def test_an_older_order_does_not_replace_the_signature_that_is_passed_on(team: SignedTeam) -> None:
+def test_older_order_does_not_replace_the_signature_passed_on(team: SignedTeam) -> None:
     """Otherwise a robot would show the signature of another mission with its own, and nobody would take it over."""
     last, older = MISSION.change(center=(52.0, 50.0)), MISSION.change(center=(47.0, 50.0))
     team.agents[0].handle(signed(last, 7))
@@ -372,7 +370,7 @@ def test_an_older_order_does_not_replace_the_signature_that_is_passed_on(team: S
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_of_signed_orders_to_several_robots_the_last_one_given_is_flown(seed: int) -> None:
+def test_last_of_signed_orders_to_several_robots_is_flown(seed: int) -> None:
     """They arrive in any order, the last one at another robot than the others, and messages are lost."""
     team = SignedTeam(MISSION, line_up(5), seed=seed, loss=0.3)
     team.fly(2)

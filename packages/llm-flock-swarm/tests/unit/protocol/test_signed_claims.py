@@ -104,7 +104,7 @@ def test_a_claim_made_again_counts_by_its_higher_number(team: SignedTeam, liar: 
     assert team.counts("uncertified") == 0
 
 
-def test_a_claim_is_made_again_after_an_offer_of_which_nothing_came(team: SignedTeam) -> None:
+def test_claim_is_renewed_after_an_offer_without_effect(team: SignedTeam) -> None:
     """Whoever accepted it, unheard, takes the maker to be elsewhere under the offer's number."""
     agent = team.agents[0]
     evidence, claim, slot = evidence_of(agent), agent.claim, agent.claim.slot
@@ -142,7 +142,7 @@ def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: L
     assert fresh._page.number == 42
 
 
-def test_a_robot_without_a_place_takes_the_one_that_others_give_it_though_it_claimed_another_later() -> None:
+def test_robot_without_place_takes_a_given_one_despite_claims() -> None:
     team = SignedTeam(MISSION, line_up(5))
     team.fly(1)
     evidence, plan = Evidence(0, ToyKeys(0)), team.agents[0].plan
@@ -174,7 +174,7 @@ def test_nobody_is_told_a_number_by_another(team: SignedTeam, liar: Liar) -> Non
     assert evidence._page.number == 51
 
 
-def test_whoever_has_used_up_its_numbers_offers_and_accepts_nothing(team: SignedTeam) -> None:
+def test_robot_out_of_numbers_offers_and_accepts_nothing(team: SignedTeam) -> None:
     """Others would not hear it, and take it for a liar."""
     evidence = evidence_of(team.agents[0])
     evidence._page.number = most_exchanges(5) - SPARE
@@ -188,7 +188,7 @@ def test_whoever_has_used_up_its_numbers_offers_and_accepts_nothing(team: Signed
     assert not now.exchanges
 
 
-def test_old_claims_on_ever_later_versions_are_no_reasons_for_words(team: SignedTeam, liar: Liar) -> None:
+def test_old_claims_on_later_versions_are_no_reason_for_words(team: SignedTeam, liar: Liar) -> None:
     """Each would be a word of an honest robot, with it another version could be shown as freed, and so on for ever."""
     evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table
     slot = free_slot(team)

@@ -138,7 +138,7 @@ def test_a_robot_that_witnesses_took_for_dead_stays_at_its_place() -> None:
         ("xb", (-1.0, -7.0), {0, 1}, None),  # a body has no lot
     ],
 )
-def test_lots_decide_about_a_place_that_was_freed_not_who_claims_it_first(
+def test_lots_decide_about_a_freed_place_not_the_first_claim(
     owners: str, lots: tuple[float, float], freed: set[int], won: int | None
 ) -> None:
     """Without a free place, the robot outbids an owner with a worse lot: else liars that are told first keep it out."""
@@ -157,7 +157,7 @@ def test_gain_is_the_fall_of_the_sum_of_squares() -> None:
     assert gain(at(0, 12.0), (1.0, 0.0), 0, 1) == pytest.approx(144 + 81 - 4 - 1)
 
 
-def test_a_far_slot_is_handed_on_along_a_ring_and_not_flown_to_across_it() -> None:
+def test_far_slot_is_handed_on_along_a_ring_not_flown_across() -> None:
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     chord = math.dist(ring.points[0], ring.points[1])
     now = replace(at(0, 99.0), plan=ring, spacing=chord)
@@ -166,7 +166,7 @@ def test_a_far_slot_is_handed_on_along_a_ring_and_not_flown_to_across_it() -> No
     assert gain(now, ring.points[1], 30, 1) > chord**2
 
 
-def test_a_robot_that_accepted_offers_the_next_exchange_in_the_same_communication_round() -> None:
+def test_acceptor_offers_next_in_the_same_communication_round() -> None:
     table: BidTable = ((0, 0.0, 1), (0, 0.0, 2), (0, -21.0, 0))
     zero = Claim(slot=2, table=table, bids=(-1.0, -11.0, -21.0))
     one = Claim(slot=0, table=table, bids=(0.0, -10.0, -20.0))
@@ -220,7 +220,7 @@ def test_whoever_may_not_exchange_neither_offers_nor_accepts() -> None:
     assert RULE.update(one, replace(at(1, 1.0, says(0, offered), sensed=sensed), exchanges=False)).slot == one.slot
 
 
-def test_a_bound_robot_accepts_nothing_else_until_its_offer_expires() -> None:
+def test_bound_robot_accepts_nothing_until_its_offer_expires() -> None:
     zero, one, sensed = crossed()
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     table: BidTable = ((0, -1.0, 0), (0, -1.0, 1), (0, -9.0, 2))
@@ -238,7 +238,7 @@ def test_a_bound_robot_accepts_nothing_else_until_its_offer_expires() -> None:
     assert zero.slot == 2
 
 
-def test_an_offer_accepted_as_it_expires_may_collide_with_another_and_is_sorted_out() -> None:
+def test_offer_accepted_on_expiry_may_collide_and_is_resolved() -> None:
     """Robot 0 accepts the offer of robot 1, which is free again in that very communication round and accepts the offer
     of robot 2."""
     table: BidTable = ((0, 0.0, 0), (0, 0.0, 1), (0, 0.0, 2))
@@ -297,7 +297,7 @@ def test_an_offer_about_something_else_is_not_accepted(changes: dict[str, int]) 
     assert after.slot == 1
 
 
-def test_an_exchange_without_gain_or_with_an_unseen_robot_is_neither_offered_nor_accepted() -> None:
+def test_exchange_needs_a_gain_and_a_robot_in_sight() -> None:
     zero, one, _ = crossed()
     assert RULE.update(zero, at(0, 12.0, says(1, one))).offer is None
     settled = {0: (1.0, 0.0), 1: (9.0, 0.0)}

@@ -49,7 +49,7 @@ def test_it_opens_after_refusals_in_a_row_and_says_so() -> None:
 
 
 @pytest.mark.parametrize("good", [1, 2])
-def test_a_model_that_is_bad_at_every_second_question_is_contained_too(good: int) -> None:
+def test_model_bad_at_every_second_question_is_contained(good: int) -> None:
     breaker = CircuitBreaker("step", enabled=True)
     number = 0
     while not breaker.is_open:
@@ -81,7 +81,7 @@ def test_a_probe_is_half_open_until_it_is_answered() -> None:
     assert note.detail["state"] == "closed" and note.detail["wait"] is None and not breaker.is_open
 
 
-def test_a_model_that_has_just_recovered_gets_no_second_chance_until_it_has_answered_twice() -> None:
+def test_recovered_model_needs_two_answers_for_a_new_chance() -> None:
     breaker = opened()
     breaker.asks(4)
     breaker.usable()

@@ -46,7 +46,7 @@ def flown(committed: CommittedPath, *places: Point) -> CommittedPath:
     return committed
 
 
-def test_a_path_flown_as_committed_needs_no_question_and_holds_at_the_goal() -> None:
+def test_committed_path_needs_no_question_and_holds_at_goal() -> None:
     committed = foresee(*WAY)
     here = START
     for k, waypoint in enumerate(WAY):
@@ -85,7 +85,7 @@ def test_another_goal_is_a_reason_unless_it_lies_the_same_way(question: StepQues
     assert flown(foresee(*WAY), WAY[0]).trigger(question, FAR) is reason
 
 
-def test_a_goal_that_lies_farther_the_same_way_is_asked_about_where_the_path_ends() -> None:
+def test_farther_goal_the_same_way_is_asked_about_at_path_end() -> None:
     committed = flown(foresee(*WAY), *WAY)
     assert committed.trigger(asked(GOAL, target=(80.0, 50.0)), FAR) is Trigger.NEW_GOAL
     over = flown(foresee(WAY[0]), WAY[0])
@@ -103,9 +103,7 @@ def test_a_goal_that_lies_farther_the_same_way_is_asked_about_where_the_path_end
         ((43.0, 50.0), Trigger.ALTERED),
     ],
 )
-def test_a_step_flown_otherwise_is_a_reason_if_it_differs_by_more_than_a_little(
-    place: Point, reason: Trigger | None
-) -> None:
+def test_step_flown_differently_is_a_reason_beyond_a_tolerance(place: Point, reason: Trigger | None) -> None:
     committed = flown(foresee(*WAY), place)
     assert committed.trigger(asked(place), FAR) is reason
     if reason is not None:
@@ -141,8 +139,6 @@ def test_only_a_new_obstacle_in_the_way_that_is_left_is_a_reason() -> None:
         (1, (54.0, 52.9), None),
     ],
 )
-def test_a_robot_that_was_not_in_sight_and_comes_near_the_way_is_a_reason(
-    robot: int, place: Point, reason: Trigger | None
-) -> None:
+def test_unseen_robot_coming_near_the_way_is_a_reason_to_ask(robot: int, place: Point, reason: Trigger | None) -> None:
     committed = flown(foresee(*WAY), WAY[0])
     assert committed.trigger(asked(WAY[0]), {robot: place}) is reason

@@ -30,13 +30,13 @@ def target(
     [("line", 3, 0), ("line", 7, 4), ("line", 9, 6), ("cross", 5, 0), ("circle", 10, 0), ("circle", 20, 0)]
     + [("square", 8, 0), ("square", 40, 0), ("triangle", 6, 0), ("grid", 16, 0)],
 )
-def test_only_places_that_others_would_not_hear_in_another_orientation_are_far(shape: str, n: int, far: int) -> None:
+def test_only_places_unheard_in_another_orientation_are_far(shape: str, n: int, far: int) -> None:
     mission = Mission(shape=shape, n_robots=n, arena=((-100, -100), (200, 200)))
     plan = Plan.of(mission.ideal or ())
     assert sum(not heard_when_turned(mission, plan, slot) for slot in range(n)) == far
 
 
-def test_who_has_heard_of_few_gathers_near_the_centre_on_its_own_side() -> None:
+def test_robot_that_heard_few_gathers_near_centre_on_its_side() -> None:
     near = (50.0 + CLOSE * LINE.spacing, 50.0)
     assert target(Gathering(), FAR) == pytest.approx(near)
     assert target(Gathering(), near, alone=False) == pytest.approx(near)
@@ -44,14 +44,14 @@ def test_who_has_heard_of_few_gathers_near_the_centre_on_its_own_side() -> None:
     assert target(Gathering(), FAR, slot=MIDDLE) is None, "there the others hear it anyway"
 
 
-def test_who_has_heard_of_most_flies_to_its_place_unless_it_is_alone() -> None:
+def test_robot_that_heard_most_flies_to_its_place_unless_alone() -> None:
     assert target(Gathering(), FAR, strangers=MOST, alone=False) is not None
     assert target(Gathering(), FAR, strangers=MOST - 1, alone=False) is None
     assert target(Gathering(), FAR, strangers=MOST - 1, alone=True) is not None
     assert target(Gathering(), FAR, strangers=0, alone=True) is None
 
 
-def test_alone_at_the_centre_it_goes_on_to_the_other_side_and_stops_after_a_while() -> None:
+def test_alone_at_the_centre_it_crosses_over_and_stops_later() -> None:
     gathering, near, beyond = Gathering(), (53.0, 50.0), (47.0, 50.0)
     assert target(gathering, near) == pytest.approx(beyond)
     assert target(gathering, (50.0, 50.0)) == pytest.approx(beyond)

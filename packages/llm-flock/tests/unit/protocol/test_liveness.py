@@ -15,7 +15,7 @@ def counts(beats: Sequence[int]) -> NDArray[np.int64]:
     return np.array(beats, dtype=np.int64)
 
 
-def test_a_counter_that_stands_still_for_too_long_is_silent_and_one_that_moves_on_is_alive_again() -> None:
+def test_stalled_counter_is_silent_and_alive_when_moving_again() -> None:
     mine = Liveness(0, 3, time_out=2)
     assert mine.strangers == {1, 2} and mine.alive == 1
     mine.begin_round(1, NOBODY)
@@ -52,7 +52,7 @@ def test_a_restarted_robot_continues_its_former_counter() -> None:
     assert not other.silent
 
 
-def test_a_body_that_nobody_ever_hears_is_silent_and_the_others_hear_of_it() -> None:
+def test_body_nobody_ever_hears_is_silent_and_others_learn_it() -> None:
     mine = Liveness(0, 3, time_out=2)
     for number in range(1, 4):
         assert not mine.silent and 2 in mine.strangers
@@ -79,7 +79,7 @@ def test_a_large_team_is_waited_for_longer() -> None:
     assert live.silent == {1}
 
 
-def test_a_heartbeat_tells_the_state_of_its_robot_and_the_newest_one_counts() -> None:
+def test_newest_heartbeat_tells_the_state_of_its_robot() -> None:
     teller, hearer = Liveness(0, 3, time_out=2), Liveness(1, 3, time_out=2)
     for number, state in enumerate((NO_PLAN | CANNOT_FLY, NO_PLAN, CANNOT_FLY, 0), start=1):
         teller.begin_round(number, NOBODY, state)
@@ -101,7 +101,7 @@ def test_a_restarted_robot_keeps_the_state_of_now() -> None:
     assert reborn.beats[0] == 4 * 10 + CANNOT_FLY
 
 
-def test_where_heartbeats_get_through_rarely_silence_takes_longer() -> None:
+def test_silence_takes_longer_where_heartbeats_come_rarely() -> None:
     """Heard every sixth round, it is not silent after four; when it falls silent for good, it is noticed in the end."""
     mine = Liveness(0, 2, time_out=4)
     mine.begin_round(1, NOBODY)

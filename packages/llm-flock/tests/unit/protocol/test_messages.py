@@ -170,7 +170,7 @@ def test_unacceptable_messages_are_refused_by_name(payload: bytes, reason: str) 
 
 
 @pytest.mark.parametrize("digest", ["0" * 16, None])
-def test_the_digest_of_a_spelled_out_plan_is_computed_by_the_receiver(digest: str | None) -> None:
+def test_digest_of_a_spelled_out_plan_is_computed_on_receipt(digest: str | None) -> None:
     assert decode(spoiled(plan_digest=digest), 2, 2).plan_digest == PLAN.digest
 
 

@@ -49,7 +49,7 @@ def test_path_lengths_are_the_shortest_of_all_orders_of_places() -> None:
 
 
 @pytest.mark.parametrize("obstacles", [(), (Obstacle(center=(5.0, 5.0), radius=2.0),)])
-def test_lengths_to_a_few_places_are_those_to_all_to_the_last_bit(obstacles: tuple[Obstacle, ...]) -> None:
+def test_lengths_to_a_few_places_equal_those_to_all_exactly(obstacles: tuple[Obstacle, ...]) -> None:
     plan = Plan.of([[10.0 + 10.0 / (k + 3), 9.0 + k / 7.0] for k in range(30)])
     here = (1 / 3, 2 / 7)
     roadmap = Mission(shape="line", n_robots=4, obstacles=obstacles).roadmap
@@ -78,12 +78,12 @@ def test_a_far_place_is_flown_to_beside_the_places_between() -> None:
     assert math.dist(stop, RING.points[20]) < math.dist(RING.points[0], RING.points[20])
 
 
-def test_from_afar_the_first_place_is_where_the_cheapest_way_begins() -> None:
+def test_first_place_from_afar_is_where_cheapest_way_begins() -> None:
     stop = next_stop((40.0, 0.0), RING, 15, (0.0, 0.0), CHORD)
     assert stop is not None and stop[0] > 80.0 and 0.0 <= stop[1] < 60.0
 
 
-def test_a_place_at_which_the_cheapest_way_begins_is_flown_to_straight() -> None:
+def test_place_where_the_cheapest_way_begins_is_flown_straight() -> None:
     assert next_stop((10.0, 0.0), RING, 0, (0.0, 0.0), CHORD) is None
 
 

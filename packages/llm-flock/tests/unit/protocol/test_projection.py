@@ -41,7 +41,7 @@ def test_a_side_that_is_not_violated_is_never_eased(dim: int) -> None:
 
 
 @pytest.mark.parametrize("more", [(), (0.0,)])
-def test_a_wish_that_keeps_all_sides_and_is_too_long_ends_on_side_and_ball(more: tuple[float, ...]) -> None:
+def test_too_long_wish_within_all_sides_ends_on_side_and_ball(more: tuple[float, ...]) -> None:
     """Clipped to three units it would leave the cell."""
     side = HalfSpace((-1.0, 0.0, *more), -2.0)
     assert nearest_move((3.0, 12.0, *more), [side], 3.0) == pytest.approx((2.0, math.sqrt(5.0), *more))

@@ -46,7 +46,7 @@ def test_ranks_rise_with_the_level_then_with_lower_ids() -> None:
 GOAL = (80.0, 50.0)
 
 
-def test_the_level_rises_ever_more_slowly_while_the_robot_stands_and_falls_at_the_goal() -> None:
+def test_level_rises_ever_slower_at_a_stand_and_falls_at_goal() -> None:
     right, levels = RightOfWay(0, MISSION), list[int]()
     right.count(GOAL, 30.0, 0.5)
     for _ in range(8 * RISES):
@@ -106,7 +106,7 @@ def test_rounds_within_a_heartbeat_period_count_once() -> None:
     assert heeded == 4 * HEEDED_ROUNDS
 
 
-def test_bodies_not_in_step_are_given_wider_ways_and_block_from_farther_away() -> None:
+def test_bodies_not_in_step_get_wider_ways_and_block_earlier() -> None:
     here, stop = (50.0, 50.0), (80.0, 50.0)
     beside, leg = (53.8, 52.6), Leg(goal=(51.5, 49.0), stop=(51.5, 49.0), left=1.8)
     for apart, blocked in ((None, False), (5.3, True)):
@@ -157,7 +157,7 @@ def test_a_robot_in_the_way_steps_aside_and_passes_the_right_on() -> None:
     assert step.notes == (), "noted once"
 
 
-def test_a_robot_at_its_place_steps_aside_too_and_one_beside_the_way_waits() -> None:
+def test_robot_at_its_place_steps_aside_and_one_beside_waits() -> None:
     here, sensed = (50.0, 50.0), {0: (46.0, 50.0)}
     held = ShieldedSafety(1, MISSION, 0.0).stay(observation(here, sensed, courses={0: course((64.0, 50.0))}))
     assert held.origin is Origin.YIELD and math.dist(held.waypoint, here) > 1.0
@@ -167,7 +167,7 @@ def test_a_robot_at_its_place_steps_aside_too_and_one_beside_the_way_waits() -> 
     assert step.origin is Origin.YIELD and 52.8 <= step.waypoint[1] < 54.0
 
 
-def test_one_whose_own_way_leads_out_flies_on_and_passes_the_right_on() -> None:
+def test_robot_with_a_way_out_flies_on_and_passes_the_right_on() -> None:
     here, sensed = (50.0, 50.0), {0: (46.0, 50.0)}
     for goal, flies_on in (((50.0, 80.0), True), ((60.0, 50.0), False), ((30.0, 60.0), False)):
         safety = ShieldedSafety(1, MISSION, 0.0)
@@ -276,7 +276,7 @@ def test_dead_bodies_are_on_the_map(dim: int) -> None:
     assert leg_to(mission, here, goal).stop == goal
 
 
-def test_with_uncertain_positions_ways_lead_wider_round_obstacles_and_bodies() -> None:
+def test_uncertainty_widens_ways_round_obstacles_and_bodies() -> None:
     """As wide as cells need at a quarter of the longest step; where nothing stands they stay straight."""
     mission = Mission(shape="text:any", n_robots=4, obstacles=NARROW)
     here, goal, noise = (20.0, 80.0), (80.0, 80.0), 0.2
@@ -289,7 +289,7 @@ def test_with_uncertain_positions_ways_lead_wider_round_obstacles_and_bodies() -
 
 
 @pytest.mark.no_cover
-def test_a_robot_beside_a_corner_asks_although_the_corner_shortens_its_step() -> None:
+def test_robot_beside_a_corner_asks_though_its_step_is_short() -> None:
     """Of two that meet at the bay's edge the one of higher rank must not wait for the other."""
     team = SafeTeam([[51.04, 50.0], [54.04, 50.0]], [[80.0, 50.0], [22.0, 50.0]], *BAY)
     assert team.fly(100) is not None

@@ -30,7 +30,7 @@ def test_two_robots_that_meet_head_on_pass_each_other(dim: int) -> None:
 
 
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
-def test_a_ring_of_robots_that_change_places_across_the_middle_comes_through(n: int) -> None:
+def test_ring_swapping_places_across_the_middle_comes_through(n: int) -> None:
     starts = ring(n, 20.0)
     team = SafeTeam(starts, 100 - starts)
     assert team.fly(60) is not None

@@ -105,7 +105,7 @@ def off_among_many(slot: int, owners: BidTable) -> Search:
     return search
 
 
-def test_while_many_are_missing_the_tour_goes_on_until_its_next_place_is_taken() -> None:
+def test_tour_with_many_missing_lasts_until_its_goal_is_taken() -> None:
     search = off_among_many(1, table(NO_OWNER, 1, NO_OWNER, NO_OWNER))
     assert search.target == (0.0, 0.0)
     on = step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), strangers=MANY + 1)
@@ -114,7 +114,7 @@ def test_while_many_are_missing_the_tour_goes_on_until_its_next_place_is_taken()
     assert step(search, 7.0, 1, table(NO_OWNER, 1, NO_OWNER, 3), strangers=MANY).target is None
 
 
-def test_while_many_robots_are_missing_distant_news_do_not_restart_the_wait() -> None:
+def test_distant_news_do_not_restart_the_wait_of_many_missing() -> None:
     far, near = table(0, 1, NO_OWNER, 3), table(0, NO_OWNER, NO_OWNER, 3)
     waited = step(Search(), 0.0, 0, table(0, 1, NO_OWNER, NO_OWNER), strangers=MANY + 1)
     assert waited.waited == 1
@@ -138,7 +138,7 @@ def looking_on(slot: int, owners: BidTable, *, strangers: int, silent: int) -> t
     return search, waits[:-1], ways
 
 
-def test_searches_in_vain_are_followed_by_longer_waits_and_end_at_the_centre() -> None:
+def test_vain_searches_wait_longer_and_end_at_the_centre() -> None:
     search, waits, ways = looking_on(2, table(0, 1, 2, NO_OWNER), strangers=1, silent=0)
     assert search.given_up and search.gaps == (3,) and len(ways) == LOOKS
     assert waits == sorted(waits) and waits[0] < waits[-1]
@@ -171,7 +171,7 @@ def test_for_the_silent_a_short_look_must_do() -> None:
     assert search.given_up and len(ways) == LOOKS_FOR_SILENT
 
 
-def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_first_tour_on() -> None:
+def test_robot_without_plan_is_sought_at_centre_in_first_tour() -> None:
     """It has nowhere else to go; one that was silent with a plan is looked for in vacant slots, and only once."""
     owners = table(0, NO_OWNER, 2, 3)
     ways: list[tuple[tuple[float, ...], ...]] = []
@@ -186,7 +186,7 @@ def test_a_robot_that_had_no_plan_is_also_looked_for_at_the_centre_from_the_firs
     assert ways == [(PLAN.points[1], CENTER), (PLAN.points[1],)]
 
 
-def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_it() -> None:
+def test_body_standing_at_a_place_is_remembered_out_of_sight() -> None:
     """Its witnesses are too few to call the place blocked. Out of sight, it was vacant again: a search without end."""
     live = cast(
         "Any",
@@ -209,7 +209,7 @@ def test_a_body_that_stands_at_a_place_is_remembered_by_whoever_goes_away_from_i
 
 
 @pytest.mark.parametrize(("liars", "misses"), [(0, True), (1, True), (2, False)])
-def test_robots_that_live_without_a_place_are_missed_unless_they_may_be_liars(liars: int, misses: bool) -> None:
+def test_placeless_robots_are_missed_unless_they_may_be_liars(liars: int, misses: bool) -> None:
     """Liars pass on heartbeats and nothing else, so nobody is silent. In touch, vacant places would be taken."""
     nobody = set[int]()
     live = cast(

@@ -41,19 +41,17 @@ def test_in_a_small_formation_it_waits_at_the_centre() -> None:
     assert {seeking.target(SMALL, (5.0, 5.0)) for _ in range(60)} == {SMALL.center}
 
 
-def test_where_the_centre_is_not_heard_at_the_places_it_also_visits_two_of_them() -> None:
+def test_seeker_visits_two_places_out_of_hearing_of_the_centre() -> None:
     assert visited(MIDDLE, 3, (5.0, 5.0), 60)[:3] == [-1, 3, 8]
 
 
-def test_in_a_large_formation_the_places_come_first_other_ones_for_each_robot() -> None:
+def test_large_formation_is_searched_at_different_places_first() -> None:
     assert visited(LARGE, 0, (10.0, 75.0), 160)[:3] == [0, 15, -1]
     assert visited(LARGE, 20, (10.0, 75.0), 40)[0] == 20
 
 
 @pytest.mark.parametrize(("liars", "silent", "lost"), [(0, 3, False), (1, 3, False), (2, 2, False), (2, 3, True)])
-def test_it_is_out_of_touch_where_all_that_may_lie_would_outweigh_the_honest(
-    liars: int, silent: int, lost: bool
-) -> None:
+def test_it_is_out_of_touch_where_liars_could_outweigh_honest(liars: int, silent: int, lost: bool) -> None:
     """Of seven it hears three: if two of these lie, it and the last one are too few to free a place by their words."""
     seeking = Seeking(0, liars)
     for _ in range(ALONE):

@@ -11,7 +11,7 @@ from llm_flock.shield import project, separation_half_spaces
 AHEAD = (1.0, 0.0, 0.0)
 
 
-def test_in_space_a_move_that_keeps_a_side_is_no_longer_than_allowed() -> None:
+def test_move_keeping_a_side_in_space_is_within_the_limit() -> None:
     side = HalfSpace(AHEAD, -1.0)
     assert nearest_move((0.0, 2.0, 0.0), [side], 6.0) == pytest.approx((-1.0, 2.0, 0.0))
     move = nearest_move((0.0, 9.0, 0.0), [side], 6.0)
@@ -50,7 +50,7 @@ def test_who_may_be_anywhere_by_now_leaves_only_standing_still() -> None:
     assert reached(Sighting(position=(4.0, 0.0), age_s=2.0), 9.0) == 0.0
 
 
-def test_who_is_far_gives_no_side_and_who_is_near_leaves_what_is_left_of_the_way() -> None:
+def test_far_body_gives_no_side_near_one_leaves_rest_of_way() -> None:
     assert reached(Sighting(position=(5.5, 0.0), age_s=0.0), 9.0) == 1.0
     assert reached(Sighting(position=(4.5, 0.0), age_s=0.0), 9.0) == pytest.approx(0.5)
 

@@ -115,7 +115,7 @@ def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, 
         assert step_faults(question, made) == {}
 
 
-def test_a_want_of_separation_is_left_to_the_shield_if_there_is_one() -> None:
+def test_lack_of_separation_is_left_to_an_active_shield() -> None:
     question = ask((50.0, 50.0), (80.0, 50.0), (58.0, 50.5))
     assert clipped(question, (56.0, 50.0), shield_on=True) == (56.0, 50.0)
     assert clipped(question, (56.0, 50.0), shield_on=False) is None

@@ -101,19 +101,19 @@ def test_coincident_points_are_named() -> None:
     assert reason == "points 0 and 1 are 0 apart, at least 3 is required."
 
 
-def test_free_text_is_checked_by_spacing_and_centre_and_is_never_exact() -> None:
+def test_free_text_is_checked_by_spacing_and_centre_not_exact() -> None:
     ring = 50 + 10 / math.sqrt(2) * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
     assert check_plan(TEXT, plan(ring)) is None and plan_class(TEXT, plan(ring)) is PlanClass.ACCEPTABLE
     assert check_plan(TEXT, plan(50 + (ring - 50) * 2)) is not None
 
 
-def test_given_points_are_compared_with_themselves_not_with_the_spacing() -> None:
+def test_given_points_are_compared_with_themselves_not_spacing() -> None:
     mission = build_mission(points=((0, 0), (4, 0), (0, 25)), spacing=10.0)
     assert check_plan(mission, plan(ideal(mission, 1.0).round(2))) is None
     assert check_plan(mission, plan(50 + (ideal(mission) - 50) * 1.3)) is not None
 
 
-def test_where_the_spacing_is_the_safe_distance_rounding_is_forgiven() -> None:
+def test_rounding_is_forgiven_where_spacing_is_safe_distance() -> None:
     mission = Mission(shape="circle", n_robots=7, spacing=3.0)
     assert all(check_plan(mission, plan(ideal(mission, a).round(2))) is None for a in np.linspace(0, 1, 20))
 
@@ -129,7 +129,7 @@ def with_room(mission: Mission, points: Any, verify: bool = True) -> Plan:
 
 
 @pytest.mark.parametrize("angle", [0.1, 0.7, 1.0])
-def test_a_plan_that_rounding_made_too_tight_is_enlarged_before_it_is_proposed(angle: float) -> None:
+def test_plan_rounded_too_tight_is_enlarged_before_proposal(angle: float) -> None:
     mission = Mission(shape="grid", n_robots=16, spacing=3.0)
     rounded = ideal(mission, angle).round(2)
     assert pdist(rounded).min() < 3.0
@@ -161,7 +161,7 @@ def test_space_and_a_single_robot() -> None:
 
 
 @pytest.mark.parametrize("shape", ["circle", "square", "grid"])
-def test_a_plan_of_a_hundred_robots_is_checked_quickly_in_any_order(shape: str) -> None:
+def test_plan_of_a_hundred_robots_is_checked_fast_in_any_order(shape: str) -> None:
     mission = Mission(shape=shape, n_robots=100, center=(300, 300), arena=((0, 0), (600, 600)))
     points = np.random.default_rng(1).permutation(formations.rotated(mission.ideal or (), (300, 300), 1.0)).round(2)
     assert plan_class(mission, plan(points)) is PlanClass.EXACT

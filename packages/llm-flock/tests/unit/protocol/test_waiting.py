@@ -18,7 +18,7 @@ def test_a_robot_that_is_in_nobodys_way_stays() -> None:
 
 
 @pytest.mark.parametrize("here", [PLAN.points[1], (42.0, 51.0), (0.0, 0.0)])
-def test_a_robot_on_a_place_moves_off_it_and_no_farther_than_it_must(here: tuple[float, ...]) -> None:
+def test_robot_on_a_place_moves_off_it_no_farther_than_it_must(here: tuple[float, ...]) -> None:
     others = [(50.0, 57.0), (50.0, 43.0)]
     place = waiting_place(MISSION, here, PLAN, others)
     assert min(math.dist(place, x) for x in PLAN.points) >= CLEARANCE * MISSION.safe_distance
@@ -26,7 +26,7 @@ def test_a_robot_on_a_place_moves_off_it_and_no_farther_than_it_must(here: tuple
     assert math.dist(place, here) <= 12.0
 
 
-def test_a_robot_that_waits_for_a_blocked_place_stays_in_sight_of_the_nearest_one() -> None:
+def test_robot_waiting_for_blocked_places_sees_the_nearest_one() -> None:
     mission = MISSION.change(comm_range=15)
     far, clear = (10.0, 90.0), CLEARANCE * mission.safe_distance
     place = waiting_place(mission, far, PLAN, [], [0, 2])
