@@ -16,7 +16,19 @@ BUDGETS = {
     "llm-flock-lab": 6_400,
     "llm-flock-onboard": 2_000,
 }
-RING_0 = ("__init__", "agent", "algorithm1", "events", "message", "mission", "plan", "shapes", "shield", "simulate")
+RING_0 = (
+    "__init__",
+    "agent",
+    "algorithm1",
+    "events",
+    "message",
+    "mission",
+    "plan",
+    "planner",
+    "shapes",
+    "shield",
+    "simulate",
+)
 RING_1 = (
     "arrays",
     "bounds",

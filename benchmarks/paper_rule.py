@@ -41,10 +41,10 @@ from llm_flock.events import (
 )
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.assignment import NearestAssignment
 from llm_flock.protocol._agreement.consensus import InfluenceConsensus, TieBreak
 from llm_flock.protocol._parts import Parts
-from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 from llm_flock.simulate import Readings, draw_start
 
 Index: TypeAlias = Literal["id", "first", "random", "nearest"]

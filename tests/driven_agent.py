@@ -25,10 +25,10 @@ from llm_flock.events import (
 from llm_flock.message import BidTable, Message, MissionStamp, PositionReport, Provenance, encode
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._parts import Gaps
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
 
 LINE = Mission(shape="line", n_robots=3, comm_range=60)
 PLAN = Plan.of(LINE.ideal or ())

@@ -24,8 +24,8 @@ from llm_flock.events import (
 )
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.runtime._rules import PRESETS, assignment_rule, consensus_rule
 
 Links = Sequence[Sequence[int]]

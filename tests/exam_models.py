@@ -12,8 +12,8 @@ import numpy as np
 from llm_flock.llm._port import Call
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock.planner import PlanAnswer, StepAnswer
 from llm_flock.protocol._geometry import GeometryPlanner
-from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 from llm_flock_lab._exam.ask import round_of
 from llm_flock_lab._exam.generate_steps import sidestep
 from llm_flock_lab._exam.questions import Question

@@ -10,9 +10,9 @@ from llm_flock.events import Effect, Note, Planned, RoundBegan
 from llm_flock.message import Message, MissionStamp, Provenance, encode
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
-from llm_flock.protocol._planning import PlanAnswer
 
 MISSION = Mission(shape="triangle", n_robots=3)
 PLAN = Plan.of([[50.0, 50.0], [60.0, 50.0], [55.0, 58.66]])

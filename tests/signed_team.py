@@ -35,8 +35,8 @@ from llm_flock.message import NO_OWNER, UNSAID, BidEntry, Message, MissionStamp,
 from llm_flock.metrics import segment_separation
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer, StepAnswer
 from llm_flock.protocol._parts import Gaps
-from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 from llm_flock.runtime._rules import PRESETS, assignment_rule, consensus_rule
 from llm_flock_swarm._signed.certificates import (
     Certificate,

@@ -9,7 +9,7 @@ from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+from llm_flock.planner import PlanQuestion, StepQuestion
 
 TEXT, JSON = PromptSet.load(), PromptSet.load(json=True)
 CIRCLE = build_mission(shape="circle", n_robots=10)

@@ -32,10 +32,10 @@ from llm_flock.links import LinkFaults, MemoryTransport
 from llm_flock.message import order_time
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._parts import Gaps
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 
 WIDE = ((-500.0, -500.0), (600.0, 600.0))
 PERFECT = LinkFaults()

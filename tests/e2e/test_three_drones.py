@@ -16,8 +16,8 @@ pytest.importorskip("pymavlink")
 from flights import flight_config
 from mavlink_flights import CALM
 
+from llm_flock.planner import NoAnswer, PlanQuestion
 from llm_flock.protocol._geometry import GeometryPlanner
-from llm_flock.protocol._planning import NoAnswer, PlanQuestion
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import build_fleet
 from llm_flock_flight._flight.flight import NEVER_UP, Flight, FlightResult

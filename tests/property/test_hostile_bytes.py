@@ -44,7 +44,7 @@ from llm_flock.events import (
 from llm_flock.message import decode
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer
+from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._verification.validator import Validator
 from llm_flock.record._reader import iter_messages, read_record
 from llm_flock.record._schema import NullWriter

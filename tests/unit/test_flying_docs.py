@@ -82,9 +82,7 @@ def own_robot_page(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 @pytest.mark.parametrize("floor_m", [0.0, -0.1])
-def test_own_robots_start_within_the_limits_of_the_flight(
-    floor_m: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_own_robots_start_within_the_limits_of_the_flight(floor_m: float, monkeypatch: pytest.MonkeyPatch) -> None:
     own_robot_page(monkeypatch)
     file = tomllib.loads((ROOT / "examples" / "flight.toml").read_text(encoding="utf-8"))
     file["world"]["floor_m"] = floor_m

@@ -11,9 +11,9 @@ from pydantic_ai.models.openai import OpenAIResponsesModel
 
 from llm_flock.errors import InputError
 from llm_flock.llm._client import CallSettings, PydanticModel
-from llm_flock.llm._models import ModelPool, check_priced, cost_usd, parse_models, parse_settings, per_robot
+from llm_flock.llm._models import ModelPool, check_priced, parse_models, parse_settings, per_robot
 from llm_flock.llm._port import Usage
-from llm_flock.llm._providers import PROVIDERS, needs_responses, parse_base_urls, parse_model
+from llm_flock.llm._providers import PROVIDERS, cost_usd, needs_responses, parse_base_urls, parse_model
 from llm_flock.llm._replay import CassetteLine
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.record._schema import LlmEntry

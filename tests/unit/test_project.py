@@ -6,7 +6,10 @@ import ast
 import re
 import tomllib
 from collections import Counter
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import pytest
 
 ROOT = Path(__file__).parents[2]
 PARTS = sorted(ROOT.glob("packages/*/pyproject.toml"))
@@ -94,6 +97,22 @@ def test_a_part_imports_only_public_modules_of_the_core() -> None:
         and private("llm_flock.llm", "_port")
         and not private("llm_flock.llm", "Call")
     )
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    files = {
+        ".".join(path.relative_to(src).with_suffix("").parts).removesuffix(".__init__"): path
+        for src in ROOT.glob("packages/*/src")
+        for path in src.rglob("*.py")
+    }
+    graph = {
+        name: {inner if (inner := f"{module}.{thing}") in files else module for module, thing in imports(path)} - {name}
+        for name, path in files.items()
+    }
+    assert len(graph) > 300
+    tuple(TopologicalSorter(graph).static_order())  # raises CycleError, with the circle
+    with pytest.raises(CycleError):
+        tuple(TopologicalSorter({**graph, "llm_flock.errors": {"llm_flock.agent"}}).static_order())
 
 
 def test_names_of_tests_are_short() -> None:

@@ -13,7 +13,7 @@ from llm_flock.llm._prompt_values import nearest_text, number_text, position_dec
 from llm_flock.llm._prompting import VARIABLES, PromptSet
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+from llm_flock.planner import PlanQuestion, StepQuestion
 
 ROOT = Path(__file__).parents[2]
 MISSION = build_mission(

@@ -24,8 +24,8 @@ from llm_flock.llm._simulated.profiles import FAILURES, PROFILES, Profile, parse
 from llm_flock.metrics import ShapeTarget
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
+from llm_flock.planner import StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import turned
-from llm_flock.protocol._planning import StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_plan
 
 ROOT = Path(__file__).parents[2]

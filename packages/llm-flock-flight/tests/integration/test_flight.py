@@ -18,9 +18,9 @@ from flights import STOCK, Robots, Sabotage, figures, flight_config, flown, fly,
 from slowness import slowness
 
 from llm_flock.errors import RecordError
+from llm_flock.planner import NoAnswer
 from llm_flock.protocol import _geometry as geometry
 from llm_flock.protocol._geometry import GeometryPlanner
-from llm_flock.protocol._planning import NoAnswer
 from llm_flock.record._reader import read_record
 from llm_flock.record._schema import CHANNELS, SummaryMessage, channel_schema
 from llm_flock.robots._simulated_robot import SimulatedRobot

@@ -8,8 +8,8 @@ import pytest
 from flights import flight_config, flown
 
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer, PlanQuestion
 from llm_flock.protocol._geometry import GeometryPlanner
-from llm_flock.protocol._planning import PlanAnswer, PlanQuestion
 from llm_flock.runtime._result import Summary
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")

@@ -23,7 +23,8 @@ from llm_flock.errors import InputError
 from llm_flock.metrics import ROUNDING, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion, geometric_plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol import geometric_plan
 from llm_flock.record import NullWriter, RunRecord
 from llm_flock.runtime import Journal, RunConfig, Stream, TeamPlanners, Trial, plain, stream, trace_record
 from llm_flock.simulate import InstantBodies, Readings, Sensing, start_positions

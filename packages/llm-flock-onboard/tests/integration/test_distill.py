@@ -14,7 +14,7 @@ from llm_flock.llm._frame import frame_step
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import StepQuestion
+from llm_flock.planner import StepQuestion
 from llm_flock.protocol._verification.plans import PlanClass, plan_class
 from llm_flock_onboard._distill.adapter import Adapter, turned_rows, write_gguf
 from llm_flock_onboard._distill.batches import Lesson, make_batch, plan_epoch, shared_prefix

@@ -18,7 +18,7 @@ from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock_onboard._local.weights import find_weights, is_packaged
 
 MISSION = build_mission(shape="triangle", n_robots=3, center=(50.0, 50.0), spacing=12.0, max_step=6.0)

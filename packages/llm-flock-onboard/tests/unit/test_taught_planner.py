@@ -19,8 +19,8 @@ from llm_flock.llm._replay import CassetteWriter
 from llm_flock.llm._sources import Habits, habits_of
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import KnownPlans
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime._config import build_config
 from llm_flock.runtime._planners import TeamPlanners
 from llm_flock_onboard._distill.examples import TEAMS

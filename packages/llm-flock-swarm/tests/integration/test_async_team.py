@@ -10,8 +10,8 @@ from async_team import AsyncTeam, one_clock
 
 from llm_flock.arrays import Point
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer, PlanQuestion
 from llm_flock.protocol._geometry import GeometryPlanner
-from llm_flock.protocol._planning import PlanAnswer, PlanQuestion
 from llm_flock_swarm._network.config import SwarmConfig
 
 pytestmark = pytest.mark.usefixtures("skipped_waits")

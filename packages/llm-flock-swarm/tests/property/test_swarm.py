@@ -16,10 +16,10 @@ from llm_flock.events import Broadcast, CommRoundBegan, CommRoundEnded, Planned,
 from llm_flock.links import LinkFaults, MemoryTransport
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer
 from llm_flock.protocol._agreement.assignment import AssignmentRule, NearestAssignment
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ConsensusRule, InfluenceConsensus, ProvenanceConsensus
-from llm_flock.protocol._planning import PlanAnswer
 
 
 def swarm(

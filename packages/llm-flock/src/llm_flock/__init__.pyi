@@ -5,10 +5,10 @@ from .llm._port import LanguageModel as LanguageModel
 from .mission import Mission as Mission
 from .mission import build_mission as build_mission
 from .plan import Plan as Plan
+from .planner import Planner as Planner
 from .protocol._agreement.assignment import AssignmentRule as AssignmentRule
 from .protocol._agreement.consensus import ConsensusRule as ConsensusRule
 from .protocol._parts import Parts as Parts
-from .protocol._planning import Planner as Planner
 from .record._reader import read_record as read_record
 from .robots._base import Robot as Robot
 from .runtime._api import run as run

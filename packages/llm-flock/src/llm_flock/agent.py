@@ -17,13 +17,13 @@ from llm_flock.events import TRANSITIONS, Effect, Event, Note, Phase
 from llm_flock.message import MissionStamp, Provenance
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, StepAnswer
 from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._agreement.messaging import Messaging
 from llm_flock.protocol._breaker import CircuitBreaker, Fallback, QuestionKind
 from llm_flock.protocol._motion.pilot import Observation, Pilot
 from llm_flock.protocol._parts import Parts
-from llm_flock.protocol._planning import NoAnswer, StepAnswer
 from llm_flock.protocol._proposals import Proposals
 
 

@@ -14,7 +14,7 @@ import msgspec
 from llm_flock.arrays import Point
 from llm_flock.message import Authorization
 from llm_flock.mission import Mission
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 
 class Phase(StrEnum):

@@ -20,7 +20,7 @@ from llm_flock.llm._planner import LanguagePlanner
 from llm_flock.llm._port import Attempt, Call, ChatMessage, LanguageModel, Reply
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import Mission
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 KEY = "sk-very-secret-0123456789"
 ANSWER = "Position: [1.0, 2.0]"

@@ -14,7 +14,7 @@ from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import StepQuestion
+from llm_flock.planner import StepQuestion
 
 PROMPTS = PromptSet.load()
 inside = st.floats(-100, 100)

@@ -16,7 +16,7 @@ from llm_flock.llm._port import Attempt, Call, Reply
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_plan
 from llm_flock.protocol._verification.steps import Verdict, judge
 

@@ -11,8 +11,8 @@ import pytest
 
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import GeometryPlanner, KnownPlans, turned
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 CIRCLE = build_mission(shape="circle", n_robots=10)
 

@@ -20,7 +20,7 @@ from llm_flock.llm._replay import CassetteWriter, ReplayModel
 from llm_flock.llm._thoughts import MAX_QUOTED, NO_TEXT
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 
 MISSION = build_mission(shape="triangle", n_robots=3)

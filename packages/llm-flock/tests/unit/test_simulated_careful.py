@@ -7,7 +7,7 @@ import math
 from answer_readers import parse_plan, parse_step
 from simulated_talk import CIRCLE, PLAN, TEXT, plan_talk, responder, step_talk
 
-from llm_flock.protocol._planning import PlanQuestion
+from llm_flock.planner import PlanQuestion
 from llm_flock.protocol._verification.plans import check_plan
 
 

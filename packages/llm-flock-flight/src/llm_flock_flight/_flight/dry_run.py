@@ -12,7 +12,7 @@ from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.record import NullWriter
 from llm_flock.robots import PEAK_SPEED, Position
-from llm_flock.runtime import Journal, RunResult, TeamPlanners, Trial
+from llm_flock.runtime import Journal, RunResult, TeamPlanners, Trial, finish_trial
 from llm_flock.simulate import InstantBodies, Readings
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import build_fleet, driver_of, with_drones
@@ -118,7 +118,7 @@ async def dry_run(config: FlightConfig) -> DryRun:
         drones=config.fleet.drones,
         steps=tuple(team.steps),
         landing=tuple(map(tuple, groups)),
-        result=trial.finish(None),
+        result=finish_trial(trial, None),
         away_m=away_m,
         air_s=ups * safety.take_off_s + len(team.steps) * safety.round_s,
         most_s=safety.max_flight_s,

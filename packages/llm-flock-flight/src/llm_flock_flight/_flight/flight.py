@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from llm_flock.arrays import Points
 from llm_flock.errors import RecordError
-from llm_flock.protocol import Planner
+from llm_flock.planner import Planner
 from llm_flock.record import RecordSink
 from llm_flock.robots import PoseSource, Robot, RobotError
 from llm_flock.runtime import (
@@ -20,6 +20,7 @@ from llm_flock.runtime import (
     TeamPlanners,
     Trial,
     TrialProgress,
+    finish_trial,
     load_solvers,
     open_outputs,
     warn_of_mission,
@@ -218,7 +219,7 @@ class Flight:
                     task.cancel()
                 if feed is not None:
                     log.note("poses", refused=feed.refused)
-        return trial.finish(record, self._result(supervisor, landing, log, feed))
+        return finish_trial(trial, record, self._result(supervisor, landing, log, feed))
 
     async def _mission(self, supervisor: FlightSupervisor, team: FlyingTeam, trial: Trial, log: FlightLog) -> None:
         """Take off and flock, until the mission or the flight ends; then return, if that is asked for."""

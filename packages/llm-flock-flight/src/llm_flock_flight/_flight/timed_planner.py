@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from typing import TypeVar
 
-from llm_flock.protocol import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 
 T = TypeVar("T")
 

@@ -25,15 +25,8 @@ from llm_flock.llm import (
     place_text,
 )
 from llm_flock.mission import Mission
-from llm_flock.protocol import (
-    GeometryPlanner,
-    NoAnswer,
-    PlanAnswer,
-    PlanQuestion,
-    StepAnswer,
-    StepQuestion,
-    Verdict,
-)
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol import GeometryPlanner, Verdict
 from llm_flock.protocol import judge as judge_step
 from llm_flock_lab._exam.questions import WORDS, Question
 from llm_flock_lab._exam.score import (

@@ -13,7 +13,8 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import nearest_on_segment
-from llm_flock.protocol import HORIZON, PlanAnswer, StepAnswer, geometric_plan, step_faults
+from llm_flock.planner import PlanAnswer, StepAnswer
+from llm_flock.protocol import HORIZON, geometric_plan, step_faults
 from llm_flock_lab._exam.draws import (
     STEP_TEAMS,
     away,

@@ -15,7 +15,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol import PlanQuestion, StepQuestion
+from llm_flock.planner import PlanQuestion, StepQuestion
 
 SECTIONS: Mapping[str, str] = {
     "plan": "a plan of the whole formation: every shape, in the plane and in space, 3 to 30 places",

@@ -19,16 +19,8 @@ from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm import answer_of, draft_of
 from llm_flock.mission import Mission
-from llm_flock.protocol import (
-    ROUNDING,
-    PlanAnswer,
-    PlanQuestion,
-    StepAnswer,
-    check_plan,
-    check_proposal,
-    judge,
-    straight_path,
-)
+from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer
+from llm_flock.protocol import ROUNDING, check_plan, check_proposal, judge, straight_path
 from llm_flock_lab._exam.questions import Question
 
 

@@ -31,7 +31,7 @@ from llm_flock.llm import (
 )
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol import StepQuestion
+from llm_flock.planner import StepQuestion
 from llm_flock_onboard._distill.examples import HELD_OUT_TEAMS, TEAMS, Example, draw_mission, draw_step
 from llm_flock_onboard._distill.wishes import BESIDE, BESIDE_SHARE, WORDINGS, Split, Wish
 

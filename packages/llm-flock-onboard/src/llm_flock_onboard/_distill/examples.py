@@ -21,17 +21,8 @@ from llm_flock.errors import InputError
 from llm_flock.llm import PromptSet, frame_plan, frame_step, place_text
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol import (
-    HORIZON,
-    PlanAnswer,
-    PlanQuestion,
-    StepAnswer,
-    StepQuestion,
-    check_plan,
-    geometric_plan,
-    judge,
-    straight_path,
-)
+from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.protocol import HORIZON, check_plan, geometric_plan, judge, straight_path
 from llm_flock_onboard._distill.wishes import Split
 
 DECIMALS = 2

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from llm_flock.llm import Habits, ModelHost
 
 if TYPE_CHECKING:
-    from llm_flock.protocol import PlanQuestion
+    from llm_flock.planner import PlanQuestion
 
 TAUGHT_PLANS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
 """Shapes and numbers of places of the plans that the packaged adapter was taught."""

@@ -21,7 +21,8 @@ from llm_flock.errors import FlockError, InputError
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin, Phase
 from llm_flock.message import NO_OWNER
 from llm_flock.metrics import AT_GOAL
-from llm_flock.protocol import Authorization, NoAnswer, PlanAnswer, Planner, StepAnswer
+from llm_flock.planner import NoAnswer, PlanAnswer, Planner, StepAnswer
+from llm_flock.protocol import Authorization
 from llm_flock.transport import Radio
 from llm_flock_swarm._network.accusations import Accuser
 from llm_flock_swarm._network.body_control import STILL, BodyControl

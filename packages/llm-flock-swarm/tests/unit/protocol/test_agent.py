@@ -25,7 +25,7 @@ from llm_flock.events import (
     Received,
     Stopped,
 )
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
+from llm_flock.planner import NoAnswer, PlanAnswer, StepAnswer
 
 
 def test_a_whole_round() -> None:

@@ -19,13 +19,13 @@ from llm_flock.events import AgreementEnded, Arrived, AskStep, Decided, Effect, 
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import IndexAssignment
 from llm_flock.protocol._agreement.consensus import NoConsensus
 from llm_flock.protocol._motion.pilot import Observation, Pilot
 from llm_flock.protocol._motion.right_of_way import STALLED
 from llm_flock.protocol._motion.safety import ShieldedSafety
 from llm_flock.protocol._parts import Parts
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import judge
 from llm_flock.protocol._verification.validator import Validator
 

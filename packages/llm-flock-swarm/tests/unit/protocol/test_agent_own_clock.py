@@ -29,10 +29,10 @@ from llm_flock.events import (
 from llm_flock.message import decode
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._membership.liveness import NO_PLAN
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
 
 MISSION = Mission(shape="triangle", n_robots=3)
 PLAN = Plan.of([[50.0, 50.0], [60.0, 50.0], [55.0, 58.66]])

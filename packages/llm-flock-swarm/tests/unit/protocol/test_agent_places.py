@@ -22,10 +22,10 @@ from llm_flock.events import (
     RoundBegan,
 )
 from llm_flock.message import Message, Provenance, encode
+from llm_flock.planner import PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.assignment import IndexAssignment
 from llm_flock.protocol._agreement.consensus import NoConsensus
 from llm_flock.protocol._membership.search import ALONE
-from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 
 
 def test_baseline_keeps_the_index_of_its_own_model() -> None:

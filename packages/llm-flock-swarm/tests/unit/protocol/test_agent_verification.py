@@ -21,9 +21,9 @@ from llm_flock.events import (
 )
 from llm_flock.message import Provenance, decode
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, StepAnswer
 
 IDEAL = Plan.of(MISSION.ideal or ())
 TURNED = Plan.of([[50.0, 44.23], [45.0, 52.89], [55.0, 52.89]])

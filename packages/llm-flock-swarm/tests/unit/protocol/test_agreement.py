@@ -23,11 +23,11 @@ from llm_flock.events import (
 from llm_flock.message import NO_OWNER, UNSAID, BidTable, mission_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import StepAnswer
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.auction import BOUND_ROUNDS, AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._messages.dissemination import REMEMBERED_PLANS
-from llm_flock.protocol._planning import StepAnswer
 
 
 def kinds(effects: list[Effect]) -> list[str]:

@@ -32,12 +32,12 @@ from llm_flock.events import (
 from llm_flock.message import decode
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.protocol._membership.liveness import CANNOT_FLY, NO_PLAN, PER_BEAT
 from llm_flock.protocol._motion.leg import Pace
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 MISSION = Mission(shape="triangle", n_robots=3, comm_range=40)
 IDEAL = Plan.of(MISSION.ideal or ())

@@ -24,7 +24,7 @@ from llm_flock.events import (
 )
 from llm_flock.message import MOST_EPOCHS, MissionStamp, Provenance
 from llm_flock.mission import Mission
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer
+from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._verification.validator import Validator
 from llm_flock_swarm._signed.certificates import (
     Equivocation,

@@ -9,8 +9,8 @@ from llm_flock.arrays import Point
 from llm_flock.events import AgreementEnded, Arrived, AskStep, Decided, MoveTo, Note
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable
 from llm_flock.mission import Mission
+from llm_flock.planner import StepAnswer
 from llm_flock.protocol._membership.search import LOOKS
-from llm_flock.protocol._planning import StepAnswer
 
 FAR: Point = (50.0, 90.0)
 

@@ -11,11 +11,11 @@ from llm_flock.events import CommRoundBegan, MoveTo, Note, Origin
 from llm_flock.message import decode
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import Claim, IndexAssignment, NearestAssignment
 from llm_flock.protocol._agreement.consensus import InfluenceConsensus, NoConsensus
 from llm_flock.protocol._membership.team import TeamMembership
 from llm_flock.protocol._parts import Checker, Membership, Observation, Parts, Safety, Situation
-from llm_flock.protocol._planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._roster import parts_of

@@ -27,11 +27,11 @@ from llm_flock.message import NO_OWNER, BidEntry, Message, Provenance, encode
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
+from llm_flock.planner import PlanAnswer, StepAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._membership.joint import ROUNDS, VERSION
 from llm_flock.protocol._membership.rendezvous import HOLD, LINK, WITHIN, landing, meeting_places, meeting_point
-from llm_flock.protocol._planning import PlanAnswer, StepAnswer
 
 SQUARE = Mission(shape="square", n_robots=40, arena=((-100, -100), (200, 200)))
 PLAN = Plan.of(SQUARE.ideal or ())

@@ -25,11 +25,11 @@ from llm_flock.message import (
 )
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.messaging import MOST_BAD_PLANS
 from llm_flock.protocol._membership.team import with_visits
 from llm_flock.protocol._messages.channel import Authorization, _decoded
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer
 from llm_flock.protocol._verification.plans import _verdict, check_plan
 from llm_flock_swarm._signed.assignment import SignedAssignment
 from llm_flock_swarm._signed.certificates import (

@@ -7,7 +7,6 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -75,7 +74,6 @@ class Launcher:
         return [self._launch(config, pace) for config in configs]
 
     def _launch(self, config: RunConfig, pace: float) -> SteeredRun:
-        from llm_flock_view._viewer.orders import steer_state
         from llm_flock_view._viewer.steered_run import SteeredRun
 
         mission, protocol = config.mission, config.protocol.protocol
@@ -90,6 +88,6 @@ class Launcher:
         title = f"{mission.shape} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
         recording = self.library.add(title, out / RECORD_NAME)
         run = self.runs[recording.key] = SteeredRun(config, recording, pace)
-        recording.steer = partial(steer_state, run)
+        recording.steer = run.state
         run.start()
         return run

@@ -143,20 +143,6 @@ def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:
             raise FieldError("order", None, says="unknown order")
 
 
-def steer_state(run: SteeredRun) -> dict[str, Any]:
-    """What can be ordered of a run now: why not, for the run and for each robot; and what was ordered so far."""
-    robots = range(run.config.mission.n_robots)
-    return {
-        "kind": "run",
-        "run": run.refusal("end"),
-        "kill": [run.refusal("kill", robot) for robot in robots],
-        "hallucinate": [run.refusal("hallucinate", robot) for robot in robots],
-        "paused": run.paused,
-        "pace": run.pace,
-        "loss": run.loss,
-    }
-
-
 def _mission_fields(given: object, *, spacing: bool) -> dict[str, Any]:
     allowed = ("shape", "center", "spacing") if spacing else ("shape", "center")
     fields = cast("dict[str, Any]", given) if isinstance(given, dict) else {}

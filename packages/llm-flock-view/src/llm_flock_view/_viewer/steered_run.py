@@ -124,6 +124,19 @@ class SteeredRun:
         phases = states[-1].phases if states else ()
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 
+    def state(self) -> dict[str, Any]:
+        """What can be ordered of it now: why not, for the run and for each robot; and what was ordered so far."""
+        robots = range(self.config.mission.n_robots)
+        return {
+            "kind": "run",
+            "run": self.refusal("end"),
+            "kill": [self.refusal("kill", robot) for robot in robots],
+            "hallucinate": [self.refusal("hallucinate", robot) for robot in robots],
+            "paused": self.paused,
+            "pace": self.pace,
+            "loss": self.loss,
+        }
+
     def refusal(self, order: str, robot: int | None = None) -> str | None:
         """Why an order makes no sense now, as a sentence; None if it does. `kill` and `hallucinate` name a robot."""
         if self.over or self._end.is_set():

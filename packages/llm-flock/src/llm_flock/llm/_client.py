@@ -30,8 +30,8 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import ModelError
-from llm_flock.llm._models import cost_usd
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
+from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
 
 logger = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.shapes import shape_name
 
 Q = TypeVar("Q", PlanQuestion, StepQuestion)

@@ -15,7 +15,7 @@ from typing import Literal, TypeAlias, get_args
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.obstacles import nearest_on_segment, segment_clearance
-from llm_flock.protocol._planning import StepQuestion
+from llm_flock.planner import StepQuestion
 from llm_flock.protocol._verification.steps import blocked, step_faults
 
 Letter: TypeAlias = Literal["S", "H", "L", "R", "W"]

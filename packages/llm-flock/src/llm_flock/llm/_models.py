@@ -13,29 +13,12 @@ import numpy as np
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.llm._port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
-from llm_flock.llm._providers import PROVIDERS, ModelName, parse_model
+from llm_flock.llm._providers import PROVIDERS, ModelName, cost_usd, parse_model
 from llm_flock.llm._sources import ModelHost, source_of
 
 if TYPE_CHECKING:
     import httpx2
     from pydantic_ai.models import Model
-
-
-def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
-    """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
-    provider = "openai" if provider == "openai-responses" else provider
-    if provider not in ("openai", "anthropic", "deepseek"):
-        return None
-    from genai_prices import calc_price
-    from genai_prices.types import Usage as PricedUsage
-
-    tokens = PricedUsage(
-        input_tokens=usage.input, output_tokens=usage.output, cache_read_tokens=min(usage.cached, usage.input)
-    )
-    try:
-        return float(calc_price(tokens, model, provider_id=provider).total_price)
-    except LookupError:
-        return None
 
 
 _RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="

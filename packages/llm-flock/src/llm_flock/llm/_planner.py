@@ -20,8 +20,8 @@ from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMess
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._thoughts import quoted, whole_answer
 from llm_flock.mission import Mission
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import plan_by_geometry, straight_path
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 
 logger = logging.getLogger(__name__)

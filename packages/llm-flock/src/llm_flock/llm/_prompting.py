@@ -33,7 +33,7 @@ from llm_flock.llm._prompt_values import (
 )
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+from llm_flock.planner import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 

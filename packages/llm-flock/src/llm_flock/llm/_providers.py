@@ -11,6 +11,7 @@ from urllib.parse import urlsplit
 from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
 from llm_flock.extras import EXTRAS, ExtraMissing
+from llm_flock.llm._port import Usage
 from llm_flock.printable import hidden
 
 LONGEST_URL = 2_000
@@ -129,6 +130,23 @@ def parse_model(text: str) -> ModelName:
     if kind == "provider" and re.search(r"[\s,=]", model):
         raise InputError("model", text, "a model name without spaces, commas or '='; ranges are written 0-4=A,5-9=B")
     return ModelName(text=text, kind=kind, provider=provider, model=model)
+
+
+def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
+    """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
+    provider = "openai" if provider == "openai-responses" else provider
+    if provider not in ("openai", "anthropic", "deepseek"):
+        return None
+    from genai_prices import calc_price
+    from genai_prices.types import Usage as PricedUsage
+
+    tokens = PricedUsage(
+        input_tokens=usage.input, output_tokens=usage.output, cache_read_tokens=min(usage.cached, usage.input)
+    )
+    try:
+        return float(calc_price(tokens, model, provider_id=provider).total_price)
+    except LookupError:
+        return None
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
 from llm_flock.llm._port import Amount, Attempt, Call, ChatMessage, Kind, Reply, Usage
-from llm_flock.protocol._planning import PlanQuestion
+from llm_flock.planner import PlanQuestion
 
 logger = logging.getLogger(__name__)
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
 from llm_flock.llm._limits import Budget, BudgetMeter, Spent
-from llm_flock.llm._models import cost_usd
 from llm_flock.llm._port import Usage
+from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._sources import source_of
 
 CHARS_PER_TOKEN = 4

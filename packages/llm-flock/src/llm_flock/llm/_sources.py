@@ -10,7 +10,7 @@ from llm_flock import plugins
 
 if TYPE_CHECKING:
     from llm_flock.llm._port import CallSettings, FrameName, LanguageModel
-    from llm_flock.protocol._planning import PlanQuestion
+    from llm_flock.planner import PlanQuestion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,12 +31,6 @@ from ._parts import Checker as Checker
 from ._parts import Membership as Membership
 from ._parts import Observation as Observation
 from ._parts import Parts as Parts
-from ._planning import NoAnswer as NoAnswer
-from ._planning import PlanAnswer as PlanAnswer
-from ._planning import Planner as Planner
-from ._planning import PlanQuestion as PlanQuestion
-from ._planning import StepAnswer as StepAnswer
-from ._planning import StepQuestion as StepQuestion
 from ._verification.plans import ROUNDING as ROUNDING
 from ._verification.plans import check_plan as check_plan
 from ._verification.plans import check_proposal as check_proposal

@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Literal, TypeAlias
 
 from llm_flock.events import Note
-from llm_flock.protocol._planning import NoAnswer
+from llm_flock.planner import NoAnswer
 
 Fallback: TypeAlias = Literal["breaker", "hold", "geometry"]
 """What a robot does without a usable answer: see `CircuitBreaker`, hold its position, or always answer by geometry."""

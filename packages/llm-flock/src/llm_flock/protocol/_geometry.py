@@ -11,7 +11,7 @@ import numpy as np
 from llm_flock import shapes as formations
 from llm_flock.arrays import Points
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
 from llm_flock.protocol._verification.steps import towards
 

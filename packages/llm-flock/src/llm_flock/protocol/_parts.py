@@ -19,12 +19,12 @@ from llm_flock.events import Note, Origin
 from llm_flock.message import Course, Message, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import AssignmentRule, Claim, IndexAssignment, Occupancy
 from llm_flock.protocol._agreement.consensus import ConsensusRule, NoConsensus
 from llm_flock.protocol._messages.channel import Channel
 from llm_flock.protocol._motion.leg import Leg
 from llm_flock.protocol._path_length import next_stop
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Verdict
 
 if TYPE_CHECKING:

@@ -9,10 +9,10 @@ from llm_flock.arrays import moved
 from llm_flock.events import AskPlan, Note, RoundBegan
 from llm_flock.message import MissionStamp
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._breaker import BreakerState, CircuitBreaker, Fallback, fallback_notes
 from llm_flock.protocol._parts import Parts
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 
 
 class Proposals:

@@ -22,6 +22,7 @@ from llm_flock.protocol._agreement.consensus import ConsensusRule
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record._schema import NullWriter, RecordSink
 from llm_flock.runtime._config import RECORD_NAME, RunConfig, warn_of_mission
+from llm_flock.runtime._finish import finish_trial
 from llm_flock.runtime._journal import Journal, run_info
 from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._result import RunResult
@@ -255,11 +256,11 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
             await trial.run()
         except BaseException:
             with suppress(FlockError):  # trouble with the record must not hide the first error
-                trial.finish(record)
+                finish_trial(trial, record)
             raise
         finally:
             await planners.close()
-        return trial.finish(record)
+        return finish_trial(trial, record)
 
 
 @contextmanager

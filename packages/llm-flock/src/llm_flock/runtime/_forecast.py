@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from typing import Any
 
-from llm_flock.llm._models import cost_usd, parse_models, waits
+from llm_flock.llm._models import parse_models, waits
 from llm_flock.llm._port import Usage
-from llm_flock.llm._providers import parse_base_urls, parse_model
+from llm_flock.llm._providers import cost_usd, parse_base_urls, parse_model
 from llm_flock.runtime._api import run
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._planners import check_planners

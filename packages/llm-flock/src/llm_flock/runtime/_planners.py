@@ -13,7 +13,7 @@ from llm_flock.llm._models import ModelPool, check_priced, parse_history, parse_
 from llm_flock.llm._port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm._providers import ModelName, parse_base_urls, parse_model
 from llm_flock.llm._sources import habits_of, source_of
-from llm_flock.protocol._planning import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import Stream, stream
 

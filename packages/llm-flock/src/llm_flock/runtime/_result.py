@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -11,21 +10,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from llm_flock import metrics
 from llm_flock.errors import InputError
 from llm_flock.events import Origin
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.record._schema import Entry, RunInfo, SummaryMessage
 from llm_flock.runtime._config import RunConfig
-from llm_flock.runtime._journal import finite
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
     import polars
 
     from llm_flock.record._reader import RunRecord, TableName
-    from llm_flock.runtime._trial import Trial
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,88 +279,3 @@ def trace_record(
     end = () if summary is None else (SummaryMessage(result=summary.to_dict()),)
     path = Path("" if summary is None else summary.record or "")
     return gather_record(path, (about, *trace, *end))
-
-
-def summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -> Summary:
-    """The summary of a trial that stopped: with the path of its record, and a flight's figures."""
-    config, journal, roster = trial.config, trial.journal, trial.roster
-    planners, traffic = trial.planners, trial.transport.traffic
-    agents, episode = roster.awake_agents(), journal.episode
-    plan_ids = [None if a.plan is None else a.plan.digest for a in agents]
-    slots = [a.claim.slot for a in agents]
-    plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
-    origin = None if plan is None else agents[0].provenance
-    by = None if plan is None or origin is None else journal.suppliers.get((plan.digest, origin.proposer))
-    waypoints = by_origin(journal.waypoints)
-    journal.close_episode(roster)
-    error = journal.errors[-1]
-    return Summary(
-        shape=config.mission.shape,
-        n_robots=config.mission.n_robots,
-        seed=config.trial.seed,
-        consensus=config.protocol.consensus or "",
-        assignment=config.protocol.assignment or "",
-        shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(planners.names)),
-        simulated=planners.simulated,
-        stopped=trial.stopped,
-        reason=trial.reason,
-        rounds=trial.round,
-        formed=episode.formed_at is not None,
-        formed_by_models=episode.formed_at is not None
-        and "geometry" not in (by, *planners.names)
-        and not journal.breakers_opened
-        and not journal.waypoints[Origin.GEOMETRY.value],
-        rounds_to_formed=episode.rounds_to_formed,
-        lower_bound_rounds=episode.bound,
-        procrustes_mean=None if error is None else error[0],
-        procrustes_mean_squared=None if error is None else error[1],
-        min_separation=finite(journal.min_separation),
-        start_violations=journal.start.start_violations,
-        rounds_to_separate=journal.start.separated_at,
-        min_separation_after_start=finite(journal.start.smallest),
-        min_clearance=finite(journal.min_clearance),
-        plans_in_use=metrics.plans_in_use(plan_ids),
-        distinct_goals=metrics.distinct_goals(plan_ids, slots),
-        robots_without_plan=plan_ids.count(None),
-        model_calls=journal.calls,
-        calls_rejected=journal.calls_rejected,
-        calls_failed=journal.calls_failed,
-        faults=dict(sorted(journal.faults.items())),
-        tokens=journal.usage.total,
-        tokens_input=journal.usage.input,
-        tokens_output=journal.usage.output,
-        tokens_cached=journal.usage.cached,
-        cost_usd=journal.cost_usd,
-        latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
-        waypoints=waypoints,
-        waypoint_shares=waypoint_shares(waypoints),
-        plan_robot=None if origin is None else origin.proposer,
-        plan_by=by,
-        breakers_opened=tuple(sorted(journal.breakers_opened)),
-        messages_sent=traffic.sent,
-        bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),
-        messages_rejected=dict(sorted(journal.rejected(roster).items())),
-        wall_s=time.perf_counter() - trial.began,
-        record=record,
-        killed=_turns(trial.schedule.kills, trial.round),
-        joined=_turns(trial.schedule.joins, trial.round),
-        missions=tuple(
-            MissionOutcome(
-                round=part.flown + 1 if part.flown else 0,
-                shape=part.mission.shape,
-                places=part.mission.n_places,
-                formed=part.formed_at,
-                lower_bound_rounds=part.bound,
-            )
-            for part in journal.episodes
-        ),
-        gaps=None if plan is None else len(plan) - len(owned),
-        spares=None if plan is None else slots.count(None),
-        flight=flight,
-    )
-
-
-def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
-    """What happened up to a round, in the notation of the command line."""
-    return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)

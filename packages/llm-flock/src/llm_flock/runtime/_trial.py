@@ -18,12 +18,11 @@ from llm_flock.arrays import Points
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.record._schema import MetricsRow, SummaryMessage
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.record._schema import MetricsRow
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._journal import Journal
 from llm_flock.runtime._planners import TeamPlanners
-from llm_flock.runtime._result import FlightFigures, RunResult, summarize
 from llm_flock.runtime._roster import Roster, make_agent, parts_of
 from llm_flock.runtime._rules import Rules
 from llm_flock.runtime._schedule import Stream, stream
@@ -316,25 +315,6 @@ class Trial:
         if self._on_round is not None and self.journal.row is not None:
             robots = len(self.roster.awake)
             self._on_round(TrialProgress.of(self.journal.row, rounds=self.rounds, n_robots=robots))
-
-    def finish(self, record: str | None, flight: FlightFigures | None = None) -> RunResult:
-        """The result so far, which is also written to the record. Call once, also after a cancelled `run`."""
-        self.journal.flush_attempts()
-        if self.stopped != "interrupted":  # whoever presses Ctrl-C does not wait for figures
-            self.journal.measure_error(self.roster)
-        summary = summarize(self, record, flight)
-        self.journal.writer.write(SummaryMessage(result=summary.to_dict()))
-        return RunResult(
-            mission=self.config.mission,
-            config=self.config,
-            summary=summary,
-            positions=np.array(self.journal.positions),
-            errors=np.array([np.nan if e is None else e[0] for e in self.journal.errors]),
-            plans=tuple(a.plan for a in self.roster.agents),
-            slots=tuple(a.claim.slot for a in self.roster.agents),
-            trace=None if self.journal.trace is None else tuple(self.journal.trace),
-            unrepeatable=tuple(self.journal.unrepeatable),
-        )
 
 
 def commonest(reasons: Sequence[str]) -> tuple[int, str]:

@@ -16,7 +16,7 @@ from llm_flock.llm._prompt_values import number_text, place_text
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+from llm_flock.planner import PlanQuestion, StepQuestion
 from llm_flock.runtime._api import run
 from llm_flock.runtime._config import load_config
 

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import pytest
 
+from llm_flock.planner import NoAnswer
 from llm_flock.protocol._breaker import FIRST_WAIT, LONGEST_WAIT, THRESHOLD, BreakerState, CircuitBreaker
-from llm_flock.protocol._planning import NoAnswer
 
 FAILURE = NoAnswer(cause="answer", reason="not readable")
 

@@ -8,8 +8,8 @@ from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._motion.committed_path import CommittedPath, Trigger
-from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
 
 MISSION = Mission(shape="triangle", n_robots=3)
 GOAL = (60.0, 50.0)

@@ -10,7 +10,7 @@ import pytest
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import StepAnswer, StepQuestion
+from llm_flock.planner import StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import Fault, blocked, judge, step_faults
 
 MISSION = Mission(shape="triangle", n_robots=3)

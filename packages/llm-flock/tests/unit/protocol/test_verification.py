@@ -12,8 +12,8 @@ from scipy.spatial.distance import pdist
 from llm_flock import shapes as formations
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._parts import Checker
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._verification.plans import PlanClass, blocked_within, check_plan, check_proposal, plan_class
 from llm_flock.protocol._verification.validator import Validator
 

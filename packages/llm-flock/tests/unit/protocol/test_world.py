@@ -17,8 +17,8 @@ from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._geometry import geometric_plan
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._verification.plans import check_plan, check_proposal
 from llm_flock.roadmap import free_regions, region_of
 

@@ -17,7 +17,7 @@ from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
-from llm_flock.protocol._planning import PlanQuestion, StepQuestion
+from llm_flock.planner import PlanQuestion, StepQuestion
 
 _FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
 _TEAM = re.compile(r"in a team of ([0-9]+)")

@@ -14,12 +14,12 @@ from llm_flock.message import BLOCKED, MOST_EPOCHS, Message, MissionStamp, Prove
 from llm_flock.mission import Mission
 from llm_flock.own_code import shown
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.printable import one_line
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
 from llm_flock.protocol._parts import Parts, Situation
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer
 
 
 class Agreement(Situation):

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.obstacles import nearest_on_segment, segment_clearance
-from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
+from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 
 HORIZON = 20
 """Largest number of waypoints in an answer."""

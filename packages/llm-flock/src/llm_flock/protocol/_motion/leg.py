@@ -12,7 +12,7 @@ from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
-from llm_flock.protocol._planning import StepQuestion
+from llm_flock.planner import StepQuestion
 from llm_flock.protocol._verification.plans import ROUNDING
 from llm_flock.protocol._verification.steps import blocked
 

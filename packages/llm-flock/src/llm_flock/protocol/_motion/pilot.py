@@ -11,12 +11,12 @@ from llm_flock.message import Course
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._breaker import BreakerState, CircuitBreaker, Fallback, fallback_notes
 from llm_flock.protocol._geometry import straight_path
 from llm_flock.protocol._motion.committed_path import HORIZON, CommittedPath, Trigger
 from llm_flock.protocol._motion.leg import Leg, Pace, leg_to
 from llm_flock.protocol._parts import Observation, Parts
-from llm_flock.protocol._planning import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import towards
 
 

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 from llm_flock.arrays import Point
 from llm_flock.obstacles import nearest_on_segment
-from llm_flock.protocol._planning import StepAnswer, StepQuestion
+from llm_flock.planner import StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
 
 

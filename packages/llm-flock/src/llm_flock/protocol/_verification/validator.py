@@ -7,8 +7,8 @@ from dataclasses import replace
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._parts import Checker
-from llm_flock.protocol._planning import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_plan, check_proposal, enlarged, plan_class
 from llm_flock.protocol._verification.steps import Verdict, judge
 
