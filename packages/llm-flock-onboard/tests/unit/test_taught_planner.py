@@ -15,8 +15,8 @@ from llm_flock.llm._frame import frame_step
 from llm_flock.llm._port import Attempt, Call, ChatMessage, Reply
 from llm_flock.llm._prompt_values import FARTHEST, nearer_goal
 from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._providers import Habits, habits_of
 from llm_flock.llm._replay import CassetteWriter
-from llm_flock.llm._sources import Habits, habits_of
 from llm_flock.mission import build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion

@@ -10,7 +10,7 @@ import pytest
 LOADED = 'import sys; print(*[name for name in sys.modules if name.split(".")[0] == "llm_flock"])'
 PAPER = (
     "import llm_flock; "
-    'llm_flock.run(llm_flock.Mission(shape="circle", n_robots=4), model="{model}", protocol="{protocol}", rounds=1)'
+    'llm_flock.run(llm_flock.Mission(shape="circle", n_robots=4), model="{model}", protocol="{protocol}", rounds=30)'
 )
 NOT_THE_PAPERS = ("llm_flock.protocol._membership", "llm_flock_swarm._signed", "llm_flock.roadmap")
 

@@ -14,8 +14,7 @@ from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm._limits import CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._port import Call, ChatMessage
-from llm_flock.llm._providers import parse_base_urls, parse_model
-from llm_flock.llm._sources import source_of
+from llm_flock.llm._providers import parse_base_urls, parse_model, source_of
 from llm_flock.mission import build_mission
 from llm_flock.validation import input_error
 

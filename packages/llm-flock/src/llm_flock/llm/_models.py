@@ -13,8 +13,7 @@ import numpy as np
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.llm._port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
-from llm_flock.llm._providers import PROVIDERS, ModelName, cost_usd, parse_model
-from llm_flock.llm._sources import ModelHost, source_of
+from llm_flock.llm._providers import PROVIDERS, ModelHost, ModelName, cost_usd, parse_model, source_of
 
 if TYPE_CHECKING:
     import httpx2

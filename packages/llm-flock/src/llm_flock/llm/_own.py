@@ -14,8 +14,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._port import Answers, Call, Reply
-from llm_flock.llm._providers import model_forms, parse_model
-from llm_flock.llm._sources import habits_of
+from llm_flock.llm._providers import habits_of, model_forms, parse_model
 from llm_flock.own_code import is_cancelled, load_own, shown
 
 logger = logging.getLogger(__name__)

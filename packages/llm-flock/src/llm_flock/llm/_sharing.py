@@ -14,8 +14,7 @@ from llm_flock import plugins
 from llm_flock.errors import BudgetExceeded
 from llm_flock.llm._limits import Budget, BudgetMeter, Spent
 from llm_flock.llm._port import Usage
-from llm_flock.llm._providers import cost_usd
-from llm_flock.llm._sources import source_of
+from llm_flock.llm._providers import cost_usd, source_of
 
 CHARS_PER_TOKEN = 4
 

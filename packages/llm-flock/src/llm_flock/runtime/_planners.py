@@ -11,8 +11,7 @@ from llm_flock.errors import InputError
 from llm_flock.llm._limits import Budget, BudgetMeter, CallLane, CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool, check_priced, parse_history, parse_models, parse_settings
 from llm_flock.llm._port import Attempt, AttemptSink, LanguageModel
-from llm_flock.llm._providers import ModelName, parse_base_urls, parse_model
-from llm_flock.llm._sources import habits_of, source_of
+from llm_flock.llm._providers import ModelName, habits_of, parse_base_urls, parse_model, source_of
 from llm_flock.planner import PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import Stream, stream
@@ -191,8 +190,6 @@ class TeamPlanners:
     @property
     def simulated(self) -> bool:
         """Whether any answer comes from a simulated stand-in, now or when it was recorded."""
-        from llm_flock.llm._sources import habits_of
-
         return (
             any(habits_of(name).simulated for name in self.names)
             or any(replay.simulated for replay in self._replays.values())

@@ -249,11 +249,9 @@ class RunResult:
         return self.record().to_pandas(table)
 
     def __repr__(self) -> str:
-        from llm_flock.record._words import formed_in
-
         summary = self.summary
         simulated = ", simulated language models" if summary.simulated else ""
-        end = f"formed in round {formed_in(summary.to_dict())}" if summary.formed else f"not formed: {summary.stopped}"
+        end = f"formed in round {summary.missions[-1].formed}" if summary.formed else f"not formed: {summary.stopped}"
         return f"RunResult({summary.shape}, {summary.n_robots} robots, seed {summary.seed}, {end}{simulated})"
 
     def _repr_html_(self) -> str | None:

@@ -12,7 +12,6 @@ from llm_flock.errors import MOST_SHOWN, FlockError
 from llm_flock.events import Note
 from llm_flock.message import BLOCKED, MOST_EPOCHS, Message, MissionStamp, Provenance
 from llm_flock.mission import Mission
-from llm_flock.own_code import shown
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.printable import one_line
@@ -107,6 +106,8 @@ class Agreement(Situation):
         try:
             chosen = self._consensus.choose(own, heard)
         except Exception as error:
+            from llm_flock.own_code import shown
+
             *_, (frame, line) = traceback.walk_tb(error.__traceback__)
             says = f"failed: {shown(error)} ({frame.f_code.co_filename}, line {line})"
             raise FlockError(one_line(f"{rule} {says}")) from error
