@@ -24,7 +24,7 @@ from llm_flock.arrays import Point
 from llm_flock.message import (
     BLOCKED,
     HIGHEST,
-    MOST_STOPS,
+    MAX_STOPS,
     NO_OWNER,
     UNSAID,
     Course,
@@ -286,7 +286,7 @@ def asks_for_ways(gang: Gang, member: int) -> list[Said]:
     """The highest right to ways over places, in anybody's name; at times nothing, so as to be forgotten."""
     assert gang.known is not None and gang.known.plan is not None
     places = nearest_first(gang.known.plan.points, gang.members.index(member))
-    path = gang.rng.choice((places[::2], places[1::2], gang.rng.sample(places, len(places))))[:MOST_STOPS]
+    path = gang.rng.choice((places[::2], places[1::2], gang.rng.sample(places, len(places))))[:MAX_STOPS]
     course = Course(level=HIGHEST, of=gang.rng.choice((member, *gang.honest)), path=tuple(path))
     return [gang.message(member, course=None if gang.rounds % 165 >= 150 else course)]
 

@@ -15,7 +15,7 @@ from slowness import slowness
 SLOWEST_S = 2.0
 """Longest time for one hostile input [s]."""
 
-MOST_MIB = 200
+MAX_MIB = 200
 """Most memory that one hostile input may add to what the process has had [MiB]."""
 
 DEEP: Any = []
@@ -122,6 +122,6 @@ def tried(target: Callable[[], object], *refusals: type[Exception]) -> str | Non
         says = str(error)
         assert says and "\n" not in says
     took = time.perf_counter() - began
-    assert memory_mib() - before < MOST_MIB
+    assert memory_mib() - before < MAX_MIB
     assert took < SLOWEST_S or took < SLOWEST_S * slowness()
     return says

@@ -37,7 +37,7 @@ SOURCE = ROOT / "packages" / "llm-flock" / "src" / "llm_flock"
 TOPS = sorted(ROOT.glob("packages/*/src/llm_flock*"), key=lambda top: (top != SOURCE, top.name))
 """The package of every part, the core first."""
 
-LONGEST_VALUE = 40
+MAX_VALUE_LENGTH = 40
 """Constants whose value is longer than this [characters] are tables of the code, not figures of the protocol."""
 
 
@@ -360,7 +360,7 @@ class ProtocolConstants(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         sections: list[nodes.Node] = []
         for path in sorted((SOURCE / "protocol").rglob("*.py")):
-            rows = [row for row in constants(path) if len(row[1]) <= LONGEST_VALUE]
+            rows = [row for row in constants(path) if len(row[1]) <= MAX_VALUE_LENGTH]
             if rows:
                 title = ".".join(path.relative_to(SOURCE / "protocol").with_suffix("").parts)
                 section = nodes.section(ids=[nodes.make_id(f"constants {title}")], names=[f"constants {title}"])

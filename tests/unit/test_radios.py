@@ -15,7 +15,7 @@ from llm_flock.errors import InputError
 from llm_flock_flight._crazyflie.radios import (
     EXCHANGE_S,
     LAST_IN_BAND,
-    MOST_SHARE,
+    MAX_SHARE,
     SETTING_S,
     RadioAddress,
     address_of,
@@ -98,7 +98,7 @@ def test_twenty_drones_are_too_many_for_one_radio_not_for_four() -> None:
     assert [len(load.drones) for load in four.loads] == [5] * 4 and max(load.share for load in four.loads) < 0.5
     assert len(one.warnings) == 1 and "3 radios would carry 20 drones" in one.warnings[0] and not four.warnings
     assert radios_for(20, TRAFFIC) == 3
-    assert max(load.share for load in loads(3).loads) <= MOST_SHARE < max(load.share for load in loads(2).loads)
+    assert max(load.share for load in loads(3).loads) <= MAX_SHARE < max(load.share for load in loads(2).loads)
 
 
 def test_proposed_radios_have_no_fault_and_warn_only_of_load() -> None:

@@ -22,7 +22,7 @@ from llm_flock_swarm._signed.certificates import (
     most_exchanges,
     word_statement,
 )
-from llm_flock_swarm._signed.words import MOST_PASSED_ON, in_turn
+from llm_flock_swarm._signed.words import MAX_PASSED_ON, in_turn
 
 N, TWO = 7, 2
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
@@ -195,7 +195,7 @@ def test_words_passed_on_tell_a_far_robot_that_a_place_is_free() -> None:
     assert len(freed) == 1
     assert all(owner not in (5, 6) for _, owner in team.owners(0))
     words = [word for agent in team.agents for word in in_turn(evidence_of(agent)._page.words.of_others(), 0)]
-    assert len(words) <= MOST_PASSED_ON * len(team.agents)
+    assert len(words) <= MAX_PASSED_ON * len(team.agents)
 
 
 def test_many_words_take_turns() -> None:
@@ -205,5 +205,5 @@ def test_many_words_take_turns() -> None:
     words = evidence._page.words
     words._said = {(slot, 9, NO_OWNER): {j: bytes([slot, j]) for j in range(20)} for slot in range(N)}
     told = [{(word.slot, word.witness) for word in in_turn(words.of_others(), turn)} for turn in range(8)]
-    assert all(len(one) == MOST_PASSED_ON for one in told)
+    assert all(len(one) == MAX_PASSED_ON for one in told)
     assert len(set[tuple[int, int]]().union(*told)) > 100

@@ -21,11 +21,11 @@ STEP_S = 0.01
 GRAVITY = 9.81
 """[m/s^2]"""
 
-MOST_TILT_DEG = 20.0
-MOST_SPEED_M_S = 1.1
+MAX_TILT_DEG = 20.0
+MAX_SPEED_M_S = 1.1
 """Limits of what is asked for: `PID_VEL_ROLL_MAX`, and `PID_POS_VEL_X_MAX` with its overhead of 10 %."""
 
-LONGEST_S = 60.0
+MAX_DELAY_S = 60.0
 """A body that was not looked at for longer than this rests at its set-point [s]."""
 
 HOVER_THRUST, THRUST_SCALE = 36000.0, 1000.0
@@ -48,14 +48,14 @@ class _Axis:
         _, position_i, velocity_p, velocity_i = self.gains
         off = target - self.place
         first = self.sums[0] + off * STEP_S
-        wanted = max(-MOST_SPEED_M_S, min(MOST_SPEED_M_S, gain * off + position_i * first))
+        wanted = max(-MAX_SPEED_M_S, min(MAX_SPEED_M_S, gain * off + position_i * first))
         slow = wanted - self.speed
         second = self.sums[1] + slow * STEP_S
         asked = velocity_p * slow + velocity_i * second
         if self.upward:
             pull = GRAVITY * max(-1.0, THRUST_SCALE * asked / HOVER_THRUST)
         else:
-            pull = GRAVITY * math.tan(math.radians(max(-MOST_TILT_DEG, min(MOST_TILT_DEG, asked))))
+            pull = GRAVITY * math.tan(math.radians(max(-MAX_TILT_DEG, min(MAX_TILT_DEG, asked))))
         self.sums = (first, second)
         return pull
 
@@ -97,7 +97,7 @@ class Cascade:
 
     def fly(self, now: float, set_point: Callable[[float], Position], floor_m: float) -> None:
         """Fly on until now, after the set-point [m] at each time."""
-        if now - self.now > LONGEST_S:
+        if now - self.now > MAX_DELAY_S:
             self.place, self.now = set_point(now), now
             self.__post_init__()
         while self.behind(now):

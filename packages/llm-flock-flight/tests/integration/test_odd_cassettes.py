@@ -13,7 +13,7 @@ from llm_flock.llm import _replay as replay
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """A short bound: at the real one the command reads 64 MB."""
-    monkeypatch.setattr(replay, "LONGEST_LINE", 1 << 16)
+    monkeypatch.setattr(replay, "MAX_LINE_LENGTH", 1 << 16)
 
 
 def test_a_cassette_without_an_end_is_refused(tmp_path: Path) -> None:

@@ -16,9 +16,9 @@ from llm_flock.errors import MessageError
 from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock_flight._positions import PoseGate
 from llm_flock_flight._positions.udp import (
-    MOST_A_SECOND,
-    MOST_BYTES,
-    MOST_POSES,
+    MAX_BYTES,
+    MAX_PER_SECOND,
+    MAX_POSES,
     SILENT_S,
     UdpPoses,
     datagram_of,
@@ -61,7 +61,7 @@ def test_a_frame_is_read_as_it_was_written() -> None:
         (text(quaternion=[1, 1, 1, 1]), "not_unit"),
         (text(quaternion=[0, 0, 1]), "malformed"),
         (b"[" * 10_000, "malformed"),
-        (text() + b" " * MOST_BYTES, "oversized"),
+        (text() + b" " * MAX_BYTES, "oversized"),
         (json.dumps({"time": 1.0, "poses": [{"name": "a", "position": [0, 0, 0]}] * 2}).encode(), "malformed"),
     ],
 )
@@ -70,7 +70,7 @@ def test_anything_else_is_refused(data: bytes, why: str) -> None:
 
 
 def test_more_poses_than_a_frame_may_have_are_refused() -> None:
-    rows = [{"name": f"{k}", "position": [0, 0, 0]} for k in range(MOST_POSES + 1)]
+    rows = [{"name": f"{k}", "position": [0, 0, 0]} for k in range(MAX_POSES + 1)]
     assert reason(frame_of, json.dumps({"time": 0, "poses": rows}).encode()) == "malformed"
 
 
@@ -121,18 +121,18 @@ def test_a_stranger_is_not_followed_whatever_it_sends() -> None:
 def test_a_flood_is_not_parsed() -> None:
     found, frames = port()
     refused = Counter[str]()
-    for _ in range(MOST_A_SECOND + 100):
+    for _ in range(MAX_PER_SECOND + 100):
         try:
             found.hear(text(), "here", 10.5)
         except MessageError as error:
             refused[error.reason] += 1
-    assert len(frames) == MOST_A_SECOND and refused == {"too_many": 100}
+    assert len(frames) == MAX_PER_SECOND and refused == {"too_many": 100}
     found.hear(text(), "here", 11.0)
-    assert len(frames) == MOST_A_SECOND + 1
-    for _ in range(10 * MOST_A_SECOND):  # a stranger's flood is not even counted against the one who is followed
+    assert len(frames) == MAX_PER_SECOND + 1
+    for _ in range(10 * MAX_PER_SECOND):  # a stranger's flood is not even counted against the one who is followed
         assert reason(found.hear, b"x", "stranger", 11.1) == "second_sender"
     found.hear(text(), "here", 11.2)
-    assert len(frames) == MOST_A_SECOND + 2
+    assert len(frames) == MAX_PER_SECOND + 2
 
 
 # ------------------------------------------------------------------ the gate

@@ -18,7 +18,7 @@ from llm_flock.llm._port import AnswerForm, Call, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import parse_model
 from llm_flock_onboard._local import engine, weights
 from llm_flock_onboard._local.engine import Engines, check_memory, slot_count, thread_count
-from llm_flock_onboard._local.model import LEAST_CONTEXT, EngineLeases, LocalModel, context_for
+from llm_flock_onboard._local.model import MIN_CONTEXT, EngineLeases, LocalModel, context_for
 from llm_flock_onboard._local.weights import Weights
 
 
@@ -136,7 +136,7 @@ def test_an_engine_that_holds_too_little_is_not_shared(file):
 
 def test_context_follows_the_question_up_to_the_trained_length(file):
     few, many = AnswerForm(n=3, dim=2, reasons=False), AnswerForm(n=200, dim=3)
-    assert context_for(question(few)) == LEAST_CONTEXT
+    assert context_for(question(few)) == MIN_CONTEXT
     plan = Call(robot=0, round=1, kind="plan", attempt=0, messages=question().messages, form=many)
     assert context_for(plan) > 8 * context_for(question(few))
     context = context_for(question(text="1 " * 3000))

@@ -19,7 +19,7 @@ from slowness import slowness
 from llm_flock.errors import InputError
 from llm_flock_onboard._local import weights
 from llm_flock_onboard._local.gguf import read_header
-from llm_flock_onboard._local.weights import LONGEST_TEMPLATE, Weights, find_weights, is_packaged, split_name
+from llm_flock_onboard._local.weights import MAX_TEMPLATE_LENGTH, Weights, find_weights, is_packaged, split_name
 
 
 @pytest.fixture(autouse=True)
@@ -121,7 +121,7 @@ def test_added_token_outside_the_vocabulary_is_refused(tmp_path, token):
     read_header(write_model(tmp_path / "n.gguf", good))
 
 
-@pytest.mark.parametrize("template", ["{{ " + "(" * 101 + ")" * 101 + " }}", "x" * (LONGEST_TEMPLATE + 1), 3])
+@pytest.mark.parametrize("template", ["{{ " + "(" * 101 + ")" * 101 + " }}", "x" * (MAX_TEMPLATE_LENGTH + 1), 3])
 def test_a_chat_template_that_the_engine_would_die_of_is_refused(tmp_path, template):
     path = write_model(tmp_path / "m.gguf", {**MODEL, "tokenizer.chat_template": template})
     with pytest.raises(InputError, match="a chat template of at most"):

@@ -114,7 +114,7 @@ class LinkTraffic:
     refused: Counter[str] = field(default_factory=Counter[str])
 
 
-MOST_TOPICS = 1 << 14  # most topics whose messages are counted; a team of 1,000 has some 4,000
+MAX_TOPICS = 1 << 14  # most topics whose messages are counted; a team of 1,000 has some 4,000
 BURST_S = 2.0  # a topic may bring as much at once as it may in this time [s]
 
 
@@ -248,7 +248,7 @@ class ZenohLink:
             topic = str(sample.key_expr).removeprefix(f"{self._root}/")
             allowance = self._allowances.get(topic)
             if allowance is None:
-                if len(self._allowances) >= MOST_TOPICS:
+                if len(self._allowances) >= MAX_TOPICS:
                     self._allowances.clear()
                 allowance = self._allowances[topic] = Allowance(self._rates[kind])
             if allowance.spend(time.monotonic()):

@@ -14,7 +14,7 @@ from llm_flock.errors import FlockError, InputError
 from llm_flock.members import WORLD
 from llm_flock.record._schema import NullWriter
 from llm_flock_swarm._network import robot as module
-from llm_flock_swarm._network.agent_loop import MOST_FAULTS, MOST_NOTES
+from llm_flock_swarm._network.agent_loop import MAX_FAULTS, MAX_NOTES
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.robot import RobotProcess, run_robot
@@ -146,7 +146,7 @@ def test_failed_exchanges_are_dropped_too_many_end_the_robot(monkeypatch: pytest
         monkeypatch.setattr(process.agent_loop, "exchange", one_in_two)
 
     link, ended = fly(sometimes, 2.0)
-    assert ended is None and counts["all"] > MOST_FAULTS, "not in a row"
+    assert ended is None and counts["all"] > MAX_FAULTS, "not in a row"
     assert link.count("say") > 5
     _, ended = fly(lambda process, _: monkeypatch.setattr(process.agent_loop, "exchange", raising), 4.0)
     assert isinstance(ended, ExceptionGroup) and ended.subgroup(FlockError) is not None
@@ -167,7 +167,7 @@ def test_the_process_says_why_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_flood_of_bad_messages_is_not_told_message_by_message() -> None:
     def act(process: RobotProcess, link: FakeLink) -> None:
         link.see()
-        for _ in range(2 * MOST_NOTES):
+        for _ in range(2 * MAX_NOTES):
             link.hear()
 
     link, ended = fly(act, after=0.6)
@@ -175,8 +175,8 @@ def test_a_flood_of_bad_messages_is_not_told_message_by_message() -> None:
     reports = [unpack(RobotReport, payload) for kind, payload in link.sent if kind == "report"]
     told = [event for report in reports for event in report.happened]
     dropped = sum(event.detail["count"] for event in told if event.kind == "dropped_notes")
-    assert max(len(report.happened) for report in reports) <= MOST_NOTES + 1
-    assert sum(event.kind == "rejected_message" for event in told) + dropped >= 2 * MOST_NOTES
+    assert max(len(report.happened) for report in reports) <= MAX_NOTES + 1
+    assert sum(event.kind == "rejected_message" for event in told) + dropped >= 2 * MAX_NOTES
 
 
 def test_beacons_of_members_that_are_no_robots_are_refused() -> None:

@@ -18,10 +18,10 @@ from llm_flock.plan import Plan
 from llm_flock.record._reader import read_record
 from llm_flock.record._schema import ProtocolEvent
 from llm_flock.runtime._journal import mission_info, run_info
-from llm_flock_swarm._cli.accusations import MOST_SHOWN, show_accusations
-from llm_flock_swarm._network.accusations import MOST_JUDGED, MOST_PROOF_BYTES, Accuser, Judge
+from llm_flock_swarm._cli.accusations import MAX_SHOWN, show_accusations
+from llm_flock_swarm._network.accusations import MAX_JUDGED, MAX_PROOF_BYTES, Accuser, Judge
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.observer import MOST_UNPROVEN, Observer
+from llm_flock_swarm._network.observer import MAX_UNPROVEN, Observer
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, ReportedEvent, pack
 from llm_flock_swarm._signed.certificates import Proofs, origin_statement, wrap
 from llm_flock_swarm._trust.envelope import Envelope, signed_payload
@@ -37,7 +37,7 @@ def sealed(message: bytes | None, by: int = LIAR, topic: str | None = None) -> b
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     payload = b"\x03?" if message is None else pack(BeaconedMessage(beacon=beacon, message=message))
     topic = JUDGE.topic(by) if topic is None else topic
-    return Envelope(ToyKeys(by), 1, max_payload=MOST_PROOF_BYTES).seal(payload, topic)
+    return Envelope(ToyKeys(by), 1, max_payload=MAX_PROOF_BYTES).seal(payload, topic)
 
 
 def said(sender: int) -> bytes:
@@ -102,7 +102,7 @@ def test_where_plans_are_not_verified_none_proves_anything() -> None:
         accusation(FORGED, robot=True),
         accusation(7),
         accusation("not base64"),
-        accusation("A" * (2 * MOST_PROOF_BYTES + 4)),
+        accusation("A" * (2 * MAX_PROOF_BYTES + 4)),
         accusation(sealed(said(LIAR))),
         {},
     ],
@@ -142,9 +142,9 @@ def test_a_member_that_accuses_falsely_is_not_judged_for_ever(monkeypatch: pytes
     judged: list[object] = []
     monkeypatch.setattr(JUDGE, "confirms", lambda *_: judged.append(1))
     observer = Observer(CONFIG, Sink(), judge=JUDGE)
-    many = tuple(ReportedEvent("accused", accusation(FORGED)) for _ in range(3 * MOST_UNPROVEN))
+    many = tuple(ReportedEvent("accused", accusation(FORGED)) for _ in range(3 * MAX_UNPROVEN))
     observer.report(0, told(0, happened=many))
-    assert len(judged) == MOST_UNPROVEN
+    assert len(judged) == MAX_UNPROVEN
 
 
 def test_a_robot_accuses_each_liar_once_and_only_after_a_refusal() -> None:
@@ -157,7 +157,7 @@ def test_a_robot_accuses_each_liar_once_and_only_after_a_refusal() -> None:
     assert note is not None and JUDGE.confirms(note.detail, [MISSION]) == (LIAR, "impostor")
     accuser.hear(LIAR, FORGED)
     assert accuser.accuse(2, MISSION) is None
-    accuser.hear(0, bytes(MOST_PROOF_BYTES + 1))
+    accuser.hear(0, bytes(MAX_PROOF_BYTES + 1))
     assert accuser.accuse(3, MISSION) is None
 
 
@@ -166,10 +166,10 @@ def test_a_robot_judges_a_sender_so_often_and_no_more(monkeypatch: pytest.Monkey
     judge = Judge(ToyKeys(0), CONFIG)
     monkeypatch.setattr(judge, "verdict", lambda *_: judged.append(1))
     accuser = Accuser(judge)
-    for refused in range(1, 2 * MOST_JUDGED):
+    for refused in range(1, 2 * MAX_JUDGED):
         accuser.hear(1, b"x")
         accuser.accuse(refused, MISSION)
-    assert len(judged) == MOST_JUDGED
+    assert len(judged) == MAX_JUDGED
 
 
 def test_an_envelope_is_judged_after_it_was_opened() -> None:
@@ -187,7 +187,7 @@ def test_the_public_keys_are_enough_to_check_a_record(
     liar = load_keyring(tmp_path / "team", LIAR).of_flight(CONFIG.network.swarm)
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     payload = pack(BeaconedMessage(beacon=beacon, message=said(1)))
-    proof = Envelope(liar, 1, max_payload=MOST_PROOF_BYTES).seal(payload, JUDGE.topic(LIAR))
+    proof = Envelope(liar, 1, max_payload=MAX_PROOF_BYTES).seal(payload, JUDGE.topic(LIAR))
     events = tuple(
         ProtocolEvent(round=0, comm_round=None, robot=1, kind="accused", detail=accusation(proof, robot))
         for robot in (LIAR, 0)
@@ -206,8 +206,8 @@ def test_the_public_keys_are_enough_to_check_a_record(
     assert len(unchecked) == 2 and all("give --keys" in line for line in unchecked)
     show_accusations(replace(record, run=record.run.model_copy(update={"config": {}})), keys=third)
     assert "not proven" in capsys.readouterr().out, "a record of no swarm"
-    show_accusations(replace(record, events=2 * MOST_SHOWN * events[:1]), keys=third)
-    assert f"{MOST_SHOWN} more accusations" in capsys.readouterr().out
+    show_accusations(replace(record, events=2 * MAX_SHOWN * events[:1]), keys=third)
+    assert f"{MAX_SHOWN} more accusations" in capsys.readouterr().out
     with pytest.raises(InputError, match=r"team\.json"):
         show_accusations(record, keys=tmp_path / "nowhere")
     assert load_public_keys(third).robots == N

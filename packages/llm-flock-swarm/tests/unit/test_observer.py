@@ -20,7 +20,7 @@ from llm_flock.plan import Plan
 from llm_flock.record._schema import Entry, MetricsRow, PlanInfo, ProtocolEvent
 from llm_flock_swarm._network import swarm
 from llm_flock_swarm._network.observer import Observer
-from llm_flock_swarm._network.self_reports import MOST_LATENCIES, MOST_PLANS
+from llm_flock_swarm._network.self_reports import MAX_LATENCIES, MAX_PLANS
 from llm_flock_swarm._network.wire import Body, ReportedEvent, RobotReport, WorldState, pack, unpack
 
 
@@ -230,7 +230,7 @@ def test_what_one_robot_tells_takes_bounded_memory() -> None:
                 latencies_s=tuple(0.001 * i for i in range(100)),
             ),
         )
-    assert len(seen.said.places) == MOST_PLANS and len(seen.said.latencies_s) == MOST_LATENCIES
+    assert len(seen.said.places) == MAX_PLANS and len(seen.said.latencies_s) == MAX_LATENCIES
     proposed = ReportedEvent(kind="proposed", detail={"plan": PLAN.digest, "by": "model"})
     seen.report(1, told(1, happened=(proposed,)))
     assert seen.said.supplier(PLAN.digest, 1) == "simulated:ideal" and PLAN.digest in seen.said.places

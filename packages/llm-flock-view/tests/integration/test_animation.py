@@ -89,7 +89,7 @@ def test_a_gif_that_would_be_too_large_has_fewer_frames(
     record: RunRecord, animated: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = animated.read_bytes()
-    monkeypatch.setattr(animation, "LARGEST_GIF", len(whole) - 1)
+    monkeypatch.setattr(animation, "MAX_GIF_PIXELS", len(whole) - 1)
     with Image.open(io.BytesIO(gif(record, 10))) as fewer, Image.open(io.BytesIO(whole)) as all_of_them:
         assert fewer.n_frames < all_of_them.n_frames  # pyright: ignore
         shown = [picture.info["duration"] for picture in (fewer, all_of_them)]

@@ -10,7 +10,7 @@ import pytest
 
 from llm_flock.errors import InputError
 from llm_flock.record._reader import RunRecord, read_record
-from llm_flock_view._viewer.launcher import MOST_RUNS, Launcher
+from llm_flock_view._viewer.launcher import MAX_RUNS, Launcher
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.steered_run import HALLUCINATING, SteeredRun
 
@@ -137,10 +137,10 @@ def test_nothing_takes_off_that_the_command_line_refuses(tmp_path: Path) -> None
 
 def test_no_more_runs_than_the_machine_bears(tmp_path: Path) -> None:
     launcher = Launcher(Library(), tmp_path)
-    flights = [launcher.start({**FIELDS, "seed": k}, pace=0.1)[0] for k in range(MOST_RUNS - 1)]
-    with pytest.raises(InputError, match=f"'2 more than {MOST_RUNS - 1}'.*end some of them"):
+    flights = [launcher.start({**FIELDS, "seed": k}, pace=0.1)[0] for k in range(MAX_RUNS - 1)]
+    with pytest.raises(InputError, match=f"'2 more than {MAX_RUNS - 1}'.*end some of them"):
         launcher.start(FIELDS, pace=1.0, protocols=("paper", "flock"))
-    assert len(launcher.runs) == MOST_RUNS - 1, "not one of the pair"
+    assert len(launcher.runs) == MAX_RUNS - 1, "not one of the pair"
     flights += launcher.start(FIELDS, pace=0.1)
     with pytest.raises(InputError, match="end some of them"):
         launcher.start(FIELDS, pace=1.0)

@@ -111,7 +111,7 @@ def test_poses_are_the_positions_and_trails_end_at_them() -> None:
 
 
 def test_trails_of_large_teams_are_short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(channels, "MOST_TRAIL_POINTS", 60)
+    monkeypatch.setattr(channels, "MAX_TRAIL_POINTS", 60)
     lines = drawn(FakeRun(n=20, rounds=9)).of(TRAILS)[-1]["entities"][0]["lines"]
     assert [len(line["points"]) for line in lines] == [3] * 20
 

@@ -78,7 +78,7 @@ def test_text_of_a_record_stays_text(tmp_path: Path) -> None:
 
 def test_large_runs_and_files_that_are_no_records_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record = make_record(tmp_path / "run.mcap", n=4, rounds=5)
-    monkeypatch.setattr(replay_page, "MOST_ROBOT_ROUNDS", 20)
+    monkeypatch.setattr(replay_page, "MAX_ROBOT_ROUNDS", 20)
     with pytest.raises(InputError, match="at most 5 for a page of 4 robots"):
         write_page(record, tmp_path / "replay.html")
     (tmp_path / "run.mcap").write_bytes(b"no record")

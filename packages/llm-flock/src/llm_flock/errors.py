@@ -23,11 +23,11 @@ from typing import Any
 
 from llm_flock.printable import one_line
 
-MOST_SHOWN = 300
+MAX_SHOWN = 300
 """Longest value that an error shows [characters]."""
 
 
-MOST_LISTED = 30
+MAX_LISTED = 30
 """Most names that an error lists where none is near the one that was given."""
 
 
@@ -77,7 +77,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(name.lower(), names, n=1)
     if near:
         return f"unknown {what}; did you mean {near[0]!r}?"
-    if len(names) > MOST_LISTED:
+    if len(names) > MAX_LISTED:
         return f"unknown {what}; `llm-flock run --help-all` and the configuration's reference list them"
     return f"unknown {what}; expected one of {', '.join(names) or '(there are none)'}"
 
@@ -85,7 +85,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
 def _shown(value: object) -> str:
     """The value in one line, whatever it is."""
     try:
-        return one_line(repr(value), MOST_SHOWN)
+        return one_line(repr(value), MAX_SHOWN)
     except (ValueError, RecursionError):  # thousands of digits, or endless nesting
         return f"a value of type {type(value).__name__}, too large to show"
 

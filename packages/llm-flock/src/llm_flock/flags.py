@@ -11,7 +11,7 @@ from typing import Any, Self, cast
 import typer
 from typer.core import TyperArgument, TyperCommand
 
-from llm_flock.errors import MOST_SHOWN, FieldError, InputError
+from llm_flock.errors import MAX_SHOWN, FieldError, InputError
 from llm_flock.printable import one_line
 
 ALL = "--help-all"
@@ -116,7 +116,7 @@ def _metavar(parameter: object) -> str:
 
 def _word(value: object) -> str:
     """A value as typed in a shell, on one line."""
-    return shlex.quote(one_line(_typed(value), MOST_SHOWN))
+    return shlex.quote(one_line(_typed(value), MAX_SHOWN))
 
 
 def _typed(value: object) -> str:

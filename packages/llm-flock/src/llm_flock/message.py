@@ -28,7 +28,7 @@ from llm_flock.plan import Coordinate, Plan
 LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
 LATEST = 2**60  #: Above every time of an order: far enough in the future, and below the largest machine integer.
 
-MOST_AHEAD_MS = 24 * 3600 * 1000  #: Others' times are believed if at most this far ahead of the own clock [ms].
+MAX_AHEAD_MS = 24 * 3600 * 1000  #: Others' times are believed if at most this far ahead of the own clock [ms].
 
 
 def order_time(milliseconds: int, count: int = 0) -> int:
@@ -45,7 +45,7 @@ class OperatorClock:
 
     def witness(self, time: int) -> None:
         """Take note of the time of another order, of this operator's in an earlier life for instance."""
-        if time <= order_time(self._now_ms() + MOST_AHEAD_MS):
+        if time <= order_time(self._now_ms() + MAX_AHEAD_MS):
             self._last = max(self._last, time)
 
     def next(self) -> int:
@@ -68,10 +68,10 @@ MAX_BID = 10 * MAX_COORDINATE  #: Largest distance between two points of the lar
 NO_OWNER = -1
 BLOCKED = -2  #: Owner of a slot that no robot can take, because a body that does not move stands there.
 LAST_ROUND = 1023  #: Largest round number in a position report.
-MOST_LOOKS = 64  #: Largest number of visits to a vacant slot in an entry.
-MOST_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each other.
+MAX_LOOKS = 64  #: Largest number of visits to a vacant slot in an entry.
+MAX_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each other.
 HIGHEST = 15  #: Highest level of a right of way.
-MOST_STOPS = 4  #: Most points of a course.
+MAX_STOPS = 4  #: Most points of a course.
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -169,7 +169,7 @@ class Course(_OnWire, frozen=True, kw_only=True):
     level: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
     of: Id  #: The robot whose right it is: the sender, or one that the sender makes way for.
     #: Next corners of the sender's way [units; world frame].
-    path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MOST_STOPS)]
+    path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MAX_STOPS)]
 
 
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):

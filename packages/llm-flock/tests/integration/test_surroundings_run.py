@@ -71,7 +71,10 @@ def test_obstacles_on_the_command_line(tmp_path: Path) -> None:
     file = tmp_path / "obstacles.json"
     file.write_text(text, encoding="utf-8")
     assert typed("--obstacles", text) == typed("--obstacles", str(file)) == {"obstacles": [DISC]}
-    for wrong, said in (("[", "broken JSON: Expecting value: line 1"), (str(tmp_path / "nothing.json"), "the name of a file")):
+    for wrong, said in (
+        ("[", "broken JSON: Expecting value: line 1"),
+        (str(tmp_path / "nothing.json"), "the name of a file"),
+    ):
         with pytest.raises(InputError, match=said):
             typed("--obstacles", wrong)
     file.write_text("{}", encoding="utf-8")

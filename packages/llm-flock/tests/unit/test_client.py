@@ -17,7 +17,7 @@ from pydantic_ai.usage import RequestUsage
 from llm_flock.errors import ModelError
 from llm_flock.llm import _client as client
 from llm_flock.llm._client import DETAIL_LENGTH, CallSettings, PydanticModel, error_kind, scrub, to_model_messages
-from llm_flock.llm._port import MOST_TOKENS, Call, ChatMessage, Reply, Usage
+from llm_flock.llm._port import MAX_TOKENS, Call, ChatMessage, Reply, Usage
 
 KEY = "0123456789-abcdefghij"
 
@@ -86,7 +86,7 @@ def test_a_provider_may_say_any_number_of_tokens() -> None:
         usage = RequestUsage(input_tokens=2**53 + 1, output_tokens=-(2**70), cache_read_tokens=2**60)
         return ModelResponse(parts=[TextPart("Position: [1, 2]")], usage=usage)
 
-    assert ask(model(answer)).usage == Usage(input=MOST_TOKENS, output=0, cached=MOST_TOKENS)
+    assert ask(model(answer)).usage == Usage(input=MAX_TOKENS, output=0, cached=MAX_TOKENS)
 
 
 def test_anthropic_takes_the_unified_reasoning_setting() -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LAST_PORT = 65_535
 """Highest UDP port."""
 
-MOST_VEHICLES = 254
+MAX_VEHICLES = 254
 """Most stand-in autopilots: MAVLink's system ids are 1 to 254, and 255 is ours."""
 
 
@@ -58,8 +58,8 @@ def stand_ins(
     if port + len(homes) - 1 > LAST_PORT:
         raise InputError("port", port, f"at most {LAST_PORT + 1 - len(homes)}: {len(homes)} drones have a port each")
     if mavlink is not None:
-        if len(homes) > MOST_VEHICLES:
-            raise InputError("count", len(homes), f"at most {MOST_VEHICLES} with --mavlink, one for each system id")
+        if len(homes) > MAX_VEHICLES:
+            raise InputError("count", len(homes), f"at most {MAX_VEHICLES} with --mavlink, one for each system id")
         for name, given in (("radios", radios), ("outside", outside)):
             if given:
                 raise InputError(name, None, says="has no effect with --mavlink")

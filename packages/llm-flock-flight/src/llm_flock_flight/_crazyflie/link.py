@@ -32,7 +32,7 @@ from llm_flock_flight._crazyflie.parameters import PORT as PARAMETER_PORT
 from llm_flock_flight._crazyflie.parameters import FirmwareParameters
 from llm_flock_flight._crazyflie.threads import Worker, in_thread, new_thread
 
-SILENCE_S, MOST_SILENCE_S = 1.0, 4.0
+SILENCE_S, MAX_SILENCE_S = 1.0, 4.0
 """An attempt to open a link is given up after this silence [s]; each attempt has more patience, up to the second."""
 
 AGAIN_S = 0.3
@@ -165,7 +165,7 @@ class CrazyflieLink:
                 )
             attempts += 1
             try:
-                await self._attempt(end, min(MOST_SILENCE_S, attempts * SILENCE_S))
+                await self._attempt(end, min(MAX_SILENCE_S, attempts * SILENCE_S))
             except (TimeoutError, RobotError) as error:
                 why = error.what if isinstance(error, RobotError) else "no answer"
                 await self.close()

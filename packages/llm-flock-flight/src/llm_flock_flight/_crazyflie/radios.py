@@ -31,10 +31,10 @@ SETTING_S = 0.001
 BITS_PER_S: Mapping[str, float] = MappingProxyType({"250K": 250e3, "1M": 1e6, "2M": 2e6})
 """Data rates in addresses."""
 
-LONGEST_BITS = 2 * 8 * 41
+MAX_PACKET_BITS = 2 * 8 * 41
 """In the air for the longest packet and the longest answer: 32 bytes, and 9 around them, each."""
 
-MOST_SHARE = 0.7
+MAX_SHARE = 0.7
 """Share of a radio's exchanges that may be planned for: the rest is for resending, and for commands to all at once."""
 
 POSITION_HZ, VARIANCE_HZ, LIGHTHOUSE_HZ, PING_HZ = 20.0, 10.0, 2.0, 10.0
@@ -135,7 +135,7 @@ def capacity_hz(addresses: Sequence[RadioAddress]) -> float:
     """Exchanges a second of one radio that serves these drones in turn, by the model of this module [1/s]."""
     changes = sum(len({getattr(found, part) for found in addresses}) > 1 for part in ("address", "channel", "rate"))
     slower = sum(1.0 / BITS_PER_S[found.rate] - 1.0 / BITS_PER_S["2M"] for found in addresses) / len(addresses)
-    return 1.0 / (EXCHANGE_S + LONGEST_BITS * slower + SETTING_S * changes)
+    return 1.0 / (EXCHANGE_S + MAX_PACKET_BITS * slower + SETTING_S * changes)
 
 
 def plan_radios(drones: Sequence[tuple[str, str]], each_hz: float) -> RadioPlan:
@@ -173,12 +173,12 @@ def _load(dongle: str, served: Mapping[str, RadioAddress], each_hz: float) -> Ra
 def _warnings(loads: Sequence[RadioLoad], each_hz: float) -> list[str]:
     said: list[str] = []
     for load in loads:
-        if load.share > MOST_SHARE:
+        if load.share > MAX_SHARE:
             drones = sum(len(other.drones) for other in loads)
             enough = radios_for(drones, each_hz)
             advice = f"; {enough} radios would carry {drones} drones" if enough > len(loads) else ""
             said.append(
-                f"radio {load.dongle} needs {load.share:.0%} of what it can do (at most {MOST_SHARE:.0%}){advice}"
+                f"radio {load.dongle} needs {load.share:.0%} of what it can do (at most {MAX_SHARE:.0%}){advice}"
             )
         if len(load.channels) > 1:
             said.append(
@@ -211,7 +211,7 @@ def wifi_over(channel: int) -> int | None:
 
 def radios_for(n_drones: int, each_hz: float) -> int:
     """The smallest number of radios that carries this number of drones, each radio on one channel at 2 Mbit/s."""
-    each = math.floor(MOST_SHARE / (EXCHANGE_S + SETTING_S) / each_hz)
+    each = math.floor(MAX_SHARE / (EXCHANGE_S + SETTING_S) / each_hz)
     return math.ceil(n_drones / max(1, each))
 
 

@@ -30,7 +30,7 @@ SENDER = "one sender of positions"
 LISTEN_S = 1.0
 """Listen at least this long before a preflight with poses is passed [s]: a second sender is heard in this time."""
 
-LONGEST_LISTEN_S = 2.0
+MAX_LISTEN_S = 2.0
 """And no longer than this, for a pose that repeats itself to be told from one that stands [s]."""
 
 LOCALISATION = "localisation"
@@ -117,7 +117,7 @@ def _pose_check(config: FlightConfig, feed: PoseFeed, name: str, state: RobotSta
 
 def _sender_check(config: FlightConfig, feed: PoseFeed, now_s: float) -> Check:
     """Whether one sender tells the positions: of two, the one that began is followed, right or wrong."""
-    least_s = min(max(LISTEN_S, config.positions.pose_frozen_s + 2 * PERIOD_S), LONGEST_LISTEN_S)
+    least_s = min(max(LISTEN_S, config.positions.pose_frozen_s + 2 * PERIOD_S), MAX_LISTEN_S)
     senders, listened_s = feed.senders(now_s), feed.listened_s(now_s)
     if len(senders) > 1:
         first, *others = senders

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from llm_flock.robots import Equipment, Robot, RobotError, RobotState, SelfChecked
-from llm_flock_flight._crazyflie.radios import MOST_SHARE, RadioPlan, exchanges_of, plan_radios
+from llm_flock_flight._crazyflie.radios import MAX_SHARE, RadioPlan, exchanges_of, plan_radios
 from llm_flock_flight._flight.config import ON_FLOOR_M, FlightConfig, good_place, wrong_place
 
 SETTLE_S = 3.0
@@ -240,8 +240,8 @@ def radio_checks(config: FlightConfig) -> list[Check]:
             RADIO,
             f"radio {load.dongle}",
             True,
-            f"WARNING: {load}" if load.share > MOST_SHARE else str(load),
-            f"at most {MOST_SHARE:.0%}",
+            f"WARNING: {load}" if load.share > MAX_SHARE else str(load),
+            f"at most {MAX_SHARE:.0%}",
         )
         for load in radio_plan(config).loads
     ]

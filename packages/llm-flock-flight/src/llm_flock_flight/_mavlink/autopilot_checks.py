@@ -20,7 +20,7 @@ ARDUPILOT_NAMES = (
     "FENCE_ALT_MAX",
 )
 
-LONGEST_S = 5.0
+MAX_DELAY_S = 5.0
 """Longest silence of this computer after which an autopilot has to act [s]."""
 
 LOSS_ACTIONS = ("Position mode", "Altitude mode", "Stabilized mode", "Return", "Land", "Hold", "Terminate", "Disarm")
@@ -63,14 +63,14 @@ def _stream(values: Mapping[str, float]) -> DriverCheck:
         return DriverCheck(name=name, passed=True, found="not told")
     word = _word(LOSS_ACTIONS, action)
     found = f"{word} after {after:g} s" + (", which needs a pilot" if action < 3 else "")
-    asked = f"COM_OBL_RC_ACT neither 6 nor 7, COM_OF_LOSS_T at most {LONGEST_S:g} s; 4 lands it"
-    return DriverCheck(name=name, passed=0 <= action < 6 and after <= LONGEST_S, found=found, asked=asked)
+    asked = f"COM_OBL_RC_ACT neither 6 nor 7, COM_OF_LOSS_T at most {MAX_DELAY_S:g} s; 4 lands it"
+    return DriverCheck(name=name, passed=0 <= action < 6 and after <= MAX_DELAY_S, found=found, asked=asked)
 
 
 def _ground_station(values: Mapping[str, float]) -> DriverCheck:
     """ArduPilot stays in Guided without set-points, and hovers: only its failsafe for heartbeats lands it."""
     name = "without heartbeats"
-    action, after = values.get("FS_GCS_ENABLE"), values.get("FS_GCS_TIMEOUT", LONGEST_S)
+    action, after = values.get("FS_GCS_ENABLE"), values.get("FS_GCS_TIMEOUT", MAX_DELAY_S)
     if action is None:
         return DriverCheck(name=name, passed=True, found="not told")
     station = values.get("SYSID_MYGCS", values.get("MAV_GCS_SYSID", float(GROUND_STATION)))

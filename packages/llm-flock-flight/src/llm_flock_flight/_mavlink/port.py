@@ -31,7 +31,7 @@ STRANGERS = 200
 """Most datagrams of unknown senders that are parsed in a second: they may be vehicles that introduce themselves."""
 
 
-MOST_BAUD = 20_000_000
+MAX_BAUD = 20_000_000
 """Highest rate of a serial line that is believed [baud]."""
 
 
@@ -55,7 +55,7 @@ def parse_uri(uri: str) -> VehicleAddress:
         path, _, rate = uri.removeprefix("serial://").rpartition(":")
         if not (rate.isascii() and rate.isdigit()):
             path, rate = uri.removeprefix("serial://"), "57600"
-        if path and len(rate) <= len(str(MOST_BAUD)) and 0 < int(rate) <= MOST_BAUD:
+        if path and len(rate) <= len(str(MAX_BAUD)) and 0 < int(rate) <= MAX_BAUD:
             return VehicleAddress(scheme=scheme, host=path, port=int(rate))
     elif scheme in SCHEMES and host and port:
         return VehicleAddress(scheme="udpin" if scheme == "udp" else scheme, host=host, port=port)

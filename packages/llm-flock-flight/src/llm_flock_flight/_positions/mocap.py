@@ -22,7 +22,7 @@ from typing import Any
 
 from llm_flock.extras import require
 from llm_flock.robots import Pose, PoseFrame
-from llm_flock_flight._positions.udp import MOST_M, MOST_POSES, UdpPoses, datagram_of
+from llm_flock_flight._positions.udp import MAX_DISTANCE_M, MAX_POSES, UdpPoses, datagram_of
 
 HOST = "127.0.0.1"
 
@@ -84,7 +84,7 @@ def frame_of_bodies(bodies: Mapping[str, Any], names: frozenset[str], stamp_s: f
     poses: dict[str, Pose] = {}
     for name, body in bodies.items():
         x, y, z = (float(value) for value in body.position)
-        if name in names and len(poses) < MOST_POSES and all(abs(value) <= MOST_M for value in (x, y, z)):
+        if name in names and len(poses) < MAX_POSES and all(abs(value) <= MAX_DISTANCE_M for value in (x, y, z)):
             turn = body.rotation
             poses[name] = Pose((x, y, z), (float(turn.x), float(turn.y), float(turn.z), float(turn.w)))
     return PoseFrame(stamp_s=stamp_s, poses=poses) if poses else None

@@ -26,20 +26,20 @@ from llm_flock_flight._positions.gate import UNKNOWN
 SILENT_S = 1.0
 """A sender that sends nothing usable for this long may be followed by another one [s]."""
 
-MOST_A_SECOND = 2000
+MAX_PER_SECOND = 2000
 """Most datagrams that are parsed in a second; the rest are dropped unread."""
 
 BUFFER_BYTES = 1 << 20
 """Asked of the system for datagrams that wait to be read [bytes]."""
 
 
-MOST_BYTES = 16_384
+MAX_BYTES = 16_384
 """Largest datagram that is read: more than a hundred drones [bytes]."""
 
-MOST_POSES = 256
+MAX_POSES = 256
 """Most poses of one datagram."""
 
-MOST_M = 1000.0
+MAX_DISTANCE_M = 1000.0
 """Largest coordinate that is believed [m]."""
 
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
@@ -53,7 +53,7 @@ class _PoseText(msgspec.Struct, forbid_unknown_fields=True):
 
 class _FrameText(msgspec.Struct, forbid_unknown_fields=True):
     time: float
-    poses: Annotated[list[_PoseText], msgspec.Meta(min_length=1, max_length=MOST_POSES)]
+    poses: Annotated[list[_PoseText], msgspec.Meta(min_length=1, max_length=MAX_POSES)]
 
 
 _DECODER = msgspec.json.Decoder(_FrameText)
@@ -61,7 +61,7 @@ _DECODER = msgspec.json.Decoder(_FrameText)
 
 def frame_of(data: bytes) -> PoseFrame:
     """The frame in a datagram, or MessageError: oversized, malformed, out_of_range, or not_unit for a quaternion."""
-    if len(data) > MOST_BYTES:
+    if len(data) > MAX_BYTES:
         raise MessageError("oversized", f"{len(data)} bytes")
     try:
         found = _DECODER.decode(data)
@@ -76,7 +76,7 @@ def frame_of(data: bytes) -> PoseFrame:
 
 
 def _pose(text: _PoseText) -> Pose:
-    if not all(abs(x) <= MOST_M for x in text.position):
+    if not all(abs(x) <= MAX_DISTANCE_M for x in text.position):
         raise MessageError("out_of_range", f"position {text.position}")
     if text.quaternion is not None and not abs(math.hypot(*text.quaternion) - 1.0) <= 0.01:
         raise MessageError("not_unit", f"quaternion {text.quaternion}")
@@ -147,7 +147,7 @@ class UdpPoses:
             if self._socket is None:
                 return
             try:
-                data, sender = self._socket.recvfrom(MOST_BYTES + 1)
+                data, sender = self._socket.recvfrom(MAX_BYTES + 1)
             except (BlockingIOError, InterruptedError):
                 return
             except OSError:  # an ICMP error of something that nobody sent from here
@@ -170,8 +170,8 @@ class UdpPoses:
         second, parsed = self._second
         parsed = parsed + 1 if int(now) == second else 1
         self._second = int(now), parsed
-        if parsed > MOST_A_SECOND:
-            raise MessageError("too_many", f"more than {MOST_A_SECOND} a second")
+        if parsed > MAX_PER_SECOND:
+            raise MessageError("too_many", f"more than {MAX_PER_SECOND} a second")
         frame = frame_of(data)
         if self._names.isdisjoint(frame.poses):
             raise MessageError(UNKNOWN, "none of these names is a drone's")

@@ -22,7 +22,7 @@ from llm_flock.validation import input_error
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock_lab._experiments.trial import KeepRecords
 
-MOST_TRIALS = 100_000
+MAX_TRIALS = 100_000
 """Most trials of a sweep; all of them are in memory."""
 
 Positive = Annotated[int, Field(ge=1)]
@@ -152,8 +152,8 @@ def _trials(
         axes[name] = _kept(name, axes[name], variables[name])
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
     seeds = file.sweep.seeds if isinstance(file.sweep.seeds, int) else len(file.sweep.seeds)
-    if (number := seeds * math.prod(map(len, axes.values()))) > MOST_TRIALS:
-        raise InputError("grid", f"{number} trials", f"a grid of at most {MOST_TRIALS:,} trials")
+    if (number := seeds * math.prod(map(len, axes.values()))) > MAX_TRIALS:
+        raise InputError("grid", f"{number} trials", f"a grid of at most {MAX_TRIALS:,} trials")
     cells = [_cell(file, given, dict(zip(axes, point, strict=True))) for point in itertools.product(*axes.values())]
     count, first = file.sweep.seeds, file.sweep.first_seed
     seeds = range(first, first + count) if isinstance(count, int) else count

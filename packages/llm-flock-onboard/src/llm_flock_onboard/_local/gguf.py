@@ -19,13 +19,13 @@ from llm_flock.errors import InputError
 _SCALARS = {0: "B", 1: "b", 2: "H", 3: "h", 4: "I", 5: "i", 6: "f", 7: "?", 10: "Q", 11: "q", 12: "d"}
 _STRING, _ARRAY = 8, 9
 _MAX_DIMS = 4
-_MOST_VALUES = 1 << 16
+_MAX_VALUES = 1 << 16
 """Most values, and most tensors: models have some hundreds of each."""
 
-_MOST_STRINGS = 1 << 21
+_MAX_STRINGS = 1 << 21
 """Most strings in lists; the largest vocabularies, with their merges, have a third of it."""
 
-_MOST_TEXT = 1 << 24
+_MAX_TEXT = 1 << 24
 """Names and texts together [bytes]; chat templates have some ten thousand, and names some fifty each."""
 
 _TOKENS = "tokenizer.ggml.tokens"
@@ -123,7 +123,7 @@ class _Reader:
         if self._data.read(4) != b"GGUF" or self._scalar("I") not in (2, 3):
             raise ValueError
         n_tensors, n_values = self._scalar("Q"), self._scalar("Q")
-        if max(n_tensors, n_values) > _MOST_VALUES:
+        if max(n_tensors, n_values) > _MAX_VALUES:
             raise ValueError
         metadata: dict[str, Any] = {}
         for _ in range(n_values):
@@ -171,7 +171,7 @@ class _Reader:
 
     def _skip_strings(self, count: int) -> None:
         self._strings += count
-        if self._strings > _MOST_STRINGS:
+        if self._strings > _MAX_STRINGS:
             raise ValueError
         at, length = self._data.tell(), struct.Struct("<Q")
         for _ in range(count):
@@ -185,7 +185,7 @@ class _Reader:
     def _text(self) -> str:
         length = self._scalar("Q")
         self._text_bytes += length
-        if self._text_bytes > _MOST_TEXT:
+        if self._text_bytes > _MAX_TEXT:
             raise ValueError
         text = self._data.read(length)
         if len(text) < length:

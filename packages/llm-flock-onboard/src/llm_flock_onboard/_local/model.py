@@ -15,13 +15,13 @@ from llm_flock_onboard._local.engine import ENGINES, Engine, Engines
 from llm_flock_onboard._local.gguf import read_header
 from llm_flock_onboard._local.weights import Weights, find_weights
 
-LEAST_CONTEXT = 1024
+MIN_CONTEXT = 1024
 
 
 def context_for(call: Call) -> int:
     """Context for a question and its answer, with room to ask once more [tokens]; a power of two."""
     tokens = sum(tokens_of(message.text) for message in call.messages) + _longest(call)
-    return max(LEAST_CONTEXT, 1 << (2 * tokens - 1).bit_length())
+    return max(MIN_CONTEXT, 1 << (2 * tokens - 1).bit_length())
 
 
 def _longest(call: Call) -> int:

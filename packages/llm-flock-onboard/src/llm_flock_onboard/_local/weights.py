@@ -25,7 +25,7 @@ LETTERS = "letters"
 
 _WITH_ADAPTER = re.compile(rf"(?P<model>{SMOLLM2}|.+?\.gguf)\+(?P<adapter>{NO_ADAPTER}|{LETTERS}|.+\.gguf)")
 
-LONGEST_TEMPLATE = 1 << 17
+MAX_TEMPLATE_LENGTH = 1 << 17
 """Longest chat template [characters]; those that explain tools have some ten thousand."""
 
 DEEPEST = 100
@@ -100,8 +100,8 @@ def find_weights(text: str) -> Weights:
     template = header.metadata.get("tokenizer.chat_template")
     if template is None:
         raise InputError("model", str(model), "an instruct model; this file has no chat template")
-    if not isinstance(template, str) or len(template) > LONGEST_TEMPLATE or _nested(template) > DEEPEST:
-        allowed = f"a chat template of at most {LONGEST_TEMPLATE} characters, with brackets at most {DEEPEST} deep"
+    if not isinstance(template, str) or len(template) > MAX_TEMPLATE_LENGTH or _nested(template) > DEEPEST:
+        allowed = f"a chat template of at most {MAX_TEMPLATE_LENGTH} characters, with brackets at most {DEEPEST} deep"
         raise InputError("model", str(model), allowed)
     if adapter is not None:
         check_adapter(adapter, read_header(adapter), header)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from llm_flock_swarm._network.accusations import Judge
 
 
-MOST_SHOWN = 64  # accusations of a record that are checked and shown
+MAX_SHOWN = 64  # accusations of a record that are checked and shown
 
 
 def show_accusations(
@@ -37,7 +37,7 @@ def show_accusations(
     missions = [] if judge is None else _missions(record)
     accused = [event for event in record.events if event.kind == "accused"]
     screen = Screen()
-    for event in accused[:MOST_SHOWN]:
+    for event in accused[:MAX_SHOWN]:
         line = f"robot {event.robot} accuses robot {event.detail.get('robot')} of lying: "
         if keys is None:
             line += "to check this, give --keys and the folder of the team's public keys"
@@ -45,8 +45,8 @@ def show_accusations(
             proven = judge.confirms(event.detail, missions) if judge is not None and missions else None
             line += "not proven" if proven is None else f"proven, it signed this message ({proven[1]})"
         screen.print(Text(line))
-    if len(accused) > MOST_SHOWN:
-        screen.print(Text(f"{len(accused) - MOST_SHOWN} more accusations"))
+    if len(accused) > MAX_SHOWN:
+        screen.print(Text(f"{len(accused) - MAX_SHOWN} more accusations"))
 
 
 def _judge(record: RunRecord, keys: Path) -> Judge | None:

@@ -21,8 +21,8 @@ from llm_flock_swarm._signed.certificates import Verifier
 from llm_flock_swarm._signed.guilt import guilt
 from llm_flock_swarm._zenoh import sealed_topic
 
-MOST_PROOF_BYTES = 1 << 18  # largest message that is shown: reports have a limit too
-MOST_JUDGED = 64  # messages of one sender that a robot judges for a mission: each takes several signatures
+MAX_PROOF_BYTES = 1 << 18  # largest message that is shown: reports have a limit too
+MAX_JUDGED = 64  # messages of one sender that a robot judges for a mission: each takes several signatures
 REMEMBERED = 4  # newest messages of each sender between two exchanges that may be judged
 
 
@@ -68,7 +68,7 @@ class Judge:
     def confirms(self, detail: Mapping[str, Any], missions: Sequence[Mission]) -> tuple[int, str] | None:
         """The robot that an accusation proves to lie, and the reason; None if it does not, whatever it holds."""
         robot, proof = detail.get("robot"), detail.get("proof")
-        if type(robot) is not int or not isinstance(proof, str) or len(proof) > 2 * MOST_PROOF_BYTES:
+        if type(robot) is not int or not isinstance(proof, str) or len(proof) > 2 * MAX_PROOF_BYTES:
             return None
         try:
             sealed = base64.b64decode(proof, validate=True)
@@ -90,7 +90,7 @@ class Accuser:
 
     def hear(self, sender: int, sealed: bytes) -> None:
         """Keep a message until the next exchange."""
-        if sender not in self.accused and len(sealed) <= MOST_PROOF_BYTES:
+        if sender not in self.accused and len(sealed) <= MAX_PROOF_BYTES:
             self._heard.setdefault(sender, deque(maxlen=REMEMBERED)).append(sealed)
 
     def accuse(self, refused: int, mission: Mission) -> Note | None:
@@ -101,7 +101,7 @@ class Accuser:
             return None
         for sender, messages in heard.items():
             for sealed in messages:
-                if self._judged[sender, mission.digest] >= MOST_JUDGED:
+                if self._judged[sender, mission.digest] >= MAX_JUDGED:
                     break
                 self._judged[sender, mission.digest] += 1
                 reason = self._judge.verdict(sender, sealed, [mission])

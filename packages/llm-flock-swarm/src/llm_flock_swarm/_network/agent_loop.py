@@ -34,9 +34,9 @@ from llm_flock_swarm._zenoh import LinkTraffic
 
 SETTLED_EXCHANGES = 2  # exchanges without another slot after which agreement about a new plan counts as settled
 LATEST = 2.0  # a move ends at the latest after this multiple of its unhindered duration
-MOST_NOTES = 256  # events in one report; more of them, in a flood of bad messages say, are only counted
-MOST_REASON = 2000  # longest reason in a report [characters]
-MOST_FAULTS = 20  # exchanges in a row that meet an error in this program before the robot gives up
+MAX_NOTES = 256  # events in one report; more of them, in a flood of bad messages say, are only counted
+MAX_REASON = 2000  # longest reason in a report [characters]
+MAX_FAULTS = 20  # exchanges in a row that meet an error in this program before the robot gives up
 RETELL = 25  # one report in this many names the plan's places and the mission again, for observers that came later
 STUCK_S = 0.3  # a body that has not moved for this long cannot get any nearer [s]
 
@@ -90,7 +90,7 @@ class AgentLoop:
         return rest
 
     def _note(self, kind: str, detail: dict[str, Any]) -> None:
-        if len(self.notes) < MOST_NOTES:
+        if len(self.notes) < MAX_NOTES:
             self.notes.append(ReportedEvent(kind, detail, self._comm_rounds))
         else:
             self._dropped_notes += 1
@@ -135,8 +135,8 @@ class AgentLoop:
             with refusing(self.refused):
                 self.exchange()
             self._faults = 0 if self.refused[FAULT] == before else self._faults + 1
-            if self._faults >= MOST_FAULTS:
-                raise FlockError(f"robot {self.agent.robot} cannot go on: {MOST_FAULTS} exchanges in a row failed")
+            if self._faults >= MAX_FAULTS:
+                raise FlockError(f"robot {self.agent.robot} cannot go on: {MAX_FAULTS} exchanges in a row failed")
 
     def exchange(self) -> None:
         """Decide on the messages since the last exchange; count a heartbeat once a period; then broadcast."""
@@ -310,7 +310,7 @@ class AgentLoop:
             bytes=traffic.bytes["say"] + traffic.bytes["beacon"],
             rejected=dict(agent.rejected + traffic.refused + self.refused + refused),
             breakers=agent.open_breakers,
-            hopeless=None if agent.hopeless is None else agent.hopeless.reason[:MOST_REASON],
+            hopeless=None if agent.hopeless is None else agent.hopeless.reason[:MAX_REASON],
             latencies_s=tuple(latencies_s),
             shape=shape,
         )

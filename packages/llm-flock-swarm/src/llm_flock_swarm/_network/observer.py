@@ -33,7 +33,7 @@ from llm_flock_swarm._network.self_reports import SelfReports, rejected, sent
 from llm_flock_swarm._network.wire import RobotReport, WorldState
 
 SILENT_S = 1.0  # a robot that reports is there; it is gone once it has left and has been silent for this long [s]
-MOST_UNPROVEN = 8  # accusations of one robot that prove nothing, after which none are judged: each takes time
+MAX_UNPROVEN = 8  # accusations of one robot that prove nothing, after which none are judged: each takes time
 
 
 class Observer:
@@ -167,7 +167,7 @@ class Observer:
 
     def _is_news(self, accuser: int, accusation: Mapping[str, Any]) -> bool:
         """Whether a robot is shown to lie for the first time; accusations that prove nothing are dropped."""
-        if self._judge is None or self._unproven[accuser] >= MOST_UNPROVEN:
+        if self._judge is None or self._unproven[accuser] >= MAX_UNPROVEN:
             return False
         if accusation.get("robot") in range(self.mission.n_robots) and accusation["robot"] in self.shown_to_lie:
             return False

@@ -24,8 +24,8 @@ from llm_flock_swarm._zenoh import ZenohLink
 
 logger = logging.getLogger(__name__)
 
-MOST_LATENCIES = 1024  # latencies in one report: a flood of beacons is not told beacon by beacon
-LONGEST_LATENCY_S = 60.0  # later beacons count as this late [s]
+MAX_LATENCIES = 1024  # latencies in one report: a flood of beacons is not told beacon by beacon
+MAX_LATENCY_S = 60.0  # later beacons count as this late [s]
 BEACON_DUE = 0.9  # share of a beacon period after which a message's beacon no longer replaces the next one
 
 
@@ -90,8 +90,8 @@ class RobotProcess:
         if len(beacon.position) != self._config.mission.dim:
             raise MessageError("wrong_length", "a beacon of another dimension")
         now = time.time()
-        if len(self._latencies_s) < MOST_LATENCIES:
-            self._latencies_s.append(min(max(0.0, now - beacon.stamp), LONGEST_LATENCY_S))
+        if len(self._latencies_s) < MAX_LATENCIES:
+            self._latencies_s.append(min(max(0.0, now - beacon.stamp), MAX_LATENCY_S))
         # A stamp in the future would make the beacon look younger than it is.
         seen, sealed = Seen(stamp=min(beacon.stamp, now), position=beacon.position), self._link.at_hand
         self.radio.place(sender, seen)

@@ -9,19 +9,19 @@ from itertools import chain
 import msgspec
 
 from llm_flock.arrays import Point
-from llm_flock.record import LARGEST_WHOLE, LlmEntry
+from llm_flock.record import MAX_INTEGER, LlmEntry
 from llm_flock_swarm._network.wire import RobotReport
 from llm_flock_swarm._zenoh import Allowance
 
-MOST_PLANS = 256  # most plans of which one robot tells the places, or the supplier: far more than an honest one knows
-LONGEST_ID = 64  # longest name of a plan
+MAX_PLANS = 256  # most plans of which one robot tells the places, or the supplier: far more than an honest one knows
+MAX_ID_LENGTH = 64  # longest name of a plan
 RECORDED = 512 * 1024  # events and calls of each robot that are taken [bytes/s]: records fit on disks
-MOST_LATENCIES = 16_384  # latest latencies of each robot that are kept
+MAX_LATENCIES = 16_384  # latest latencies of each robot that are kept
 
 
 def bounded(count: int) -> int:
     """A sum as far as records hold it."""
-    return min(count, LARGEST_WHOLE)
+    return min(count, MAX_INTEGER)
 
 
 class SelfReports:
@@ -50,19 +50,19 @@ class SelfReports:
         supplied = self._suppliers.setdefault(robot, {})
         for event in report.happened:
             plan_id = event.detail.get("plan")
-            if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > LONGEST_ID:
+            if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > MAX_ID_LENGTH:
                 continue
-            if len(supplied) < MOST_PLANS:
+            if len(supplied) < MAX_PLANS:
                 supplied[plan_id] = self._models[robot] if event.detail.get("by") == "model" else "geometry"
         for call in calls:
             self.calls += 1
             self.calls_failed += call.error is not None
             self.tokens = bounded(self.tokens + call.usage.input + call.usage.output)
-        self._latencies_s.setdefault(robot, deque(maxlen=MOST_LATENCIES)).extend(report.latencies_s)
+        self._latencies_s.setdefault(robot, deque(maxlen=MAX_LATENCIES)).extend(report.latencies_s)
 
     def take_places(self, robot: int, plan_id: str, places: tuple[Point, ...]) -> bool:
         """Keep the places of a plan, whose digest has been checked; whether they are news."""
-        if plan_id in self.places or self._told[robot] >= MOST_PLANS:
+        if plan_id in self.places or self._told[robot] >= MAX_PLANS:
             return False
         self._told[robot] += 1
         self.places[plan_id] = places

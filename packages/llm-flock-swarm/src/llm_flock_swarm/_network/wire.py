@@ -13,8 +13,8 @@ from llm_flock_swarm._signed.certificates import Signature
 
 WIRE_VERSION = 3
 
-MOST_EVENTS = 4096  # most events or calls in one report
-MOST_WORDS = 64  # most entries of a dictionary by origin or by reason
+MAX_EVENTS = 4096  # most events or calls in one report
+MAX_WORDS = 64  # most entries of a dictionary by origin or by reason
 Place: TypeAlias = tuple[Coordinate, ...]  # one position; its receiver checks the length [units; world frame]
 Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]  # a moment by the wall clock [s]
 
@@ -25,10 +25,10 @@ Slot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 
 Slots = Annotated[tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
-Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MOST_WORDS)]
-Amounts = Annotated[tuple[Amount, ...], msgspec.Meta(max_length=MOST_EVENTS)]
-Calls = Annotated[tuple[dict[str, Any], ...], msgspec.Meta(max_length=MOST_EVENTS)]
-Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MOST_WORDS)]
+Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MAX_WORDS)]
+Amounts = Annotated[tuple[Amount, ...], msgspec.Meta(max_length=MAX_EVENTS)]
+Calls = Annotated[tuple[dict[str, Any], ...], msgspec.Meta(max_length=MAX_EVENTS)]
+Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MAX_WORDS)]
 
 
 class Beacon(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
@@ -87,7 +87,7 @@ class ReportedEvent(msgspec.Struct, frozen=True):
     comm_round: Count | None = None
 
 
-Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MOST_EVENTS)]
+Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MAX_EVENTS)]
 
 
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rosbags.rosbag2 import Writer
 
 VERSION = 9  # of rosbag2's format: that of jazzy and later
-LATEST_S = 2.0**31  # times in a bag end before this: seconds of ROS are 32 bits [s since 1970]
+MAX_TIME_S = 2.0**31  # times in a bag end before this: seconds of ROS are 32 bits [s since 1970]
 Put = Callable[[str, str, int, object], None]  # takes the topic, type, time and content of a message
 
 
@@ -81,7 +81,7 @@ def _fill(found: RunRecord, config: Ros2Config, put: Put) -> None:
         entries[getattr(entry, "round", 0)].append(entry)
 
     def stamped(time_s: float) -> int:
-        if not 0 <= begin_ns / NS + time_s < LATEST_S:
+        if not 0 <= begin_ns / NS + time_s < MAX_TIME_S:
             raise RecordError(f"{found.path}: a time of {time_s:g} s has no place in a bag")
         return begin_ns + round(time_s * NS)
 
@@ -122,7 +122,7 @@ def _of_swarm(network: object) -> tuple[str, float]:
     """The name of a recorded swarm, and the time between two of its rounds [s]; those of other runs without one."""
     fields = cast("dict[str, object]", network) if isinstance(network, dict) else {}
     name, step_s = fields.get("swarm"), fields.get("step_s")
-    lasts_s = float(step_s) if isinstance(step_s, int | float) and 0.0 < step_s < LATEST_S else 1.0
+    lasts_s = float(step_s) if isinstance(step_s, int | float) and 0.0 < step_s < MAX_TIME_S else 1.0
     return name[:64] if isinstance(name, str) and name else "flock", lasts_s
 
 

@@ -31,7 +31,7 @@ from llm_flock_swarm._ros2.orders import (
     places_fields,
 )
 from llm_flock_swarm._ros2.sensors import SensedBodies
-from llm_flock_swarm._ros2.types import CLOCK, LATEST_NS, NS, POINTS, POSE, TEXT
+from llm_flock_swarm._ros2.types import CLOCK, MAX_STAMP_NS, NS, POINTS, POSE, TEXT
 from llm_flock_swarm._ros2.wire import Attachment
 
 Show = Callable[[SwarmConfig, Observer], None]  # begins to show a swarm that an observer follows
@@ -67,7 +67,7 @@ class Stamps:
         self._told_ns = 0
 
     def follow(self, stamp_ns: int) -> None:
-        self._told_ns = min(max(0, stamp_ns), LATEST_NS)
+        self._told_ns = min(max(0, stamp_ns), MAX_STAMP_NS)
 
     def of(self, wall_s: float) -> int:
         wall_ns = round(wall_s * NS)

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.extras import ExtraMissing
-from llm_flock_swarm._ros2.types import MOST_BYTES, from_cdr, prepare, to_cdr, type_hash
+from llm_flock_swarm._ros2.types import MAX_BYTES, from_cdr, prepare, to_cdr, type_hash
 from llm_flock_swarm._ros2.wire import PUBLISHER, SUBSCRIBER, Attachment, NodeName, gid_of, tokens_of, topic_key
-from llm_flock_swarm._zenoh import MOST_TOPICS, Allowance, open_session
+from llm_flock_swarm._zenoh import MAX_TOPICS, Allowance, open_session
 
 if TYPE_CHECKING:
     import zenoh
@@ -141,11 +141,11 @@ class Graph:
 
         def take(sample: zenoh.Sample) -> None:
             name = "/" + str(sample.key_expr).removeprefix(f"{self._domain}/").removesuffix(ending)
-            if name not in allowances and len(allowances) >= MOST_TOPICS:
+            if name not in allowances and len(allowances) >= MAX_TOPICS:
                 allowances.clear()
             if not allowances.setdefault(name, Allowance(rate)).spend(time.monotonic()):
                 refuse(name, MessageError("too_many", f"more than {rate:g} messages a second"))
-            elif len(sample.payload) > MOST_BYTES:
+            elif len(sample.payload) > MAX_BYTES:
                 refuse(name, MessageError("oversized", f"{len(sample.payload)} bytes"))
             elif not self._closed:
                 attached = b"" if sample.attachment is None else sample.attachment.to_bytes()

@@ -22,8 +22,8 @@ from llm_flock_swarm._ros2.wire import Attachment
 FRESH_S = 0.25  # oldest pose in a reading of the sensors [s]; without a younger one of every robot there is none
 LATE_S = 1.0  # poses that were sent longer ago, by both machines' clocks, are refused [s]
 LOST_S = 1.0  # who is silent for this long may be followed by another source; a body that lags for it stays [s]
-MOST_FAST = 2.0  # poses farther apart than a body flies at this many times its largest speed are not of one body
-MOST_BEHIND = 1.0  # control periods of flight that a body may be behind its end, and still gets a command
+MAX_SPEED_FACTOR = 2.0  # poses farther apart than a body flies at this many times its largest speed are not of one body
+MAX_BEHIND_PERIODS = 1.0  # control periods of flight that a body may be behind its end, and still gets a command
 
 
 @dataclass(slots=True)
@@ -73,11 +73,11 @@ class SensedBodies:
         if attached.gid == track.gid and attached.sequence <= track.sequence:
             raise MessageError("out_of_order", f"robot {robot}: number {attached.sequence} after {track.sequence}")
         moved = math.dist(position, track.position)
-        if moved > self._reach + MOST_FAST * self._speed * max(0.0, stamp_s - track.stamp_s) and not lost:
+        if moved > self._reach + MAX_SPEED_FACTOR * self._speed * max(0.0, stamp_s - track.stamp_s) and not lost:
             raise MessageError("jump", f"robot {robot}: {moved:.3g} units at once")
         track.gid, track.sequence, track.heard_s = attached.gid, attached.sequence, now
         track.stamp_s, track.position = stamp_s, position
-        if math.dist(position, track.end) <= MOST_BEHIND * self._reach:
+        if math.dist(position, track.end) <= MAX_BEHIND_PERIODS * self._reach:
             track.followed_s = now
         elif now - track.followed_s > LOST_S:
             track.end, track.followed_s = position, now
@@ -94,7 +94,7 @@ class SensedBodies:
             return False
         if len(order.origin) != len(track.end) or math.dist(order.origin, track.end) > SAME_POSITION:
             return False
-        if math.dist(track.position, track.end) > MOST_BEHIND * self._reach:
+        if math.dist(track.position, track.end) > MAX_BEHIND_PERIODS * self._reach:
             return False
         if math.dist(order.target, track.end) > self._reach * (1 + SAME_POSITION):
             return False

@@ -21,10 +21,12 @@ TEXT = "std_msgs/msg/String"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 USED = (CLOCK, DIAGNOSTICS, MARKERS, PATH, POINTS, POSE, TEXT, TRANSFORMS)  # every type sent, received or in bags
-MOST_BYTES = 1 << 20  # largest message that is read [bytes]
+MAX_BYTES = 1 << 20  # largest message that is read [bytes]
 
 NS = 1_000_000_000
-LATEST_NS = 2**31 * NS - 1  # latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign
+MAX_STAMP_NS = (
+    2**31 * NS - 1
+)  # latest time that a stamp can hold [ns]: its seconds have 32 bits, one of them for the sign
 
 
 @cache
@@ -61,7 +63,7 @@ def to_cdr(message: object, name: str) -> bytes:
 
 def from_cdr(data: bytes, name: str) -> Any:
     """The message that these bytes are; a MessageError `bad_cdr` or `oversized`."""
-    if len(data) > MOST_BYTES:
+    if len(data) > MAX_BYTES:
         raise MessageError("oversized", f"{len(data)} bytes")
     from rosbags.serde import SerdeError
 

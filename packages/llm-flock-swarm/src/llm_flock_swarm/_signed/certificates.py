@@ -20,8 +20,8 @@ from llm_flock.errors import MessageError
 from llm_flock.message import (
     BLOCKED,
     MAX_BID,
-    MOST_EPOCHS,
-    MOST_LOOKS,
+    MAX_EPOCHS,
+    MAX_LOOKS,
     NO_OWNER,
     BidEntry,
     Id,
@@ -209,9 +209,9 @@ class SignedPlan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, fr
     """A plan by its digest, with what else its proposer has signed about it (`origin_statement`)."""
 
     plan: Annotated[str, msgspec.Meta(max_length=16)]
-    epoch: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
+    epoch: Annotated[int, msgspec.Meta(ge=0, le=MAX_EPOCHS)]
     degree: Id
-    sequence: Annotated[int, msgspec.Meta(ge=0, le=MOST_EPOCHS)]
+    sequence: Annotated[int, msgspec.Meta(ge=0, le=MAX_EPOCHS)]
     signature: Signature
 
 
@@ -348,7 +348,7 @@ def plausible(context: Context, slot: int, entry: BidEntry, number: int) -> bool
     """Whether an honest robot could ever write such an entry."""
     version, bid, owner = entry
     if owner == NO_OWNER:
-        return 0.0 <= bid <= MOST_LOOKS
+        return 0.0 <= bid <= MAX_LOOKS
     if owner == BLOCKED:
         return bid == 0.0 and version > 0
     in_range = -MAX_BID <= bid <= 0.0 if version == 0 else bid == drawn_bid(context, slot, version, owner)

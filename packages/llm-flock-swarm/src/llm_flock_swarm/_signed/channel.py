@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from llm_flock.errors import MessageError
-from llm_flock.message import MOST_EPOCHS, Message, MissionStamp, Provenance, decode, without_plan
+from llm_flock.message import MAX_EPOCHS, Message, MissionStamp, Provenance, decode, without_plan
 from llm_flock.mission import Mission
 from llm_flock.protocol import Authorization, Channel, Inbound, Membership
 from llm_flock_swarm._signed.certificates import (
@@ -26,7 +26,7 @@ from llm_flock_swarm._signed.certificates import (
 from llm_flock_swarm._signed.equivocations import Equivocations
 from llm_flock_swarm._signed.evidence import Evidence
 
-MOST_PENDING = 3  # most signed heartbeats of one robot that are kept: what is heard counts at the next exchange
+MAX_PENDING = 3  # most signed heartbeats of one robot that are kept: what is heard counts at the next exchange
 REMEMBERED_ORIGINS = 1024  # most plan origins whose signatures are kept
 
 
@@ -50,7 +50,7 @@ class SignedChannel(Channel):
         self._authenticator = authenticator
         self._evidence = evidence
         self._membership = membership
-        self._most_epochs = MOST_EPOCHS if replans else 0
+        self._most_epochs = MAX_EPOCHS if replans else 0
         self._equivocations = Equivocations(authenticator)
         self._origins: dict[tuple[Provenance, str], bytes] = {}
         self._beats: dict[int, dict[int, bytes]] = {}
@@ -151,7 +151,7 @@ class SignedChannel(Channel):
                 found[j] = count, signature
         for j, (count, signature) in found.items():
             kept = {**self._beats.get(j, {}), count: signature}
-            self._beats[j] = dict(sorted(kept.items())[-MOST_PENDING:])
+            self._beats[j] = dict(sorted(kept.items())[-MAX_PENDING:])
         return tuple(found[j][0] if j in found else 0 for j in range(len(message.beats)))
 
     def seal(self, payload: bytes) -> bytes:

@@ -13,7 +13,7 @@ from llm_flock.message import UNSAID, BidEntry, BidTable
 from llm_flock.protocol import rank
 from llm_flock_swarm._signed.certificates import LastClaim, RestlessWord, most_exchanges
 
-MOST_DEPARTURES = 5
+MAX_DEPARTURES = 5
 """So often may a robot leave a place of a plan: an honest one may seem to, where news of who outbid it is lost.
 
 Where exchanges count, one that comes to nothing may look like a departure; then as many more as there are numbers for
@@ -88,7 +88,7 @@ class Departures:
         return robot in self._left
 
     def restless(self, places: int) -> Sequence[int]:
-        most = MOST_DEPARTURES + (most_exchanges(places) if self._exchanges else 0)
+        most = MAX_DEPARTURES + (most_exchanges(places) if self._exchanges else 0)
         return [robot for robot, left in self._left.items() if len(left) > most]
 
     def knows(self, robot: int, witness: int) -> bool:

@@ -12,7 +12,7 @@ from llm_flock_swarm._signed.certificates import LEFT, ReleaseGrant, WitnessStat
 Stated: TypeAlias = tuple[int, int, int]
 """Slot, version, and the `owner` of a witness's statement: NO_OWNER, BLOCKED, or `left_by` a robot."""
 
-MOST_PASSED_ON = 32  # most statements of others of one kind in one message; they take turns
+MAX_PASSED_ON = 32  # most statements of others of one kind in one message; they take turns
 
 T = TypeVar("T")
 
@@ -67,7 +67,7 @@ class Words:
 
 def in_turn(statements: Sequence[T], turn: int) -> tuple[T, ...]:
     """A few of the statements, others in each turn, so that all are passed on in the end."""
-    if len(statements) <= MOST_PASSED_ON:
+    if len(statements) <= MAX_PASSED_ON:
         return tuple(statements)
-    first = turn * MOST_PASSED_ON % len(statements)
-    return tuple(itertools.islice(itertools.cycle(statements), first, first + MOST_PASSED_ON))
+    first = turn * MAX_PASSED_ON % len(statements)
+    return tuple(itertools.islice(itertools.cycle(statements), first, first + MAX_PASSED_ON))

@@ -31,9 +31,9 @@ from llm_flock_swarm._signed.certificates import (
     word_statement,
     wrap,
 )
-from llm_flock_swarm._signed.departures import MOST_DEPARTURES, Departures
+from llm_flock_swarm._signed.departures import MAX_DEPARTURES, Departures
 from llm_flock_swarm._signed.evidence import Evidence
-from llm_flock_swarm._signed.words import MOST_PASSED_ON
+from llm_flock_swarm._signed.words import MAX_PASSED_ON
 
 N, TWO, PLACES = 7, 2, 4
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
@@ -44,7 +44,7 @@ RELEASED = ReleaseGrant(((0, b""), (1, b"")))
 def test_who_leaves_too_often_is_named_and_nobody_before(exchanges: bool) -> None:
     """Where exchanges count, those that come to nothing may look like departures."""
     departures = Departures(TWO + 1, exchanges=exchanges)
-    most = MOST_DEPARTURES + exchanges * most_exchanges(PLACES)
+    most = MAX_DEPARTURES + exchanges * most_exchanges(PLACES)
 
     def leaves(robot: int, slot: int, version: int) -> None:
         table = tuple((version - 1, -1.0, robot) if a == slot else UNSAID for a in range(PLACES))
@@ -171,7 +171,7 @@ def test_own_words_are_in_each_message_those_of_others_in_turn() -> None:
     content, _ = unwrap(team.comm_round()[0], N)
     message, others = decode(content, N, 2), set[int]()
     for said in [evidence.prove(message).restless for _ in range(3)]:
-        assert len(said) == 40 + MOST_PASSED_ON
+        assert len(said) == 40 + MAX_PASSED_ON
         assert {word.robot for word in said if word.witness == 0} == {*range(20, 60)}
         others |= {word.robot for word in said if word.witness == 5}
     assert others == {*range(20, 60)}
@@ -182,7 +182,7 @@ def test_nobody_is_blamed_by_who_may_hear_no_honest_robot() -> None:
     team, gang = settled_team()
     slot, *_ = claimed_in_secret(team, gang)
     evidence, table = evidence_of(team.agents[1]), tables(team)[1]
-    evidence._page.departures._left[6] = {(0, version) for version in range(MOST_DEPARTURES + 1)}
+    evidence._page.departures._left[6] = {(0, version) for version in range(MAX_DEPARTURES + 1)}
     for alive, stated in ((2 * TWO, NO_OWNER), (2 * TWO + 1, left_by(6))):
         evidence._page.words._said, evidence._page.departures._words = {}, {}
         evidence._page.departures._causes[slot, 0] = LastClaim(slot, 0, -1e-9, 6, 1, b"", None)

@@ -22,7 +22,7 @@ from llm_flock.events import (
     Decided,
     Planned,
 )
-from llm_flock.message import MOST_EPOCHS, MissionStamp, Provenance
+from llm_flock.message import MAX_EPOCHS, MissionStamp, Provenance
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._verification.validator import Validator
@@ -240,9 +240,9 @@ def test_the_last_epoch_of_all_can_be_withdrawn_too() -> None:
     team = SignedTeam(MISSION, line_up(N), gaps="replan")
     team.fly(2)
     liar, before = Liar(team), team.agents[0].provenance
-    team.fly(1, lambda: [plan_of(liar, 3, epoch=MOST_EPOCHS)])
+    team.fly(1, lambda: [plan_of(liar, 3, epoch=MAX_EPOCHS)])
     assert not any(agent._agreement.may_propose(N) for agent in team.agents)
-    team.fly(1, lambda: [plan_of(liar, 4, epoch=MOST_EPOCHS)])
+    team.fly(1, lambda: [plan_of(liar, 4, epoch=MAX_EPOCHS)])
     assert {agent.provenance for agent in team.agents} == {before} and team.settled()
     assert all(agent._agreement.may_propose(N) for agent in team.agents)
 

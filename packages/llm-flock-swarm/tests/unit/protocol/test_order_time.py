@@ -9,7 +9,7 @@ from llm_flock.errors import MessageError
 from llm_flock.events import MissionGiven, Note
 from llm_flock.message import (
     LATEST,
-    MOST_AHEAD_MS,
+    MAX_AHEAD_MS,
     Message,
     MissionStamp,
     OperatorClock,
@@ -40,7 +40,7 @@ def test_restarted_operator_goes_on_from_what_it_hears() -> None:
 
 def test_no_lie_about_the_time_sets_the_clock() -> None:
     clock = OperatorClock(lambda: NOW)
-    clock.witness(order_time(NOW + MOST_AHEAD_MS + 1))
+    clock.witness(order_time(NOW + MAX_AHEAD_MS + 1))
     clock.witness(2**59)
     assert clock.next() == order_time(NOW)
 

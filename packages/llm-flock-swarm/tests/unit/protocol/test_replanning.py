@@ -7,7 +7,7 @@ from driven_agent import LINE, PLAN, DrivenAgent, make, says
 
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._membership.team import MOST_WAIT, REPLAN_PATIENCE, Gaps
+from llm_flock.protocol._membership.team import MAX_WAIT, REPLAN_PATIENCE, Gaps
 
 
 @pytest.mark.parametrize(("robot", "waits"), [(0, 1), (2, 2)])
@@ -23,7 +23,7 @@ def test_the_living_robot_with_the_lowest_id_replans_first(robot: int, waits: in
     assert driven.asked[1].question.mission.n_places == 2
     # Robot 1 is silent from round 4 on; then the plan must not fit for more than REPLAN_PATIENCE rounds and a rank.
     assert driven.number == 4 + REPLAN_PATIENCE + waits
-    assert waits <= MOST_WAIT
+    assert waits <= MAX_WAIT
     assert driven.agent.provenance is not None and driven.agent.provenance.epoch == 1
 
 

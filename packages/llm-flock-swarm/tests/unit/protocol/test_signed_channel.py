@@ -14,8 +14,8 @@ from llm_flock.errors import MessageError
 from llm_flock.events import Broadcast, CommRoundBegan, CommRoundEnded, MissionGiven, Planned, RoundBegan
 from llm_flock.message import (
     BLOCKED,
-    MOST_EPOCHS,
-    MOST_LOOKS,
+    MAX_EPOCHS,
+    MAX_LOOKS,
     NO_OWNER,
     Message,
     MissionStamp,
@@ -27,7 +27,7 @@ from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
-from llm_flock.protocol._agreement.messaging import MOST_BAD_PLANS
+from llm_flock.protocol._agreement.messaging import MAX_BAD_PLANS
 from llm_flock.protocol._membership.team import with_visits
 from llm_flock.protocol._messages.channel import Authorization, _decoded
 from llm_flock.protocol._verification.plans import _verdict, check_plan
@@ -46,7 +46,7 @@ from llm_flock_swarm._signed.certificates import (
     word_statement,
     wrap,
 )
-from llm_flock_swarm._signed.channel import MOST_PENDING
+from llm_flock_swarm._signed.channel import MAX_PENDING
 from llm_flock_swarm._signed.evidence import Evidence
 
 MISSION = Mission(shape="circle", n_robots=5)
@@ -76,7 +76,7 @@ def test_a_true_plan_of_a_liar_is_a_plan(team: SignedTeam, liar: Liar) -> None:
     assert team.settled()
 
 
-@pytest.mark.parametrize(("epoch", "sequence"), [(MOST_EPOCHS + 1, 0), (1, 2), (2**40 - 1, 0)])
+@pytest.mark.parametrize(("epoch", "sequence"), [(MAX_EPOCHS + 1, 0), (1, 2), (2**40 - 1, 0)])
 def test_a_team_replans_a_bounded_number_of_times(epoch: int, sequence: int) -> None:
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
     team.fly(1)
@@ -130,10 +130,10 @@ def test_last_epoch_plan_yields_only_to_one_for_more_robots(places: int) -> None
     liar = Liar(team)
     team.fly(2)
     last = good_plan(MISSION.resized(places), 3)
-    lie = liar.says(plan=last, provenance=liar.provenance(epoch=MOST_EPOCHS), table=None)
+    lie = liar.says(plan=last, provenance=liar.provenance(epoch=MAX_EPOCHS), table=None)
     team.fly(25, lambda: [lie])
     ((plan, origin),) = {(agent.plan, agent.provenance) for agent in team.agents}
-    assert plan is not None and origin is not None and origin.epoch == MOST_EPOCHS
+    assert plan is not None and origin is not None and origin.epoch == MAX_EPOCHS
     assert len(plan) == max(places, 4) and (plan == last) == (places >= 4)
     assert team.settled() and team.counts("many_plans") == 0
     again = [agent.robot for agent in team.agents if agent._agreement.may_propose(6)]
@@ -156,20 +156,20 @@ def test_visits_are_counted_up_to_what_others_accept(team: SignedTeam) -> None:
     slot = agreement.claim.slot
     assert slot is not None and agreement.claim.table is not None
     table = list(agreement.claim.table)
-    table[slot] = (0, float(MOST_LOOKS), NO_OWNER)
+    table[slot] = (0, float(MAX_LOOKS), NO_OWNER)
     agreement.claim = msgspec.structs.replace(agreement.claim, table=tuple(table))
     agreement.claim = with_visits(agreement.claim, [slot])
-    assert (agreement.claim.table or ())[slot] == (0, float(MOST_LOOKS), NO_OWNER)
+    assert (agreement.claim.table or ())[slot] == (0, float(MAX_LOOKS), NO_OWNER)
 
 
 def test_bad_plans_are_verified_a_few_times_a_round(team: SignedTeam, liar: Liar) -> None:
     team.begin()
     lies = [
         liar.says(plan=Plan.of([(50.0, 50.0 + 0.01 * k)] * 5), provenance=liar.provenance(), table=None)
-        for k in range(3 * MOST_BAD_PLANS)
+        for k in range(3 * MAX_BAD_PLANS)
     ]
     reasons = [reason for lie in lies for reason in team.tell(0, lie, team.liar)]
-    assert reasons == MOST_BAD_PLANS * ["unverified_plan"] + 2 * MOST_BAD_PLANS * ["many_plans"]
+    assert reasons == MAX_BAD_PLANS * ["unverified_plan"] + 2 * MAX_BAD_PLANS * ["many_plans"]
 
 
 def test_signed_messages_fill_no_cache(team: SignedTeam, liar: Liar) -> None:
@@ -233,7 +233,7 @@ def test_refused_heartbeats_are_not_kept_and_few_of_others(team: SignedTeam, lia
     assert channel._beats[1] == kept
     for count in range(10**6, 10**6 + 50):
         assert tell(count, b"") == []
-    assert list(channel._beats[1]) == [10**6 + 50 - k for k in range(MOST_PENDING, 0, -1)]
+    assert list(channel._beats[1]) == [10**6 + 50 - k for k in range(MAX_PENDING, 0, -1)]
 
 
 def test_robot_can_neither_stop_nor_fake_heartbeats_of_others(team: SignedTeam, liar: Liar) -> None:

@@ -96,9 +96,9 @@ def view(
         reader = MissionReader(models[0], base_url)
     server = None
     if live_port is not None:
-        from llm_flock_view._foxglove.server import MOST_ROBOTS, FoxgloveServer
+        from llm_flock_view._foxglove.server import MAX_SERVED_ROBOTS, FoxgloveServer
 
-        server = FoxgloveServer(live_port, MOST_ROBOTS)
+        server = FoxgloveServer(live_port, MAX_SERVED_ROBOTS)
     address = listen(host, port, token)
     typer.echo(address.url)
     if server is not None:

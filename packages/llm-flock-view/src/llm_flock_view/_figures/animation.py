@@ -27,12 +27,12 @@ from llm_flock.record import PALETTE, RunRecord
 from llm_flock_view._figures.key import columns_of, key_of
 from llm_flock_view._figures.labels import size_of
 from llm_flock_view._figures.panel import Panel
-from llm_flock_view._figures.style import DANGER, MOST_TITLE, heading, house_style, line_colour, whole_file
+from llm_flock_view._figures.style import DANGER, MAX_TITLE, heading, house_style, line_colour, whole_file
 
 STEPS_A_ROUND = 4
 """Most frames of a round; robots fly straight between rounds, from rest to rest."""
 
-LARGEST_GIF = 2_000_000
+MAX_GIF_PIXELS = 2_000_000
 """A GIF that would be larger has fewer frames [bytes]."""
 
 FPS = 12
@@ -105,7 +105,7 @@ def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False)
         figure = Figure(figsize=(INCHES, tall), dpi=DPI)
         canvas = FigureCanvasAgg(figure)
         axes = figure.add_axes((0.09, below / tall, WIDTH, WIDTH * INCHES / tall))
-        title = one_line(heading(record, MOST_TITLE), 120)
+        title = one_line(heading(record, MAX_TITLE), 120)
         fits = 0.96 * INCHES * 72 / size_of(title, TITLE_POINTS)[0]
         figure.suptitle(title, y=1 - 0.09 / tall, va="top", fontsize=TITLE_POINTS * min(1.0, fits))
         figure.legend(
@@ -152,10 +152,10 @@ def _caption(record: RunRecord, k: int) -> str:
 
 
 def gif(record: RunRecord, fps: int = FPS) -> bytes:
-    """A record as an animated GIF, with as many frames a round as LARGEST_GIF has room for."""
+    """A record as an animated GIF, with as many frames a round as MAX_GIF_PIXELS has room for."""
     for steps in (STEPS_A_ROUND, 2, 1):
         data = _gif(record, fps * steps / STEPS_A_ROUND, steps)
-        if len(data) <= LARGEST_GIF:
+        if len(data) <= MAX_GIF_PIXELS:
             break
     return data
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from llm_flock.printable import one_line
 from llm_flock_view._figures.style import FAINT, GRID, INK, LINES, MARKERS, SERIES, house_style
 
-MOST_COLUMNS = 4
+MAX_COLUMNS = 4
 DPI = 160
 LETTER_INCHES = 0.062
 """Width of a letter of a tick label, about."""
@@ -186,7 +186,7 @@ def _panels(
     panels: Sequence[Facet], series: Sequence[str], width: tuple[float, float], height: tuple[float, float]
 ) -> tuple[Figure, list[Axes]]:
     """A figure with titled panels, four in a row at most; sizes are those beside all panels, and of each [inches]."""
-    columns = min(MOST_COLUMNS, len(panels))
+    columns = min(MAX_COLUMNS, len(panels))
     lines = math.ceil(len(panels) / columns)
     figure = new_figure(
         max(5.2, width[0] + width[1] * columns), height[0] + height[1] * lines + legend_inches(series, columns)
@@ -222,7 +222,7 @@ def _finish(
         handles.append(Line2D([], [], color=look.colour, label=shortened(name, 44), **style))
     if band:
         handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
-    columns = legend_columns(series, min(MOST_COLUMNS, columns))
+    columns = legend_columns(series, min(MAX_COLUMNS, columns))
     figure.legend(handles=handles, loc="outside upper center", ncols=columns)
 
 

@@ -24,7 +24,7 @@ APART = 1.6
 ROOM = 7.0
 """Between the middle of a crowd and its discs, for the number in it [points]."""
 
-LEAST_ROOM = 6.0
+MIN_ROOM = 6.0
 """Room without which the number of a crowd is left out [points]."""
 
 PASSES = 4
@@ -59,7 +59,7 @@ def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float6
         for i, k in np.argwhere(_gaps(at, middles) < radius + ROOM):
             at[i] += _aside(at[i] - middles[k], radius + ROOM)
     alone = _gaps(middles, middles) + np.diag(np.full(len(middles), np.inf)) > 2 * ROOM
-    clear = _gaps(middles, at) > radius + LEAST_ROOM
+    clear = _gaps(middles, at) > radius + MIN_ROOM
     free = [bool(a.all() and b.all()) for a, b in zip(alone, clear, strict=True)]
     return at, [Crowd(members, middles[k], middles[k] if free[k] else None) for k, members in enumerate(crowds)]
 

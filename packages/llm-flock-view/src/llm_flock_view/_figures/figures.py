@@ -54,7 +54,7 @@ BETWEEN_INCHES = 0.3
 ROWS, ROW_INCHES = 2, 0.17
 """Rows of a legend for which there is room anyway, and the height of each further one."""
 
-MOST_LABEL = 100
+MAX_LABEL = 100
 """Longest label of a curve [characters]."""
 
 UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
@@ -237,7 +237,7 @@ def _curves(axes: Axes, groups: dict[str, list[Column]]) -> None:
             markeredgecolor=INK,
             markeredgewidth=0.4,
             linewidth=1.4,
-            label=one_line(label, MOST_LABEL) + many,
+            label=one_line(label, MAX_LABEL) + many,
         )
         if len(curves) > 1:
             axes.fill_between(rounds, low, high, color=colour, alpha=0.2, linewidth=0)

@@ -25,14 +25,14 @@ from llm_flock_view._figures.style import DANGER, FAINT, INK, NOT_BEGUN, PAPER, 
 
 Looks: TypeAlias = Sequence[PlanLook]
 
-MOST_LABELLED = 30
-SMALLEST_LABELLED = 6.5
+MAX_LABELLED = 30
+MIN_LABELLED = 6.5
 """With more robots, or smaller discs [points], words are left out: there is no room for them."""
 
 DISC_SHARE = 0.62
 """Diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart."""
 
-MOST_OF = 0.7
+MAX_VIEW_SHARE = 0.7
 """A team that takes more of the view than this share is not shown any closer."""
 
 ROOM = (1.5, 2.1)
@@ -71,7 +71,7 @@ class Panel:
         spacing = float(record.mission.mission["spacing"]) * self._scale
         self._disc = max(3.5, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
-        self.labelled = n <= MOST_LABELLED and self._disc >= SMALLEST_LABELLED
+        self.labelled = n <= MAX_LABELLED and self._disc >= MIN_LABELLED
         self.mapped = False
         self._path = record.positions[:, :, :2]
         self._offsets: dict[int, tuple[float, float] | None] = {}
@@ -358,7 +358,7 @@ def close_up(record: RunRecord, round_number: int) -> Box | None:
     for room in ROOM:
         half, up = room * wide / 2, tall * room * wide / 2
         window = (x - half, x + half, y - up, y + up)
-        if 2.0 * half > MOST_OF * (whole[1] - whole[0]):
+        if 2.0 * half > MAX_VIEW_SHARE * (whole[1] - whole[0]):
             break
         if room == ROOM[-1] or _corner(points, window)[1] > 0.0:
             return window

@@ -21,7 +21,7 @@ TIMELINE = "round"
 TRAIL = 24
 """Longest trail [rounds]."""
 
-MOST_LINE = 400
+MAX_LINE_LENGTH = 400
 """Longest line of the log [characters]."""
 
 FIGURES = ("procrustes_mean", "plans_in_use", "distinct_goals", "robots_at_goal", "segment_separation", "model_calls")
@@ -76,7 +76,7 @@ def _write(record: RunRecord, stream: Any) -> None:
     for event in record.events:
         stream.set_time(TIMELINE, sequence=event.round)
         details = ", ".join(f"{name} {value}" for name, value in event.detail.items() if value is not None)
-        stream.log("events", rr.TextLog(one_line(f"robot {event.robot}: {event.kind} {details}", MOST_LINE)))
+        stream.log("events", rr.TextLog(one_line(f"robot {event.robot}: {event.kind} {details}", MAX_LINE_LENGTH)))
 
 
 def _blueprint() -> Any:

@@ -86,7 +86,7 @@ class PlanLook:
     rim: str
 
 
-MOST_TITLE = 400
+MAX_TITLE = 400
 """Longest title [characters]."""
 
 WITHOUT_PLAN = PlanLook(name="", fill=NO_PLAN, line=FAINT, ink=INK, rim=":")
@@ -154,7 +154,7 @@ def shapes(record: RunRecord) -> str:
 
 
 def fitted(text: str, inches: float) -> str:
-    return textwrap.fill(one_line(text, MOST_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
+    return textwrap.fill(one_line(text, MAX_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 
 def model_names(records: Sequence[RunRecord]) -> str:

@@ -44,10 +44,10 @@ ARENA, TRAILS, LOG = "/arena", "/trails", "/log"
 TRAIL = 24
 """Longest trail [rounds]."""
 
-MOST_TRAIL_POINTS = 6000
+MAX_TRAIL_POINTS = 6000
 """Points of all trails in one message: large teams have shorter ones."""
 
-MOST_DETAIL = 300
+MAX_DETAIL = 300
 """Longest line of the log [characters]."""
 
 OBSTACLE_HEIGHT = 1.0
@@ -126,7 +126,7 @@ class ChannelWriter:
     def _moved(self, state: State) -> Iterator[ChannelMessage]:
         points = [xyz(row) for row in state.positions]
         if not self._trails:
-            longest = max(2, min(TRAIL, MOST_TRAIL_POINTS // len(points)))
+            longest = max(2, min(TRAIL, MAX_TRAIL_POINTS // len(points)))
             self._trails = [deque(maxlen=longest) for _ in points]
         time = {"sec": state.round, "nsec": 0}
         lines: list[dict[str, Any]] = []
@@ -186,7 +186,7 @@ def _log(event: ProtocolEvent | FlightEvent) -> bytes:
     line = {
         "timestamp": {"sec": event.round, "nsec": 0},
         "level": _WARNING if event.kind in _WARNINGS else _INFO,
-        "message": one_line(text, MOST_DETAIL),
+        "message": one_line(text, MAX_DETAIL),
         "name": who,
         "file": "",
         "line": 0,

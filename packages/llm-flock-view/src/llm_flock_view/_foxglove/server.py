@@ -29,7 +29,7 @@ KEPT = frozenset({"/run", "/mission", "/plan", "/summary", ARENA, SCENE_TOPIC, T
 BACKLOG = 256
 """Messages that wait for a slow client; three of each robot more. Then the oldest are dropped."""
 
-MOST_ROBOTS = 250
+MAX_SERVED_ROBOTS = 250
 """Team size for which a server is made whose runs are not known yet."""
 
 LINGER_S = 0.5

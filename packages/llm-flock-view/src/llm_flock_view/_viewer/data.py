@@ -21,11 +21,11 @@ DECIMALS = 3
 BENT = frozenset({"clipped", "shield", "yield", "detour", "geometry"})
 """Origins of waypoints that differ from what the model asked for."""
 
-MOST_FRAMES = 256
-MOST_EVENTS = 100
+MAX_FRAMES = 256
+MAX_EVENTS = 100
 """Most events of a round that are listed."""
 
-MOST_WORDS, LONGEST_TOLD = 400, 4_000
+MAX_WORDS, MAX_TOLD_LENGTH = 400, 4_000
 """Longest event in a page that holds its run, and in the viewer [characters]."""
 
 LARGEST = 10_000_000
@@ -63,7 +63,7 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         case "prompt":
             return to_json(prompt(run.history, number("robot"), number("round"), number("call")))
         case "events":
-            return to_json(event_lines(run.history, number("round"), LONGEST_TOLD))
+            return to_json(event_lines(run.history, number("round"), MAX_TOLD_LENGTH))
         case "about":
             return to_json(about(run))
         case "news":
@@ -115,8 +115,8 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
 
 
 def frames(run: RunHistory, first: int, count: int) -> list[dict[str, Any]]:
-    """The robots in at most MOST_FRAMES rounds; fewer where the run has fewer."""
-    end = min(first + min(count, MOST_FRAMES), run.rounds + 1)
+    """The robots in at most MAX_FRAMES rounds; fewer where the run has fewer."""
+    end = min(first + min(count, MAX_FRAMES), run.rounds + 1)
     return [_frame(run, run.states[k]) for k in range(max(0, first), end)]
 
 
@@ -139,10 +139,10 @@ def _frame(run: RunHistory, state: State) -> dict[str, Any]:
     }
 
 
-def event_lines(run: RunHistory, number: int, most: int = MOST_WORDS) -> dict[str, Any]:
-    """At most MOST_EVENTS events of a round: robot, and a sentence of at most `most` letters without its subject."""
+def event_lines(run: RunHistory, number: int, most: int = MAX_WORDS) -> dict[str, Any]:
+    """At most MAX_EVENTS events of a round: robot, and a sentence of at most `most` letters without its subject."""
     listed = tuple(run.events.get(number, ()))
-    lines = [[f"robot {event.robot}", sentence(in_words(event, run.plan_name), most)] for event in listed[:MOST_EVENTS]]
+    lines = [[f"robot {event.robot}", sentence(in_words(event, run.plan_name), most)] for event in listed[:MAX_EVENTS]]
     return {"round": number, "total": len(listed), "lines": lines}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, cast
 
-from llm_flock.record import MOST_PLACES, ProtocolEvent, counted, robots_text
+from llm_flock.record import MAX_PLACES, ProtocolEvent, counted, robots_text
 
 LARGEST = 1e12
 """Numbers from here on are not shortened: a record may hold any."""
@@ -248,7 +248,7 @@ def _place(before: str, at: object) -> str:
 
 def _places(slots: Sequence[object]) -> str:
     """Places by number, twelve at most."""
-    some = ", ".join(map(str, slots[:MOST_PLACES])) + (", …" if len(slots) > MOST_PLACES else "")
+    some = ", ".join(map(str, slots[:MAX_PLACES])) + (", …" if len(slots) > MAX_PLACES else "")
     return f"place{'s' if len(slots) != 1 else ''} {some}"
 
 

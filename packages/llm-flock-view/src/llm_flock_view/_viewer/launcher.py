@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 NEEDS_A_MODEL = (
     "This needs a language model: start the viewer with --model PROVIDER:MODEL. The form above works without."
 )
-MOST_RUNS = 4
+MAX_RUNS = 4
 """Runs that fly at the same time: they share the processor with the pages."""
 
 
@@ -68,9 +68,9 @@ class Launcher:
         chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
         configs = [config_of(each, self.models) for each in chosen]
         flying = sum(not run.over for run in self.runs.values())
-        if flying + len(configs) > MOST_RUNS:
+        if flying + len(configs) > MAX_RUNS:
             asked = f"{len(configs)} more than {flying}"
-            raise InputError("run", asked, f"at most {MOST_RUNS} at once: end some of them first")
+            raise InputError("run", asked, f"at most {MAX_RUNS} at once: end some of them first")
         return [self._launch(config, pace) for config in configs]
 
     def _launch(self, config: RunConfig, pace: float) -> SteeredRun:

@@ -12,7 +12,7 @@ from llm_flock.printable import printable
 from llm_flock.record import SILENT, LlmEntry, RunHistory, begun, verdict
 from llm_flock_view._viewer.events import breaker_text
 
-MOST_CLAIMS = 30
+MAX_CLAIMS = 30
 
 USUAL = "idle"
 """Phase between two rounds; any other is told."""
@@ -73,7 +73,7 @@ def mind(run: RunHistory, robot: int, number: int) -> dict[str, Any] | None:
                 f"{claim.influence:.2f}",
                 f"{claim.distance:.1f}" + (" · wants the same place" if claim.rival else ""),
             ]
-            for claim in found[:MOST_CLAIMS]
+            for claim in found[:MAX_CLAIMS]
         ],
     }
 

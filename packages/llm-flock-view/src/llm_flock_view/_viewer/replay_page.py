@@ -20,12 +20,12 @@ from llm_flock.printable import one_line
 from llm_flock.record import LlmEntry, RecordStream
 from llm_flock_view._figures.style import whole_file
 from llm_flock_view._viewer.canvases import CHARTS, player_options
-from llm_flock_view._viewer.data import MOST_FRAMES, about, event_lines, frames, news
+from llm_flock_view._viewer.data import MAX_FRAMES, about, event_lines, frames, news
 from llm_flock_view._viewer.page import PAGE, PLAYER, as_data, bundle, css
 from llm_flock_view._viewer.paths import title_of
 from llm_flock_view._viewer.recording import Recording
 
-MOST_ROBOT_ROUNDS = 200_000
+MAX_ROBOT_ROUNDS = 200_000
 """Most robots times rounds of a page."""
 
 
@@ -53,8 +53,8 @@ def write_page(record: Path, target: Path) -> int:
 def page(run: Recording) -> str:
     history = run.history
     size = history.n_robots * (history.rounds + 1)
-    if size > MOST_ROBOT_ROUNDS:
-        most = MOST_ROBOT_ROUNDS // history.n_robots
+    if size > MAX_ROBOT_ROUNDS:
+        most = MAX_ROBOT_ROUNDS // history.n_robots
         raise InputError("rounds", history.rounds, f"at most {most} for a page of {history.n_robots} robots")
     script, style = bundle(PLAYER), css()
     policy = (
@@ -77,8 +77,8 @@ def _content(run: Recording) -> dict[str, Any]:
     """The run as a page asks for it. Conversations are left out: they are most of a record."""
     kept: list[dict[str, Any]] = []
     history = run.history
-    for first in range(0, history.rounds + 1, MOST_FRAMES):
-        kept += frames(history, first, MOST_FRAMES)
+    for first in range(0, history.rounds + 1, MAX_FRAMES):
+        kept += frames(history, first, MAX_FRAMES)
     return {
         "about": {**about(run), "export": False},
         "news": {**news(run, 0, 0, 0), "open": False},

@@ -10,7 +10,7 @@ from llm_flock_view._figures.style import plan_look
 from llm_flock_view._viewer.outcome import outcome, protocol_name
 from llm_flock_view._viewer.recording import Recording, in_unit_square
 
-MOST_DOTS = 250
+MAX_DOTS = 250
 """Most robots of a thumbnail."""
 
 FIGURES: tuple[tuple[str, str], ...] = (
@@ -69,7 +69,7 @@ def _thumbnail(run: RunHistory) -> list[list[Any]]:
     """Places from 0 to 1 within the team's own width, and a colour, of each robot in the last round."""
     state = run.states[run.rounds]
     colours = ("#9a9a9a" if plan is None else plan_look(run.plan_numbers[plan]).fill for plan in state.plan_ids)
-    return [[x, y, colour] for (x, y), colour in zip(in_unit_square(state.positions), colours, strict=True)][:MOST_DOTS]
+    return [[x, y, colour] for (x, y), colour in zip(in_unit_square(state.positions), colours, strict=True)][:MAX_DOTS]
 
 
 def _number(value: object) -> float | None:

@@ -14,7 +14,7 @@ from urllib.parse import quote
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import hidden
 
-SHORTEST_TOKEN = 16
+MIN_TOKEN_LENGTH = 16
 """Fewest characters of a token."""
 
 
@@ -62,8 +62,8 @@ class Address:
 
 def listen(host: str, port: int, token: str | None) -> Address:
     """Open the port early, so that a browser waits instead of failing. Other than a loopback address needs a token."""
-    if token is not None and (len(token) < SHORTEST_TOKEN or hidden(token) is not None):
-        raise InputError("token", None, f"{SHORTEST_TOKEN} characters or more, all of them visible")
+    if token is not None and (len(token) < MIN_TOKEN_LENGTH or hidden(token) is not None):
+        raise InputError("token", None, f"{MIN_TOKEN_LENGTH} characters or more, all of them visible")
     if token is None and not is_loopback(host):
         token = secrets.token_urlsafe(24)
     sock = None

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
-MOST_MESSAGE = 100_000
+MAX_MESSAGE = 100_000
 """Longest message that is shown of a conversation [characters]; the record has all of it."""
 
 
@@ -185,8 +185,8 @@ def note_replaced(path: Path) -> None:
 
 def _start(text: str) -> str:
     """A message of a conversation, cut where nobody reads on."""
-    more = len(text) - MOST_MESSAGE
-    return printable(text[:MOST_MESSAGE]) + (f"\n... and {more:,} more characters" if more > 0 else "")
+    more = len(text) - MAX_MESSAGE
+    return printable(text[:MAX_MESSAGE]) + (f"\n... and {more:,} more characters" if more > 0 else "")
 
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import httpx2
 from pydantic_ai.models import Model
 
-MOST_ANSWER_BYTES = 2 << 20
+MAX_ANSWER_BYTES = 2 << 20
 """Largest body of a response that is read [bytes]: more than twice the longest answers of today's models. Read as JSON,
 it can take sixty times as much memory."""
 
@@ -26,8 +26,8 @@ class _Bounded(httpx2.AsyncByteStream):
         read = 0
         async for chunk in self._body:
             read += len(chunk)
-            if read > MOST_ANSWER_BYTES:
-                raise httpx2.DecodingError(f"the response is larger than {MOST_ANSWER_BYTES >> 20} MiB")
+            if read > MAX_ANSWER_BYTES:
+                raise httpx2.DecodingError(f"the response is larger than {MAX_ANSWER_BYTES >> 20} MiB")
             yield chunk
 
     async def aclose(self) -> None:
@@ -48,7 +48,7 @@ async def _bound(response: httpx2.Response) -> None:
 def new_http_client() -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
 
-    A response has at most `MOST_ANSWER_BYTES`, and is not compressed: a few kilobytes can unpack to gigabytes.
+    A response has at most `MAX_ANSWER_BYTES`, and is not compressed: a few kilobytes can unpack to gigabytes.
     """
     return httpx2.AsyncClient(
         limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),

@@ -29,7 +29,7 @@ ROOMS: tuple[tuple[float, Room], ...] = ((1.5, "tight"), (2.5, "wide"), (math.in
 NO_WISH = "None."
 """The wish of a mission that has none."""
 
-LONGEST_WISH = 200
+MAX_WISH_LENGTH = 200
 """Longest wish [characters]: it is read with every question."""
 
 _LETTER = re.compile(rf"\s*([{''.join(get_args(Letter))}])\b")
@@ -94,8 +94,8 @@ def ways_text(ways: Sequence[LetterWay]) -> str:
 def check_wish(wish: str) -> str:
     """A wish without spaces around it; InputError for field `wish` if it is too long, or of several lines."""
     short = wish.strip()
-    if len(short) > LONGEST_WISH or not short.isprintable():
-        raise InputError("wish", wish, f"one line of at most {LONGEST_WISH} characters")
+    if len(short) > MAX_WISH_LENGTH or not short.isprintable():
+        raise InputError("wish", wish, f"one line of at most {MAX_WISH_LENGTH} characters")
     return short
 
 

@@ -48,10 +48,10 @@ class CallSettings:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-MOST_TOKENS = 10**9
+MAX_TOKENS = 10**9
 """Most tokens that are believed of one call, in each direction: sums of calls have room in a record."""
 
-Count: TypeAlias = Annotated[int, Field(ge=0, le=MOST_TOKENS)]
+Count: TypeAlias = Annotated[int, Field(ge=0, le=MAX_TOKENS)]
 Amount: TypeAlias = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 CHECKED = ConfigDict(strict=True, revalidate_instances="always")
 """How pydantic checks what code or files of others hold, where it is asked to."""
@@ -69,8 +69,8 @@ class Usage:
 
     @classmethod
     def reported(cls, tokens_in: int, tokens_out: int, cached: int = 0) -> Usage:
-        """What a provider says that one call took, kept within 0 and `MOST_TOKENS`: it may say anything."""
-        read, written, known = (min(max(0, count), MOST_TOKENS) for count in (tokens_in, tokens_out, cached))
+        """What a provider says that one call took, kept within 0 and `MAX_TOKENS`: it may say anything."""
+        read, written, known = (min(max(0, count), MAX_TOKENS) for count in (tokens_in, tokens_out, cached))
         return cls(input=read, output=written, cached=known)
 
     def __add__(self, other: Usage) -> Usage:

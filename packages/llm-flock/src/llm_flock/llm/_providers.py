@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from llm_flock.llm._port import CallSettings, FrameName, LanguageModel
     from llm_flock.planner import PlanQuestion
 
-LONGEST_URL = 2_000
+MAX_URL_LENGTH = 2_000
 """Longest address of a provider [characters]."""
 
 ModelKind: TypeAlias = Literal["provider", "plugin", "simulated", "replay", "geometry", "own"]
@@ -188,8 +188,8 @@ def check_url(url: str) -> str:
         host, secret, port = parts.hostname, parts.username or parts.password, parts.port
     except ValueError:
         raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...") from None
-    if len(url) > LONGEST_URL or hidden(url) is not None:
-        raise InputError("base_url", url, f"at most {LONGEST_URL} letters that everybody sees")
+    if len(url) > MAX_URL_LENGTH or hidden(url) is not None:
+        raise InputError("base_url", url, f"at most {MAX_URL_LENGTH} letters that everybody sees")
     if secret:
         raise InputError("base_url", f"{parts.scheme}://...@{host}", "an address without a user name or password")
     if parts.query or parts.fragment:

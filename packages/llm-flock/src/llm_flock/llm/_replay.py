@@ -25,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 VERSION = 1
 HEADER = "llm_flock_cassette"
-LONGEST_LINE = 1 << 26
+MAX_LINE_LENGTH = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
 
 
@@ -167,10 +167,10 @@ class ReplayModel(_Cassette):
     def _index(self) -> dict[tuple[int, int, int], int]:
         """Byte offset of every attempt; checks the whole file, line by line."""
         offsets: dict[tuple[int, int, int], int] = {}
-        self._check_header(self._file.readline(LONGEST_LINE))
-        for number, raw in enumerate(iter(lambda: self._file.readline(LONGEST_LINE), b""), start=2):
-            if len(raw) == LONGEST_LINE:
-                raise RecordError(f"{self._path}, line {number}: damaged: a line of {LONGEST_LINE} bytes or more")
+        self._check_header(self._file.readline(MAX_LINE_LENGTH))
+        for number, raw in enumerate(iter(lambda: self._file.readline(MAX_LINE_LENGTH), b""), start=2):
+            if len(raw) == MAX_LINE_LENGTH:
+                raise RecordError(f"{self._path}, line {number}: damaged: a line of {MAX_LINE_LENGTH} bytes or more")
             try:
                 line = CassetteLine.model_validate_json(raw)
             except ValidationError as error:

@@ -20,7 +20,7 @@ QuestionKind: TypeAlias = Literal["plan", "step"]
 THRESHOLD = 2  # refused questions in a row, each asked again with the reason, that open a closed breaker
 RECOVERY = 0.25  # part of a refusal that a usable answer makes up for: four make up for one
 FIRST_WAIT = 2  # rounds from the opening of a breaker to the first probe; each refused probe doubles the wait
-LONGEST_WAIT = 64  # longest wait for a probe [rounds]
+MAX_WAIT_ROUNDS = 64  # longest wait for a probe [rounds]
 
 
 class BreakerState(StrEnum):
@@ -77,7 +77,7 @@ class CircuitBreaker:
         if not self._enabled:
             return []
         if self.state is BreakerState.HALF_OPEN or (self._doubted and not self.is_open):
-            self._wait = min(2 * self._wait, LONGEST_WAIT)
+            self._wait = min(2 * self._wait, MAX_WAIT_ROUNDS)
         elif self._score < THRESHOLD:
             return []
         self.state, self._doubted = BreakerState.OPEN, False

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
 REACH = 1.5  # a hop of at most this many spacings counts as long as it is, one k times as long k times its length
-MOST_PLACES = 256  # in larger plans the straight line is used: finding other paths takes the cube of their number
+MAX_PLACES = 256  # in larger plans the straight line is used: finding other paths takes the cube of their number
 FAR = 3.0  # a goal this many spacings away is approached along the formation, in stages of at most this length
 ACROSS = 8.0  # a robot in touch flies straight, unless its goal is this many spacings away: it would be alone for long
 NO_WAY = 1e6  # length that stands for a way that does not exist [units]: longer than any other
@@ -49,7 +49,7 @@ def path_lengths(
     here: Point, plan: Plan, slots: Iterable[int], spacing: float, roadmap: Roadmap | None = None
 ) -> list[float]:
     """Lengths of the cheapest paths from `here` to the places of some slots [units; frame of the plan]."""
-    if len(plan.points) > MOST_PLACES:
+    if len(plan.points) > MAX_PLACES:
         return ways_to(here, plan, slots, roadmap)
     every = _by_places(here, plan, spacing, roadmap)
     return [every[a] for a in slots]
@@ -64,7 +64,7 @@ def next_stop(
     here: Point, plan: Plan, slot: int, center: Point, spacing: float, roadmap: Roadmap | None = None
 ) -> Point | None:
     """The stop on the path to a far place, beside a place ahead [units; frame of the plan]; None to fly straight."""
-    if len(plan) > MOST_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
+    if len(plan) > MAX_PLACES or math.dist(here, plan.points[slot]) <= FAR * spacing:
         return None
     left = _between(plan, spacing, roadmap)[slot]
     counted = _hops(here, plan, spacing, roadmap) + left

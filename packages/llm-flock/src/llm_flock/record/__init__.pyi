@@ -19,8 +19,8 @@ from ._scene import xyz as xyz
 from ._schema import ASLEEP as ASLEEP
 from ._schema import CHANNELS as CHANNELS
 from ._schema import DEAD as DEAD
-from ._schema import LARGEST_WHOLE as LARGEST_WHOLE
 from ._schema import MAGIC as MAGIC
+from ._schema import MAX_INTEGER as MAX_INTEGER
 from ._schema import RECORD_NAME as RECORD_NAME
 from ._schema import ROUND_NS as ROUND_NS
 from ._schema import SCENE_TOPIC as SCENE_TOPIC
@@ -43,7 +43,7 @@ from ._schema import State as State
 from ._schema import SummaryMessage as SummaryMessage
 from ._schema import channel_schema as channel_schema
 from ._stream import RecordStream as RecordStream
-from ._words import MOST_PLACES as MOST_PLACES
+from ._words import MAX_PLACES as MAX_PLACES
 from ._words import NO_PLAN as NO_PLAN
 from ._words import PALETTE as PALETTE
 from ._words import begun as begun

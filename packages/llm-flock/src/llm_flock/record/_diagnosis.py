@@ -14,12 +14,12 @@ from typing import Any, NamedTuple, cast
 
 from llm_flock.record._history import CallCounts, RunHistory
 from llm_flock.record._schema import DEAD, SILENT, LlmEntry
-from llm_flock.record._words import MOST_PLACES, begun, counted, robots_text, sentence
+from llm_flock.record._words import MAX_PLACES, begun, counted, robots_text, sentence
 
 AT_GOAL, IN_SHAPE = 0.05, 0.1
 """As shares of the spacing, as in `llm_flock.metrics`, whose libraries load too slowly for a first page."""
 
-MOST_TOLD = 3
+MAX_TOLD = 3
 """Most groups of robots, plans, and causes that are told."""
 
 
@@ -58,11 +58,11 @@ def diagnose(run: RunHistory) -> Diagnosis:
         only = fact or Cause("By the record, nothing was wrong in the last round.", round=run.rounds)
         return Diagnosis((only,), only.robots, look)
     robots = tuple(dict.fromkeys(robot for cause in found for robot in cause.robots))
-    told = found[:MOST_TOLD]
+    told = found[:MAX_TOLD]
     if not end.settles and end.quarrel(robots):
         others = "The other robots did not agree either" if robots else "The robots did not agree"
         told.append(Cause(f"{others}, {'for' if end.alone else 'by'} {end.rules}.", round=run.rounds))
-    elif fact is not None and len(told) < MOST_TOLD and not (fact.robots and {*fact.robots} <= {*robots}):
+    elif fact is not None and len(told) < MAX_TOLD and not (fact.robots and {*fact.robots} <= {*robots}):
         told.append(fact)
     return Diagnosis(tuple(told), robots, look)
 
@@ -71,7 +71,7 @@ def deaths_text(run: RunHistory) -> str:
     """Who is dead in the last round, and when they died; empty if all are alive."""
     dead = _dead_robots(run)
     rounds = sorted({run.died[robot] for robot in dead if robot in run.died})
-    when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MOST_PLACES]))}" if rounds else ""
+    when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MAX_PLACES]))}" if rounds else ""
     return f"{robots_text(dead)} died{when}" if dead else ""
 
 
@@ -131,7 +131,7 @@ class _LastRound:
     def models(self, robots: Sequence[int]) -> str:
         """The models of some robots, by their names where the record has them."""
         names = dict.fromkeys(self.run.tallies[robot].model for robot in robots if robot in self.run.tallies)
-        some = ", ".join([name for name in names if name][:MOST_TOLD])
+        some = ", ".join([name for name in names if name][:MAX_TOLD])
         return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
 
     def rules_failed(self) -> str:
@@ -165,8 +165,8 @@ class _LastRound:
             if not self.alone:
                 why = "it holds another plan than most" if self.most else "few others hold its plan"
                 robots = self.strays if self.most else ()
-                told = [f"{robots_text(held)} had plan {name}" for name, held in self.groups[:MOST_TOLD]]
-                told += ["and so on"] if len(self.groups) > MOST_TOLD else []
+                told = [f"{robots_text(held)} had plan {name}" for name, held in self.groups[:MAX_TOLD]]
+                told += ["and so on"] if len(self.groups) > MAX_TOLD else []
                 held = f"{robots_text(self.strays)} held another than most" if self.most else "; ".join(told)
                 text = f"The team did not agree: {text}; {held}"
             text, look = f"{text}.", (asked, why)
@@ -194,7 +194,7 @@ class _LastRound:
             f"Robot {robot} was accused of sending what no honest robot sends: {reason}"
             for robot, reason in sorted(self.run.accused.items())
         ]
-        return Cause(". ".join(told[:MOST_TOLD]) + ".", tuple(sorted(self.run.accused))) if told else None
+        return Cause(". ".join(told[:MAX_TOLD]) + ".", tuple(sorted(self.run.accused))) if told else None
 
     def answers(self) -> Cause | None:
         """Models of which at least half of the answers were of no use, or that are no longer asked."""
@@ -232,7 +232,7 @@ class _LastRound:
         told, robots, shown = list[str](), dict[int, None](), None
         for plan_id in dict.fromkeys(plan for robot in self.awake if (plan := self.state.plan_ids[robot]) is not None):
             plan = run.plans.get(plan_id)
-            if plan is None or len(plan.points) != len(ideal) or len(told) == MOST_TOLD:
+            if plan is None or len(plan.points) != len(ideal) or len(told) == MAX_TOLD:
                 continue
             off = sum(abs(a - b) for a, b in zip(_apart(plan.points), wanted, strict=True)) / max(1, len(wanted))
             if off <= IN_SHAPE * self.spacing:
@@ -261,7 +261,7 @@ class _LastRound:
 
     def each(self, told: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
         """A cause of what is told of each of some robots in the last round; None without any."""
-        text = " ".join(list(told.values())[:MOST_TOLD])
+        text = " ".join(list(told.values())[:MAX_TOLD])
         return Cause(text, tuple(told), self.run.rounds, calls) if told else None
 
     def led_away(self, robot: int, number: int) -> bool | None:
@@ -334,8 +334,8 @@ class _LastRound:
                 robots = apart
                 told.append(f"{_robots_were(robots)} out of radio range of the others at the end; {once}.")
             else:
-                some = "; ".join(robots_text(part) for part in parts[:MOST_TOLD])
-                more = "; and so on" if len(parts) > MOST_TOLD else ""
+                some = "; ".join(robots_text(part) for part in parts[:MAX_TOLD])
+                more = "; and so on" if len(parts) > MAX_TOLD else ""
                 told.append(f"The team was in {len(parts)} parts out of radio range of one another: {some}{more}.")
         many = 0.3
         if run.loss >= many:

@@ -27,11 +27,11 @@ Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
 Length = Annotated[float, Field(ge=1e-6, le=1e12, allow_inf_nan=False)]
 """A length that divides others [units]."""
 
-LARGEST_WHOLE = 2**53
+MAX_INTEGER = 2**53
 """The largest whole number that every reader of JSON can hold."""
 
-Whole = Annotated[int, Field(ge=-LARGEST_WHOLE, le=LARGEST_WHOLE)]
-Count = Annotated[int, Field(ge=0, le=LARGEST_WHOLE)]
+Whole = Annotated[int, Field(ge=-MAX_INTEGER, le=MAX_INTEGER)]
+Count = Annotated[int, Field(ge=0, le=MAX_INTEGER)]
 Round = Annotated[int, Field(ge=0, le=10**9)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
 

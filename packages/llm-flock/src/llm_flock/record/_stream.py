@@ -39,7 +39,7 @@ ROS_BAG = "a bag of ROS 2, not a record of a run; `ros2 bag info` and Foxglove r
 _NO_MCAP = (ArithmeticError, AssertionError, LookupError, RuntimeError, ValueError)
 """What the libraries raise, besides their own errors, on bytes that are no MCAP file."""
 
-MOST_UNPACKED, RATIO = 16 << 20, 50
+MAX_UNPACKED, RATIO = 16 << 20, 50
 """Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
 
 
@@ -177,7 +177,7 @@ class RecordStream:
 
     def _unpacked(self, records: Iterable[McapRecord], size: int) -> Iterator[McapRecord]:
         """The records with those in chunks, which other programs write; a few bytes must not unpack to gigabytes."""
-        left = MOST_UNPACKED + RATIO * size
+        left = MAX_UNPACKED + RATIO * size
         for record in records:
             if not isinstance(record, Chunk):
                 yield record

@@ -11,7 +11,7 @@ from llm_flock.protocol._agreement import PRESET_RULES
 if TYPE_CHECKING:
     from llm_flock.record._schema import LlmEntry
 
-MOST_PLACES = 12
+MAX_PLACES = 12
 """Number of places of a plan that are listed."""
 
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#7F7F7F")
@@ -79,7 +79,7 @@ def work_text(result: Mapping[str, Any]) -> str:
 
 def robots_text(robots: Sequence[int]) -> str:
     """Some robots by their ids, twelve at most."""
-    some = ", ".join(map(str, robots[:MOST_PLACES])) + (", …" if len(robots) > MOST_PLACES else "")
+    some = ", ".join(map(str, robots[:MAX_PLACES])) + (", …" if len(robots) > MAX_PLACES else "")
     return f"robot{'s' if len(robots) > 1 else ''} {some}"
 
 
@@ -119,8 +119,8 @@ def understood(parsed: Mapping[str, Any]) -> str:
         elif name == "path" and rows is not None:
             words.append("path " + " → ".join(_place(at) for at in rows))
         elif name == "plan" and rows is not None:
-            more = f" and {len(rows) - MOST_PLACES} more" if len(rows) > MOST_PLACES else ""
-            places = " ".join(_place(at) for at in rows[:MOST_PLACES])
+            more = f" and {len(rows) - MAX_PLACES} more" if len(rows) > MAX_PLACES else ""
+            places = " ".join(_place(at) for at in rows[:MAX_PLACES])
             words.append(f"a plan of {len(rows)} places: {places}{more}")
         elif name == "slot":
             words.append("no own place" if value is None else f"own place {value}")

@@ -23,7 +23,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime._rules import PRESETS, Rules, assignment_rule, consensus_rule
-from llm_flock.runtime._schedule import MOST_ROUNDS, Schedule, TrialConfig, build_schedule, load_points
+from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points
 from llm_flock.validation import fields_of, input_error, unknown_section
 
 logger = logging.getLogger(__name__)
@@ -86,7 +86,7 @@ class ProtocolConfig(ConfigSection):
     time_out: int = Field(
         default=TIME_OUT,
         ge=1,
-        le=MOST_ROUNDS,
+        le=MAX_ROUNDS,
         description="Rounds without a heartbeat, direct or relayed, after which a robot counts as dead",
     )
 

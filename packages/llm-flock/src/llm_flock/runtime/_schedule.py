@@ -37,7 +37,7 @@ def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
 
-MOST_ROUNDS = 100_000
+MAX_ROUNDS = 100_000
 """Most rounds of a run."""
 
 Turn: TypeAlias = tuple[int, int]
@@ -62,7 +62,7 @@ class TrialConfig(BaseModel):
     rounds: int | None = Field(
         default=None,
         ge=0,
-        le=MOST_ROUNDS,
+        le=MAX_ROUNDS,
         description="Largest number of motion rounds [3 * lower bound + 20, from the last event on]",
     )
     stop_when_formed: bool = Field(default=True, description="End the run as soon as the formation has been held")
@@ -112,7 +112,7 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
 
     Robots that are named in no event die or join at random, each in a round from 1 to RANDOM_ROUNDS.
     """
-    rounds, kill_random = MOST_ROUNDS if trial.rounds is None else trial.rounds, trial.kill_random
+    rounds, kill_random = MAX_ROUNDS if trial.rounds is None else trial.rounds, trial.kill_random
     killed = _turns("kill", trial.kill, mission.n_robots, rounds)
     joined = _turns("join", trial.join, mission.n_robots, rounds)
     named = {robot for robot, _ in (*killed, *joined)} | {change.robot for change in trial.changes}

@@ -8,7 +8,7 @@ import pytest
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
-from llm_flock.protocol._path_length import BESIDE, FAR, MOST_PLACES, REACH, next_stop, path_lengths, ways, ways_to
+from llm_flock.protocol._path_length import BESIDE, FAR, MAX_PLACES, REACH, next_stop, path_lengths, ways, ways_to
 
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 
@@ -57,8 +57,8 @@ def test_lengths_to_a_few_places_equal_those_to_all_exactly(obstacles: tuple[Obs
 
 
 def test_in_very_large_plans_the_way_is_straight() -> None:
-    row = Plan.of([[10.0 * k, 0.0] for k in range(MOST_PLACES + 1)])
-    assert path_lengths((0.0, 0.0), row, [MOST_PLACES], 10.0) == pytest.approx([10.0 * MOST_PLACES])
+    row = Plan.of([[10.0 * k, 0.0] for k in range(MAX_PLACES + 1)])
+    assert path_lengths((0.0, 0.0), row, [MAX_PLACES], 10.0) == pytest.approx([10.0 * MAX_PLACES])
     assert path_lengths((0.0, 900.0), row, [0], 10.0) == pytest.approx([900.0])
 
 
@@ -88,8 +88,8 @@ def test_place_where_the_cheapest_way_begins_is_flown_straight() -> None:
 
 
 def test_in_plans_of_very_many_places_the_way_is_straight() -> None:
-    row = Plan.of([[10.0 * k, 0.0] for k in range(MOST_PLACES + 1)])
-    assert next_stop((0.0, 0.0), row, MOST_PLACES, (0.0, 0.0), 10.0) is None
+    row = Plan.of([[10.0 * k, 0.0] for k in range(MAX_PLACES + 1)])
+    assert next_stop((0.0, 0.0), row, MAX_PLACES, (0.0, 0.0), 10.0) is None
 
 
 def test_paths_lead_round_obstacles() -> None:

@@ -8,7 +8,7 @@ import { FONT, Surface, dash, look, theme } from "llm-flock-viewer/surface.js";
 
 const TRAIL = 24; // rounds
 const MANY = 250; // robots from which on letters and rims are left out
-const MOST_WORDS = [30, MANY]; // robots from which on there is no room for words, beside small disks and beside others
+const MAX_WORDS = [30, MANY]; // robots from which on there is no room for words, beside small disks and beside others
 const BODY = 0.8; // of a safety disc: two discs touch before two bodies do
 const SHARE = 0.36; // of the spacing: neighbours in a formation stand apart
 const BUTTONS = [290, 40]; // pixels of the buttons in the corner, which no word is to touch
@@ -256,7 +256,7 @@ export class Arena {
       way.forEach((place, k) => pen[k ? "lineTo" : "moveTo"](...place));
       pen.stroke();
       // Robots that stand have no way; those of a large team leave no room beside them.
-      if (frame.x.length <= MOST_WORDS[0]) for (let k = 1; k < way.length; k += 1) if (away(way[k - 1], way[k])) this.ways.push([way[k - 1], way[k]]);
+      if (frame.x.length <= MAX_WORDS[0]) for (let k = 1; k < way.length; k += 1) if (away(way[k - 1], way[k])) this.ways.push([way[k - 1], way[k]]);
     });
     pen.globalAlpha = 1;
   }
@@ -335,7 +335,7 @@ export class Arena {
     const close = new Set(this.near.flat());
     const dead = new Set(frame.d);
     const words = this.at.map((_, robot) => {
-      if (this.at.length > MOST_WORDS[this.radius < 6 ? 0 : 1] && !this.selected.includes(robot)) return null;
+      if (this.at.length > MAX_WORDS[this.radius < 6 ? 0 : 1] && !this.selected.includes(robot)) return null;
       const letters = this.layers.plans && !dead.has(robot) ? look(this.run, frame.p[robot]) : null;
       // A disk that is too small, or has a cross in it, has its number beside it.
       const beside = [(this.radius < 6 || dead.has(robot)) && String(robot), this.layers.influence && !dead.has(robot) && frame.i[robot].toFixed(2)];

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from typing import Literal
 
 from llm_flock.arrays import Point
-from llm_flock.errors import MOST_SHOWN, FlockError
+from llm_flock.errors import MAX_SHOWN, FlockError
 from llm_flock.events import Note
-from llm_flock.message import BLOCKED, MOST_EPOCHS, Message, MissionStamp, Provenance
+from llm_flock.message import BLOCKED, MAX_EPOCHS, Message, MissionStamp, Provenance
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer
@@ -73,13 +73,13 @@ class Agreement(Situation):
 
     @property
     def _next_epoch(self) -> int:
-        return 0 if self.provenance is None else min(self.provenance.epoch + 1, MOST_EPOCHS)
+        return 0 if self.provenance is None else min(self.provenance.epoch + 1, MAX_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
         """Whether it may propose a plan of this size now: once in an epoch, in the last only one with more places."""
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False
-        last = self.provenance is not None and self.provenance.epoch == MOST_EPOCHS
+        last = self.provenance is not None and self.provenance.epoch == MAX_EPOCHS
         return not last or self.plan is None or places > len(self.plan)
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
@@ -114,7 +114,7 @@ class Agreement(Situation):
         if chosen is None or (any(chosen is message for message in heard) and chosen.plan is not None):
             return chosen
         allowed = "None, or one of the messages heard that has a plan"
-        raise FlockError(f"{rule} returned {one_line(repr(chosen), MOST_SHOWN)}; expected {allowed}")
+        raise FlockError(f"{rule} returned {one_line(repr(chosen), MAX_SHOWN)}; expected {allowed}")
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
         """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""

@@ -19,7 +19,7 @@ from llm_flock.protocol._messages.dissemination import Dissemination
 from llm_flock.protocol._parts import Parts
 
 REMEMBERED_PAYLOADS = 256  # most payloads of a round whose meaning is kept: neighbours repeat themselves
-MOST_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
+MAX_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
 COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard: messages get lost
 REMEMBERED_REFUSALS = 1024  # most refused plans that are remembered, so that a flood of plans costs bounded memory
 
@@ -110,7 +110,7 @@ class Messaging:
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
         message, mission, verifier = inbound.message, self._agreement.mission, self._verifier
-        if message.plan is not None and self._bad_plans[message.sender] >= MOST_BAD_PLANS:
+        if message.plan is not None and self._bad_plans[message.sender] >= MAX_BAD_PLANS:
             often = f"robot {message.sender} sends one bad plan after another"
             return [self._reject(MessageError("many_plans", often))]
         objection = verifier.objection(mission, message.plan)

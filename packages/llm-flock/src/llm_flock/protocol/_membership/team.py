@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from llm_flock.arrays import Point
 from llm_flock.bounds import TIME_OUT
 from llm_flock.events import Note
-from llm_flock.message import BLOCKED, MOST_LOOKS, NO_OWNER, Message, PositionReport, TeamPositions
+from llm_flock.message import BLOCKED, MAX_LOOKS, NO_OWNER, Message, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import Claim, Occupancy
@@ -27,9 +27,9 @@ from llm_flock.protocol._verification.validator import resized
 
 REPLAN_PATIENCE = 2
 """Rounds for which a plan must not fit the team before a robot plans again. Robots with higher ids wait one more round
-for each lower id that is alive, up to MOST_WAIT, so that one robot proposes and the others hear of it in time."""
+for each lower id that is alive, up to MAX_WAIT, so that one robot proposes and the others hear of it in time."""
 
-MOST_WAIT = 6
+MAX_WAIT = 6
 
 
 class TeamMembership(Membership):
@@ -121,7 +121,7 @@ class TeamMembership(Membership):
         if now.plan is not None:
             # Living robots propose by ascending id, from 1.
             turn = 0 if self.still(now) else 1 + sum(j < self._robot for j in live.present)
-            return wanted if self._misfit > REPLAN_PATIENCE + min(turn, MOST_WAIT) else None
+            return wanted if self._misfit > REPLAN_PATIENCE + min(turn, MAX_WAIT) else None
         known = self.gaps == "replan" and not live.strangers
         return wanted if known and resized(now.mission, wanted) is not None else now.mission.n_places
 
@@ -157,5 +157,5 @@ def with_visits(claim: Claim, slots: Sequence[int]) -> Claim:
     if table is None or not slots:
         return claim
     vacant = [a for a in slots if table[a][2] == NO_OWNER]
-    visited = {a: (table[a][0], min(table[a][1] + 1.0, MOST_LOOKS), NO_OWNER) for a in vacant}
+    visited = {a: (table[a][0], min(table[a][1] + 1.0, MAX_LOOKS), NO_OWNER) for a in vacant}
     return replace(claim, table=changed(table, visited))

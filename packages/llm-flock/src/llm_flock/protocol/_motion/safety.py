@@ -10,7 +10,7 @@ from itertools import combinations
 from llm_flock import shield
 from llm_flock.arrays import Point, moved
 from llm_flock.events import Note, Origin
-from llm_flock.message import MOST_STOPS, Course
+from llm_flock.message import MAX_STOPS, Course
 from llm_flock.mission import Mission
 from llm_flock.protocol._motion.leg import STEP, Leg, map_of
 from llm_flock.protocol._motion.projection import static_half_spaces
@@ -128,7 +128,7 @@ class ShieldedSafety(Safety):
     def _path(self, here: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
         """The next corners of the way, first `stop`, for a course of three steps [units; world frame]."""
         path, left = list[Point](), 3.0 * self._limits.max_step
-        while left > 0.0 and len(path) < MOST_STOPS and (here != goal or not path):
+        while left > 0.0 and len(path) < MAX_STOPS and (here != goal or not path):
             path.append(_towards(here, stop, left))
             left -= math.dist(here, stop)
             here, stop = stop, self._next_stop(stop, goal, still)
