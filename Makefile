@@ -54,7 +54,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VERSIONS := 3.14 3.13 3.12 3.11
 OTHERS := $(foreach version,$(VERSIONS),python$(version) $(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python))
 
-.PHONY: help setup everything demo quick unit kits other changed test fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
+.PHONY: help setup everything demo quick unit kits changed test fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -103,19 +103,6 @@ quick: $(CHECK) ## Lint, types of changed files, unit tests: within 40 s, before
 unit: $(STAMP) ## Unit tests, without the flights that are too long for measuring coverage
 	$(BIN)/python -m pytest $(UNIT) -m "not no_cover" --quiet --numprocesses 2 --dist worksteal
 
-other: $(KITS) ## Unit tests on a second Python, the newest that is here; says so where there is none
-	@mine="$$($(BIN)/python -c 'import sys; print("%d.%d" % sys.version_info[:2])')"; \
-	for python in $(OTHERS); do \
-	  found="$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null)" || continue; \
-	  if [ "$$found" = "$$mine" ]; then continue; fi; \
-	  echo "other: unit tests on Python $$found, with the versions in requirements.txt"; \
-	  "$$python" -m venv --clear --without-pip "build/python-$$found"; \
-	  $(BIN)/uv pip install --quiet --python "build/python-$$found/bin/python" --no-deps --require-hashes --requirement requirements.txt \
-	    2> build/other.log || { echo "other: uv finds no packages for Python $$found; unit tests were not run on it"; exit 0; }; \
-	  PYTHONPATH="$$(printf '%s/src:' $(PARTS))" exec "build/python-$$found/bin/python" -m pytest $(UNIT) --quiet --numprocesses 2 --dist worksteal -p no:cacheprovider; \
-	done; \
-	echo "other: no Python beside $$mine is here (of $(VERSIONS)); unit tests were not run on a second one"
-
 changed: $(CHECK) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
 
@@ -159,12 +146,14 @@ wheels: $(STAMP) ## Build every part to dist/: pip install --find-links dist 'll
 TURN ?= $(shell parts=(swarm flight view lab onboard); echo "$${parts[$$(( $$(git rev-list --count HEAD 2>/dev/null || echo 0) % 5 ))]}")
 
 alone: wheels ## The core, then the core with one other part (TURN=view), installed and tested in a clean environment
-	@for part in "" "$(TURN)"; do \
+	@# On the newest Python that is here: the other tests run on that of .venv.
+	@for python in $(OTHERS) $(PYTHON); do "$$python" -c 'import venv' 2>/dev/null && break; done; \
+	for part in "" "$(TURN)"; do \
 	  name="llm-flock$${part:+-$$part}"; folder="build/alone-$$name"; \
 	  tests="packages/llm-flock/tests/unit"; if [ -n "$$part" ]; then tests="packages/$$name/tests/unit"; fi; \
-	  echo "alone: $$name"; $(PYTHON) -m venv --clear "$$folder"; \
+	  echo "alone: $$name on $$("$$python" --version)"; "$$python" -m venv --clear --without-pip "$$folder"; \
 	  $(BIN)/uv pip install --quiet --python "$$folder/bin/python" --constraint <(sed -E '/--hash/d; s/ \\$$//; /^#/d' requirements.txt) \
-	    --find-links dist "$$name" pytest pytest-xdist hypothesis; \
+	    $(PARTS:packages/%=--refresh-package %) --find-links dist "$$name" pytest pytest-xdist hypothesis; \
 	  "$$folder/bin/llm-flock" doctor > /dev/null; \
 	  if [ -d "$$tests" ]; then "$$folder/bin/python" -m pytest "$$tests" --quiet --numprocesses 2 -p no:cacheprovider; fi; \
 	done
