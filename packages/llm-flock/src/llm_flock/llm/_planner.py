@@ -19,7 +19,7 @@ from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
 from llm_flock.llm._letters import read_way, ways_of
 from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._thoughts import quoted, whole_answer
+from llm_flock.llm._thoughts import quote, whole_answer
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import plan_by_geometry, straight_path
@@ -172,12 +172,17 @@ class LanguagePlanner:
             only = ways[0].waypoint if ways else straight_path(question).waypoint
             return StepAnswer(waypoint=only, by="geometry")
 
-        def read(text: str) -> StepAnswer:
-            return StepAnswer(waypoint=read_way(text, ways).waypoint)
-
         asked, text = FramedQuestion(question=question, framed=question), self._prompts.step(question)
         form = self._form(question.mission, letters="".join(way.letter for way in ways))
-        return await self._converse(_Exchange("step", asked, text, form, read, self._check_step))
+        exchange = _Exchange(
+            "step",
+            asked,
+            text,
+            form,
+            lambda answer: StepAnswer(waypoint=read_way(answer, ways).waypoint),
+            self._check_step,
+        )
+        return await self._converse(exchange)
 
     def _check_step(self, question: StepQuestion, answer: StepAnswer) -> str | None:
         return None if self._judge is None else self._judge(question, answer).reason
@@ -250,7 +255,7 @@ class LanguagePlanner:
             answer, rejected = None, str(error)
         if rejected is not None and self._will_be_clipped(asked.question, answer):
             clipped, rejected = rejected, None
-        outcome = _Outcome(message=ChatMessage("assistant", quoted(reply)), answer=answer, rejected=rejected)
+        outcome = _Outcome(message=ChatMessage("assistant", quote(reply)), answer=answer, rejected=rejected)
         parsed = None if outcome.accepted is None else _plain(asked.question, outcome.accepted)
         self._on_attempt(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
         return outcome
