@@ -226,6 +226,15 @@ def test_the_layers_are_those_of_the_import_contract() -> None:
     assert named == top - {"__init__"}
 
 
+def test_the_written_table_of_layers_is_the_contract() -> None:
+    page = (ROOT / "docs" / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    table = page.partition("| Layer | Purpose |\n|---|---|\n")[2].partition("\n\n")[0]
+    layers: dict[int, set[str]] = {}
+    for number, name in from_code.by_layer():
+        layers.setdefault(number, set()).add(name)
+    assert [set(SPAN.findall(line.split("|")[1])) for line in table.splitlines()] == list(layers.values())
+
+
 def test_constants_are_read_with_value_and_meaning(tmp_path: Path) -> None:
     module = tmp_path / "module.py"
     module.write_text(

@@ -227,12 +227,12 @@ def test_per_robot_names_the_field_it_was_asked_about() -> None:
     assert caught.value.field == "temperature"
 
 
-DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "models.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "cassette.md"
 
 
 def test_cassette_has_the_documented_fields_of_a_recorded_call() -> None:
     assert CassetteLine.model_fields.keys() - {"answer_schema"} == LlmEntry.model_fields.keys() - {"probe"}
-    assert "less `probe`, and `answer_schema`" in DOCS.read_text(encoding="utf-8")
+    assert "without `probe`, and with `answer_schema`" in DOCS.read_text(encoding="utf-8")
 
 
 def test_a_query_in_an_address_is_refused_without_repeating_it() -> None:

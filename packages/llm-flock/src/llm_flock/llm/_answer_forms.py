@@ -1,7 +1,7 @@
-"""The form of an answer for models that can be held to it: a JSON schema, or a grammar in llama.cpp's GBNF.
+"""The form of an answer for models that can be constrained to it: a JSON schema, or a grammar in llama.cpp's GBNF.
 
-Both say how an answer is written, never what is right: every answer is read and verified. They are made from the number
-of places, of coordinates and of positions that a question asks for.
+Both fix how an answer is written, not its content: every answer is read and verified. They depend on the number of
+places, coordinates and positions that a question asks for.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ WHOLE_DIGITS = 6
 """Most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`."""
 
 DECIMALS = 4
-"""Most digits after it: a confused model must not write a number without end."""
+"""Most digits after the decimal point: a confused model must not write a number without end."""
 
 LETTER_TOKENS = 4
-"""Longest answer of one letter [tokens]: room to see that a model would not stop after it."""
+"""Longest answer of one letter [tokens]: some room, to notice a model that does not stop after the letter."""
 
 REASONING = "reasoning"
-"""First field of a JSON answer: a model that must write the object at once still needs room to think."""
+"""First field of a JSON answer: a model that must begin with the object still needs room to think."""
 
 REASON_LINES = 3
 REASON_CHARS = 200
-"""Longest reason: lines, and characters of each; in JSON one line."""
+"""Longest reason: lines, and characters of each line. In JSON, a reason is one line."""
 
 CHARS_PER_TOKEN = 3
-"""In prose; each digit and bracket is one token."""
+"""Only of prose: each digit and bracket is one token."""
 
 _PROSE = re.compile(r"[A-Za-z\s]")
 

@@ -1,12 +1,12 @@
-r"""Read a model's answer: tolerant of how it is written, strict about what it says.
+r"""Read a model's answer: tolerant of its form, strict about its content.
 
 The forms are the paper's `Plan: [[x, y], ...]` with `my plan: a` or `my_plan: a` (lines 118 and 391) and
 `Position: [x, y]` (line 110), and our own `Path: [[x, y], ...]`, among prose, markdown, code fences and LaTeX
 (`\boxed{\text{Position: } [x,\ y]}`, line 739). The last complete candidate counts. A list holds plain numbers: an
 expression such as `3 + 4` is no answer. The same values may come as a JSON object, see `answer_forms`.
 
-All patterns are possessive where they repeat, and start at a label or a bracket: the time is linear in the length of
-the answer, whatever it holds.
+All patterns are possessive where they repeat, and start at a label or a bracket, so the time is linear in the length of
+any answer.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _LATEX_FORMATS = re.compile(
     r"(?![A-Za-z])"
 )
 _ESCAPED_NEWLINE = re.compile(r"\\n(?![a-ln-z])(?!m(?!y))")
-"""A backslash and an n that mean a line break, not the beginning of a LaTeX command."""
+"""A backslash and an n that stand for a line break, not for the beginning of a LaTeX command."""
 
 # Possessive throughout: a repetition never gives back what it has taken.
 _NUMBER = r"[-+]?+(?:(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+|nan|inf(?:inity)?+)"
@@ -55,7 +55,7 @@ _WRAP = r"(?:[\[(]\s*+){0,2}?"
 _LANGUAGE = rf"(?:(?:json|python|text|latex|math)(?![A-Za-z]){_GAP})?+"
 """A language after the backticks of a code fence."""
 
-# The look at the first letter only saves time: where it does not fit, nothing else is tried.
+# The look-ahead to the first letter only saves time.
 _POSITION = re.compile(
     r"(?=[nfp\\])"
     rf"(?:(?P<certain>(?:next|new|final)[{_MARKUP}]++position|\\boxed)|(?P<plain>(?<![A-Za-z])position))(?![A-Za-z])"
@@ -84,8 +84,8 @@ _INDEX = re.compile(
     rf"(?:[\[(]\s*+(?P<wrapped>{_NUMBER})\s*+[\])]|(?P<bare>{_NUMBER})(?![A-Za-z0-9_%/^]))",
     re.IGNORECASE,
 )
-_OF_OBJECT = re.compile(r'[{}]|"(?:[^"\\]++|\\.)*+"?+', re.DOTALL)
-"""What structures a JSON object: braces, and strings, which may hold braces."""
+_BRACE_OR_STRING = re.compile(r'[{}]|"(?:[^"\\]++|\\.)*+"?+', re.DOTALL)
+"""Braces structure a JSON object; strings are matched whole, as they may hold braces."""
 
 _OBJECT = re.compile(r"""\{\s*+["']""")
 _EACH_LIST = re.compile(_LIST, re.IGNORECASE)
@@ -96,7 +96,7 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
     """The plan and the index of the model's own place in it; AnswerError with a reason for the model."""
     n, dim = form.n, form.dim
     names = [f"point {i} of the plan" for i in range(n)]
-    text = _said(text)
+    text = _without_thoughts(text)
     answer = _json_object(text, "plan") if form.json else None
     if answer is not None:
         rows = _list_field(answer, "plan", f"a list of {n} points")
@@ -105,11 +105,11 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
         index = _number("my_plan", _field(answer, "my_plan", f"a whole number from 0 to {n - 1}"))
         return Plan(tuple(points)), _index(index, n)
     text = _plain(text)
-    found = _last(_PLAN, text) or _last(_BARE_PLAN, text)
-    if found is None:
+    match = _last(_PLAN, text) or _last(_BARE_PLAN, text)
+    if match is None:
         required = f"a line `Plan: [[...], ...]` with {n} points of {dim} numbers is required."
         raise AnswerError(f"it holds no complete plan; {required}")
-    lists = _EACH_LIST.findall(found["list"])
+    lists = _EACH_LIST.findall(match["list"])
     _check_count(len(lists), n)
     points = [_point(what, _numbers(what, row), dim) for what, row in zip(names, lists, strict=True)]
     index = _last(_INDEX, text)
@@ -120,12 +120,12 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
 
 
 def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
-    """The next position and those that follow it, 1 to `form.horizon` of them [units]; AnswerError as above.
+    """The 1 to `form.horizon` next positions [units]; AnswerError as in `read_plan`.
 
-    Where a path is asked for, a single position is a path of one.
+    If the question is for a path, a single position is a path of length one.
     """
     dim, horizon = form.dim, form.horizon
-    text = _said(text)
+    text = _without_thoughts(text)
     answer = _json_object(text, "path", "position") if form.json else None
     if answer is not None:
         if horizon == 1 or ("path" not in answer and "position" in answer):
@@ -134,21 +134,21 @@ def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
         rows = _list_field(answer, "path", f"a list of 1 to {horizon} positions")
         return _path([_row("the path", row) for row in rows], horizon, dim)
     text = _plain(text)
-    found = _last(_PATH, text) if horizon > 1 else None
-    if found is None and (row := _position_row(text)) is not None:
+    match = _last(_PATH, text) if horizon > 1 else None
+    if match is None and (row := _position_row(text)) is not None:
         return (_point("the position", _numbers("the position", row), dim),)
     if horizon == 1:
         raise AnswerError(f"it holds no complete position; a line `Position: [...]` with {dim} numbers is required.")
-    found = found or _last(_BARE_PLAN, text)
-    if found is None:
+    match = match or _last(_BARE_PLAN, text)
+    if match is None:
         required = f"a line `Path: [[...], ...]` with 1 to {horizon} positions of {dim} numbers is required."
         raise AnswerError(f"it holds no complete path; {required}")
-    rows = [_numbers("the path", row) for row in _EACH_LIST.findall(found["list"])]
+    rows = [_numbers("the path", row) for row in _EACH_LIST.findall(match["list"])]
     return _path(rows, horizon, dim)
 
 
 def _position_row(plain: str) -> str | None:
-    """The last labelled position, or a list that is the whole answer."""
+    """The last labelled position, or else a list that is the whole answer."""
     row: str | None = None
     for match in _POSITION.finditer(plain):
         if match["certain"] is not None or _stands_alone(plain, match):
@@ -179,14 +179,14 @@ def _plain(text: str) -> str:
     return _LATEX_FORMATS.sub(" ", text)
 
 
-def _said(text: str) -> str:
-    """The text without thoughts: a position in a thought is a draft."""
+def _without_thoughts(text: str) -> str:
+    """The text without thoughts, because a position in a thought is a draft."""
     if len(text) > MAX_CHARS:
         raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
-    said = spoken(text)
-    if said.unfinished or (said.thought and not said.text.strip()):
+    answer = spoken(text)
+    if answer.unfinished or (answer.thought and not answer.text.strip()):
         raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
-    return said.text
+    return answer.text
 
 
 def _last(pattern: re.Pattern[str], text: str) -> re.Match[str] | None:
@@ -206,11 +206,11 @@ def _stands_alone(text: str, match: re.Match[str]) -> bool:
 
 
 def _json_object(text: str, *fields: str) -> Mapping[str, Any] | None:
-    """The last JSON object with one of these fields, or else the last one; None where there is none.
+    """The last JSON object with one of these fields, or else the last object, or None.
 
-    AnswerError if one is cut off, or holds a reasoning and is no JSON: its draft must not be read as words.
+    AnswerError if an object is cut off, or if it holds a reasoning but is not JSON: its draft must not be read as text.
     """
-    found, wanted, end, broken = None, None, 0, False
+    last, wanted, end, broken = None, None, 0, False
     while (begin := text.find("{", end)) >= 0:
         end = _end_of_object(text, begin)
         if end < 0:
@@ -221,18 +221,18 @@ def _json_object(text: str, *fields: str) -> Mapping[str, Any] | None:
         except (ValueError, RecursionError):
             broken = broken or REASONING in text[begin:end]
             continue
-        found = value
+        last = value
         if any(field in value for field in fields):
             wanted, broken = value, False
     if broken:
         raise AnswerError("its JSON object is not complete, or is no JSON; one whole JSON object is required.")
-    return wanted or found
+    return wanted or last
 
 
 def _end_of_object(text: str, begin: int) -> int:
-    """Where the braces that open at `begin` close; -1 where they do not."""
+    """The index after the brace that closes the one at `begin`; -1 if none does."""
     depth = 0
-    for token in _OF_OBJECT.finditer(text, begin):
+    for token in _BRACE_OR_STRING.finditer(text, begin):
         if token[0] == "{":
             depth += 1
         elif token[0] == "}":

@@ -1,6 +1,6 @@
-"""One call through pydantic-ai: our messages in, our reply or our ModelError out.
+"""Makes one call through pydantic-ai: our messages in, our reply or our ModelError out.
 
-pydantic-ai's `direct.model_request` translates between providers. Its retries are not used: `limits` retries transport
+pydantic-ai's `direct.model_request` translates between providers. Its retries are off: `limits` retries transport
 faults, and the planner asks again after answers that it cannot use.
 """
 
@@ -40,15 +40,15 @@ DETAIL_LENGTH = 400
 """Longest error text of a provider [characters]."""
 
 CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_length", "context_length_exceeded"})
-"""Words of some servers for `length`, which pydantic-ai passes on as they are."""
+"""Finish reasons of some servers that mean `length`; pydantic-ai passes them on unchanged."""
 
 BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
-"""Words for an answer that the server did not bring to an end."""
+"""Finish reasons that mean that the server broke the answer off."""
 
 _FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
 
 _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
-"""The form of providers' keys, also where a provider returns one half hidden by asterisks."""
+"""The form of providers' keys, including one that a provider returns half hidden by asterisks."""
 
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
@@ -62,7 +62,7 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
 class PydanticModel:
     """A `LanguageModel` on top of any pydantic-ai model; the models behind it may be shared by many robots.
 
-    `secrets` are removed from every text that leaves this object. `priced` tells whether the provider's prices apply.
+    `secrets` are removed from every text that leaves this object. `priced` is whether the provider's prices apply.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class PydanticModel:
         self._words = ModelRequestParameters()
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call: one try, without retries. Every failure is a ModelError, whose text holds no key."""
+        """Answer one call, in one attempt. Every failure is a ModelError, whose text holds no key."""
         started = time.perf_counter()
         try:
             response = await model_request(
@@ -96,16 +96,16 @@ class PydanticModel:
             )
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
             retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
-            raise ModelError(error_kind(error), self._clean(_story(error)), retry_after) from None
-        except Exception as error:  # noqa: BLE001 - nobody knows all that SDKs raise; it is logged, recorded and counted
-            # A malformed body that the SDK's parser trips over must not end the run of all robots.
+            raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after) from None
+        except Exception as error:  # noqa: BLE001 - SDKs may raise anything; it is logged, recorded and counted
+            # A malformed body that the SDK's parser cannot read must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
             detail = f"{type(error).__name__} while reading the response: {error}"
             logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
         reason = finish_reason(response)
         if reason == "content_filter":
-            refusal = (response.provider_details or {}).get("refusal") or "it does not say why"
+            refusal = (response.provider_details or {}).get("refusal") or "no reason given"
             raise ModelError("refused", self._clean(f"the provider's content filter stopped the answer: {refusal}"))
         if reason in BROKEN_OFF:
             raise ModelError("server", f"the provider broke the answer off ({reason})")
@@ -122,9 +122,9 @@ class PydanticModel:
     def _reply(self, response: ModelResponse, reason: str | None, latency_s: float) -> Reply:
         used = response.usage
         usage = Usage.reported(used.input_tokens, used.output_tokens, used.cache_read_tokens)
-        said = spoken(response.text or "")
-        # A thought that does not end stays, with its mark: the record shows what was refused.
-        raw = said.text.lstrip() if said.thought and not said.unfinished else response.text or ""
+        answer = spoken(response.text or "")
+        # An unfinished thought stays, with its mark: the record shows the rejected text.
+        raw = answer.text.lstrip() if answer.thought and not answer.unfinished else response.text or ""
         text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
         answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:100])
@@ -137,35 +137,35 @@ class PydanticModel:
             cost_usd=cost_usd(self._price_list, answered_by, usage),
             latency_s=latency_s,
             finish_reason=reason,
-            thought=said.thought or _thought(response),
+            thought=answer.thought or _has_thoughts(response),
         )
 
     def _clean(self, text: str) -> str:
-        # Scrub before cutting: a key cut in half would not be recognised.
+        # Scrub before cutting: half a key would not be recognised.
         text = _encodable(" ".join(scrub(text, self._secrets).split()))
         return text if len(text) <= DETAIL_LENGTH else text[: DETAIL_LENGTH - 3] + "..."
 
 
 def _encodable(text: str) -> str:
-    """The text without lone surrogates, which neither UTF-8 nor the records can hold."""
+    """The text without lone surrogates, which UTF-8 and the records cannot hold."""
     return text if text.isascii() else text.encode("utf-8", "replace").decode("utf-8")
 
 
 def finish_reason(response: ModelResponse) -> str | None:
-    """Why a model stopped: `stop`, `length`, `content_filter`, a word in BROKEN_OFF, or another one of the server."""
+    """The reason why a model stopped: `stop`, `length`, `content_filter`, one of BROKEN_OFF, or the server's word."""
     if response.finish_reason is not None:
         return response.finish_reason
     word = str((response.provider_details or {}).get("finish_reason", "")).lower()
     if word in CUT_OFF:
         return "length"
-    # Long answers of Anthropic are streamed, and every whole one gives a reason: without it, the stream broke off.
+    # Anthropic streams long answers, and every whole one has a reason: without it, the stream broke off.
     if not word and (response.state in ("incomplete", "interrupted") or response.provider_name == "anthropic"):
         return "aborted"
     return word if _FINISH_REASON.fullmatch(word) else None
 
 
-def _thought(response: ModelResponse) -> bool:
-    """Whether a model thought apart from its text; some providers only count the tokens."""
+def _has_thoughts(response: ModelResponse) -> bool:
+    """Whether the response has thoughts apart from its text; some providers only count their tokens."""
     counted = response.usage.details.get("reasoning_tokens", 0)
     return counted > 0 or any(isinstance(part, ThinkingPart) for part in response.parts)
 
@@ -190,13 +190,13 @@ def error_kind(error: Exception) -> str:
         case pai.ModelHTTPError(status_code=status):
             return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
         case pai.UserError():
-            return "refused"  # a feature that the model lacks: a retry changes nothing
+            return "refused"  # a feature that the model lacks, which a retry does not change
         case _:
             return "garbage"
 
 
-def _story(error: Exception) -> str:
-    """One line about an exception, with the transport's cause where pydantic-ai says only "Connection error."."""
+def _describe(error: Exception) -> str:
+    """One line about an exception, with the transport's cause if pydantic-ai only has "Connection error."."""
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
@@ -204,7 +204,7 @@ def _story(error: Exception) -> str:
 
 
 def _origin(error: BaseException) -> BaseException:
-    """The exception with which it began."""
+    """The first exception of a chain of causes."""
     while error.__cause__ is not None:
         error = error.__cause__
     return error
@@ -228,7 +228,7 @@ def _model_settings(settings: CallSettings, provider: str) -> ModelSettings | No
     if effort is not None and provider == "anthropic":
         out["thinking"] = False if effort == "none" else effort
     elif effort is not None:
-        # pydantic-ai drops its unified `thinking` for models that it does not know as reasoning models, as most
-        # local ones. This is sent as the operator asks.
+        # pydantic-ai drops its unified `thinking` for models that it does not know as reasoning models, such as most
+        # local ones. This field is always sent.
         out["openai_reasoning_effort"] = effort
     return cast(ModelSettings, out) if out else None

@@ -1,8 +1,8 @@
 """The coordinates of a prompt: those of the world, or a frame in which the numbers are small and near zero.
 
-A small model cannot add 57.31 and 3.18 reliably. In its own frame it need not: it plans around the origin with the
-spacing as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is
-rendered, and the answer is moved and scaled back before anything else reads it. Directions stay.
+A small model cannot add 57.31 and 3.18 reliably. Its own frame avoids that: it plans around the origin with the spacing
+as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is rendered,
+and the answer is moved and scaled back before it is checked. Directions stay.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ A = TypeVar("A", PlanAnswer, StepAnswer)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFrame:
-    """Moved and scaled coordinates: `(point - origin) / unit`; observed and planned points have some `decimals`."""
+    """Moved and scaled coordinates: `(point - origin) / unit`. Observed and planned points have `decimals`."""
 
     origin: Point
     unit: float
@@ -45,7 +45,7 @@ class PromptFrame:
         return tuple(o + x * self.unit for x, o in zip(point, self.origin, strict=True))
 
     def mission(self, mission: Mission) -> Mission:
-        """The mission in this frame. It was valid in the world's, so it is not validated again."""
+        """The mission in this frame; it is valid in the world, so it is not validated again."""
         fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
         for name in ("spacing", "safe_distance", "max_step", "comm_range", "sense_range"):
             fields[name] = None if fields[name] is None else fields[name] / self.unit
@@ -70,8 +70,8 @@ class FramedQuestion(Generic[Q]):
     """A question in the world and in the frame of its prompt.
 
     Attributes:
-        framed: in the frame of the prompt; the same one where that is the world.
-        frame: between the two; None where they are the same.
+        framed: the question in the frame of the prompt; the same question if that is the world.
+        frame: the frame of the prompt, None for the world.
     """
 
     question: Q
@@ -79,7 +79,7 @@ class FramedQuestion(Generic[Q]):
     frame: PromptFrame | None = None
 
     def to_world(self, answer: A) -> A:
-        """An answer in the world; a goal that the model repeats is exactly the goal."""
+        """An answer in the world. If the model repeats the goal, the waypoint is exactly the goal."""
         if self.frame is None:
             return answer
         if isinstance(answer, PlanAnswer):
@@ -93,10 +93,7 @@ class FramedQuestion(Generic[Q]):
 
 
 def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQuestion]:
-    """Frame a question for a plan: around the origin, in spacings.
-
-    A shape in words may mention lengths, which cannot be scaled: it is asked for in the world.
-    """
+    """Frame a question for a plan: around the origin, in spacings. Free text may name lengths, so it stays."""
     mission = question.mission
     if name == "world" or shape_name(mission.shape) == "text":
         return FramedQuestion(question=question, framed=question)
@@ -119,13 +116,13 @@ def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQu
 
 
 def _framed(question: Q, frame: PromptFrame, **own: Any) -> FramedQuestion[Q]:
-    """A question in a frame: the fields that both kinds have, and its `own` ones."""
+    """A question in a frame: the fields of both kinds of questions, and its `own` ones."""
     position, neighbors = frame.rounded(question.position), tuple(map(frame.rounded, question.neighbors))
     framed = replace(question, mission=frame.mission(question.mission), position=position, neighbors=neighbors, **own)
     return FramedQuestion(question=question, framed=framed, frame=frame)
 
 
 def _frame(origin: Point, unit: float, mission: Mission) -> PromptFrame:
-    """Two decimals, and more where they would be coarse beside the spacing or the safe distance."""
+    """A frame with two decimals, or more if those would be coarse beside the spacing or the safe distance."""
     finest = 10 * min(mission.spacing, mission.safe_distance)
     return PromptFrame(origin=origin, unit=unit, decimals=2 + max(0, math.ceil(math.log10(unit / finest))))

@@ -1,4 +1,4 @@
-"""pydantic-ai models of OpenAI, and of every server that speaks its protocol. Needs the extra `openai`."""
+"""pydantic-ai models of OpenAI and of every server with its protocol. Needs the extra `openai`."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from pydantic_ai.providers.vllm import VLLMProvider
 from llm_flock.llm._providers import needs_responses
 
 _WHOLE_TEXT = OpenAIModelProfile(thinking_tags=("<no answer holds this>", "</no answer holds this>"))
-"""pydantic-ai would split `<think>...</think>` off, but pass on a thought that does not end without its mark."""
+"""pydantic-ai would split `<think>...</think>` off, but would pass on an unfinished thought without its mark."""
 
 _ANY_SERVER: OpenAIModelProfile = {**_WHOLE_TEXT, "openai_chat_supports_max_completion_tokens": False}
-"""`max_tokens` is the older name of the setting, and known to more servers."""
+"""`max_tokens` is the older name of the setting, and more servers know it."""
 
 _OPENAI_LIKE = {"openai": OpenAIProvider, "deepseek": DeepSeekProvider, "qwen": AlibabaProvider, "vllm": VLLMProvider}
 """pydantic-ai providers that know the peculiarities of a service."""
@@ -37,7 +37,7 @@ def build_openai_model(provider: str, model: str, options: dict[str, Any]) -> Mo
         return OpenAIResponsesModel(model, provider=OpenAIProvider(openai_client=openai), settings=stateless)
     if provider == "ollama":
         ollama = OllamaProvider(openai_client=openai)
-        # Given a profile, the class no longer finds out what Ollama's cloud lacks.
+        # With a profile of ours, the class does not find out what Ollama's cloud lacks.
         schemas = OllamaModel(model, provider=ollama).profile.get("supports_json_schema_output", False)
         return OllamaModel(model, provider=ollama, profile={**_ANY_SERVER, "supports_json_schema_output": schemas})
     known = _OPENAI_LIKE.get(provider)

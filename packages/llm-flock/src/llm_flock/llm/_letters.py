@@ -1,7 +1,7 @@
 """Questions that are answered with one letter: code computes ways to go, a model chooses one by the mission's wish.
 
-Code says for each way how much room it leaves, counting robots, obstacles and walls, and lists the way that gets
-farthest first. A model computes no number: it reads the wish and five words, and its letter stands for a waypoint.
+For each way, code computes the room to robots, obstacles and walls. It lists the way that gets farthest first. A model
+computes no number: it reads the wish and at most five ways, and its letter stands for a waypoint.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Letter: TypeAlias = Literal["S", "H", "L", "R", "W"]
 Room: TypeAlias = Literal["tight", "wide", "free"]
 
 ROOMS: tuple[tuple[float, Room], ...] = ((1.5, "tight"), (2.5, "wide"), (math.inf, "free"))
-"""Words for room, each with the gap from which on it is no longer used [least allowed distances]."""
+"""Words for room, each with the gap at which the next word begins [least allowed distances]."""
 
 NO_WISH = "None."
 """The wish of a mission that has none."""
 
 MAX_WISH_LENGTH = 200
-"""Longest wish [characters]: it is read with every question."""
+"""Longest wish [characters]: it is part of every question."""
 
 _LETTER = re.compile(rf"\s*([{''.join(get_args(Letter))}])\b")
 
@@ -41,8 +41,8 @@ class LetterWay:
 
     Attributes:
         waypoint: where it ends [units; frame of the question].
-        progress: how much nearer the goal is then [step limits].
-        gap: least distance on the way to anything, as a multiple of the least that is allowed; infinite without any.
+        progress: how much nearer the goal its end is [step limits].
+        gap: smallest distance on the way to anything, as a multiple of the allowed distance; infinite if there is none.
     """
 
     letter: Letter
@@ -52,16 +52,16 @@ class LetterWay:
 
     @property
     def room(self) -> Room:
-        """The gap in a word."""
+        """The gap as a word."""
         return next(word for end, word in ROOMS if self.gap < end or end == math.inf)
 
 
 def ways_of(question: StepQuestion, *, wait: bool | None = None) -> tuple[LetterWay, ...]:
     """The open ways, farthest first: those that the checks of a step accept, and that keep clear all the way.
 
-    Standing still is open only while a robot blocks the straight way, and then in every other round, so that no two
-    robots wait for each other for ever; `wait` says whether this is such a round, None if robot and round tell. In
-    space, ways round turn about the vertical. The question is in the world, where the checks are made.
+    Standing still is open only while a robot blocks the straight way, and only in every other round, so that no two
+    robots wait for each other without end. `wait` is whether this is such a round; None derives it from robot and
+    round. In 3D, ways round turn about the vertical axis. The question is in world coordinates, as the checks are.
     """
     mission, here, goal = question.mission, question.position, question.goal
     distance = math.dist(here, goal)
@@ -87,12 +87,12 @@ def ways_of(question: StepQuestion, *, wait: bool | None = None) -> tuple[Letter
 
 
 def ways_text(ways: Sequence[LetterWay]) -> str:
-    """Ways as a prompt names them: `S tight, L free`."""
+    """Ways as a prompt lists them: `S tight, L free`."""
     return ", ".join(f"{way.letter} {way.room}" for way in ways)
 
 
 def check_wish(wish: str) -> str:
-    """A wish without spaces around it; InputError for field `wish` if it is too long, or of several lines."""
+    """A wish without spaces around it; InputError for field `wish` if it is too long or has several lines."""
     short = wish.strip()
     if len(short) > MAX_WISH_LENGTH or not short.isprintable():
         raise InputError("wish", wish, f"one line of at most {MAX_WISH_LENGTH} characters")
@@ -101,18 +101,18 @@ def check_wish(wish: str) -> str:
 
 def read_letter(text: str) -> Letter | None:
     """The letter that an answer begins with, None without one."""
-    found = _LETTER.match(text)
-    return next((letter for letter in get_args(Letter) if found and letter == found[1]), None)
+    match = _LETTER.match(text)
+    return next((letter for letter in get_args(Letter) if match and letter == match[1]), None)
 
 
 def read_way(text: str, ways: Sequence[LetterWay]) -> LetterWay:
-    """The way that an answer chooses; AnswerError, a sentence for the model, where it chooses none of them."""
-    letter, known = read_letter(text), ", ".join(way.letter for way in ways)
-    found = next((way for way in ways if way.letter == letter), None)
-    if found is None:
-        said = "it does not begin with a letter" if letter is None else f"{letter} is not among the ways"
-        raise AnswerError(f"{said}; one of {known} is required.")
-    return found
+    """The way that an answer chooses; AnswerError, a sentence for the model, if it chooses none of them."""
+    letter, letters = read_letter(text), ", ".join(way.letter for way in ways)
+    chosen = next((way for way in ways if way.letter == letter), None)
+    if chosen is None:
+        fault = "it does not begin with a letter" if letter is None else f"{letter} is not among the ways"
+        raise AnswerError(f"{fault}; one of {letters} is required.")
+    return chosen
 
 
 def _from(here: Point, course: Sequence[float], length: float, turn: float) -> Point:
@@ -125,7 +125,7 @@ def _from(here: Point, course: Sequence[float], length: float, turn: float) -> P
 def _gap(question: StepQuestion, end: Point) -> float:
     """The least of: distance to robots / safe distance, to obstacles / body radius, and 1 + to walls / safe distance.
 
-    A robot that is too near already is left behind by the step, or the checks refuse it: it counts as just far enough.
+    A robot that is too near already counts as just far enough, because the checks reject a step towards it.
     """
     mission, here = question.mission, question.position
     low, high = mission.arena

@@ -19,14 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
-    """When to try again after a fault, up to `max_tries` tries with the first.
+    """When to ask again after a fault, in up to `max_tries` attempts.
 
-    The wait before try k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at most
-    longest_wait_s: robots that were turned away together do not return together. A wait that the provider asks for by
-    Retry-After is kept in full, up to longest_retry_after_s, with up to a tenth on top.
+    The wait before attempt k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
+    most longest_wait_s, so that robots that were turned away together do not return together. A wait by Retry-After is
+    kept in full, up to longest_retry_after_s, with up to a tenth on top.
 
-    A server that has answered with `max_garbage` responses in a row that are none of its protocol is neither busy nor
-    away, so waiting longer does not help: that was the last try.
+    `max_garbage` responses in a row that are not of the protocol end the call: such a server is neither busy nor away.
     """
 
     max_tries: int = 8
@@ -36,21 +35,21 @@ class RetryPolicy:
     longest_retry_after_s: float = 60.0
 
     def gives_up(self, faults: tuple[str, ...]) -> bool:
-        """Whether another try is of no use, by the kinds of all faults of a call so far."""
+        """Whether another attempt is useless, by the kinds of all faults of a call so far."""
         return len(faults) >= self.max_tries or faults[-self.max_garbage :] == ("garbage",) * self.max_garbage
 
     def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
-        """Draw the wait before the next try, after `failed` >= 1 failed ones [s]."""
+        """Draw the wait before the next attempt, after `failed` >= 1 failed ones [s]."""
         if retry_after_s is not None:
             return min(retry_after_s, self.longest_retry_after_s) * rng.uniform(1.0, 1.1)
-        # 2.0 ** 40 is longer than any longest_wait_s that makes sense, and never overflows.
+        # 2.0 ** 40 is longer than any useful longest_wait_s, and does not overflow.
         scale = min(self.first_wait_s * 2.0 ** min(failed - 1, 40), self.longest_wait_s)
         return scale * rng.uniform(0.5, 1.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Spent:
-    """Calls, tokens in and out, and money as far as prices are known [US dollars]."""
+    """Calls, tokens in and out, and money where prices are known [US dollars]."""
 
     calls: int = 0
     tokens: int = 0
@@ -64,12 +63,9 @@ class Spent:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Budget:
-    """Limits of one run or one sweep, checked where they are read; None is without limit.
+    """Limits of one run or one sweep, checked where they are read; None is no limit.
 
-    Attributes:
-        max_calls: questions to models; a retried call counts once.
-        max_tokens: input and output together.
-        max_cost_usd: money, as far as prices are known [US dollars].
+    A retried call counts once. Tokens are input and output together; money counts where prices are known.
     """
 
     max_calls: int | None = None
@@ -78,14 +74,14 @@ class Budget:
 
 
 class BudgetMeter:
-    """Counts what models were asked and have used, and enforces a budget.
+    """Counts calls, tokens and money, and enforces a budget.
 
-    Calls are counted when they begin, so that many at once cannot overrun `max_calls`. Tokens and money are known
+    Calls are counted when they begin, so that concurrent calls cannot overrun `max_calls`. Tokens and money are known
     only with the answer: calls under way at that moment may overrun those two.
 
     Attributes:
-        elsewhere: spent by other processes, of the same budget; whoever learns of it sets it.
-        reason: which limit turned a call away, None while none has.
+        elsewhere: spent by other processes of the same budget, as set by the owner of this meter.
+        reason: the limit that turned a call away, None so far.
     """
 
     owner = ""
@@ -97,7 +93,7 @@ class BudgetMeter:
         self.reason: str | None = None
 
     def check(self, *, new_call: bool) -> None:
-        """Raise BudgetExceeded when a limit is reached, as far as replies have told; a retry is no new call."""
+        """Raise BudgetExceeded when a limit is reached by the replies so far; a retry is not a `new_call`."""
         limits, spent = self.budget, self.spent + self.elsewhere
         if limits.max_tokens is not None and spent.tokens >= limits.max_tokens:
             self.reason = f"max_tokens = {limits.max_tokens}{self.owner} is used up ({spent.tokens} tokens)"
@@ -117,7 +113,7 @@ class CallGate(Protocol):
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
         """Wait for a turn to ask `provider:model` a question of `chars` characters; returns a ticket for `leave`.
 
-        A call that failed before (`again`) is no new one for the budget. BudgetExceeded if nothing is left for it.
+        A call that failed before (`again`) is not counted again. BudgetExceeded if the budget is used up.
         """
         ...
 
@@ -128,7 +124,7 @@ class CallGate(Protocol):
 
 @dataclass(slots=True)
 class CallLane:
-    """One run's access to what it shares with others.
+    """One run's access to the gate and the models that it shares with other runs.
 
     Attributes:
         gate: admits calls of this run and others; None admits all.
@@ -148,7 +144,7 @@ class CallLimits:
     Attributes:
         rng: chance for the jitter of waits.
         max_concurrent: calls under way at once; `slots` holds as many.
-        timeout_s: longest try, the queue not counted [s].
+        timeout_s: longest attempt, without the queue [s].
     """
 
     rng: np.random.Generator
@@ -174,10 +170,9 @@ class Limited:
         self._limits = limits
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, retrying faults; BudgetExceeded or the last ModelError, with all faults, without an answer.
+        """Answer one call, and retry faults. Without an answer: BudgetExceeded, or the last ModelError with all faults.
 
-        The latency runs from the first try to the answer, without the queue before it; faults are those that were
-        retried.
+        The latency runs from the first attempt to the answer, without the queue. The reply has the retried faults.
         """
         limits, lane = self._limits, self._limits.lane
         limits.meter.check(new_call=True)
@@ -194,7 +189,7 @@ class Limited:
                         chars = sum(len(message.text) for message in call.messages)
                         ticket = await lane.gate.enter(self.name, chars, again=bool(faults))
                 except BudgetExceeded as error:
-                    lane.cut |= error.detail != limits.meter.reason  # then the gate refused it
+                    lane.cut |= error.detail != limits.meter.reason  # then the gate turned it away
                     if not faults:
                         limits.meter.spent += Spent(calls=-1)  # it was never sent
                     error.faults = faults
@@ -216,7 +211,7 @@ class Limited:
             if isinstance(outcome, Reply):
                 limits.meter.spent += Spent(tokens=outcome.usage.total, cost_usd=outcome.cost_usd or 0.0)
                 if not faults and outcome.latency_s:
-                    return outcome  # a single try, timed by the model
+                    return outcome  # a single attempt, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
             if outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):

@@ -1,4 +1,4 @@
-"""Missions in plain words: a model reads one, answers in a fixed form, and people confirm it before anything flies."""
+"""Missions as free text: a model turns one into a fixed form, and a person confirms it before anything flies."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from llm_flock.llm._providers import parse_base_urls, parse_model, source_of
 from llm_flock.mission import build_mission
 from llm_flock.validation import input_error
 
-LONGEST = 2000
-"""Most letters of a mission in plain words."""
+MAX_TEXT_LENGTH = 2000
+"""Longest text of a mission [characters]."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class MissionAnswer(BaseModel):
-    """The model's answer: the part of a mission that is about the formation."""
+    """The model's answer: the fields of a mission that describe the formation."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -36,21 +36,21 @@ class MissionAnswer(BaseModel):
 
 
 class MissionDraft(NamedTuple):
-    """A mission as the model understood it, not yet confirmed: values by field name, and the same for people."""
+    """A mission as the model understood it, not yet confirmed: values by field name, and a line for people."""
 
     fields: Mapping[str, Any]
     in_words: str
 
 
 class MissionReader:
-    """Turns plain words into a mission draft by asking a model, `provider:model`; no stand-in."""
+    """Asks a model (`provider:model`, not a stand-in) to turn free text into a mission draft."""
 
     def __init__(self, model: str, base_url: str | None = None) -> None:
         name = parse_model(model)
         if name.kind not in ("provider", "plugin"):
             raise InputError("model", model, "a language model, as a stand-in cannot read")
         if name.kind == "plugin":
-            source_of(name.provider).digests(name.model)  # refuses what is missing
+            source_of(name.provider).digests(name.model)  # fails if a file is missing
         self.model = model
         self._base_urls = parse_base_urls(base_url, (model,))
         self._limits = CallLimits(
@@ -67,10 +67,10 @@ class MissionReader:
 
 
 def mission_call(text: str) -> Call:
-    """The question to a model: its rules, the form of the answer, and the text; InputError if that is too long."""
+    """The question to a model: its rules, the form of the answer, and the text; InputError if the text is too long."""
     text = text.strip()
-    if not text or len(text) > LONGEST:
-        raise InputError("words", f"{len(text)} letters", f"from 1 to {LONGEST} letters")
+    if not text or len(text) > MAX_TEXT_LENGTH:
+        raise InputError("words", f"{len(text)} letters", f"from 1 to {MAX_TEXT_LENGTH} letters")
     shapes = "; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in formations.shapes())
     schema = MissionAnswer.model_json_schema()
     messages = (
@@ -81,7 +81,7 @@ def mission_call(text: str) -> Call:
 
 
 def answer_of(answer: str) -> MissionAnswer:
-    """The fields in an answer of the model, not yet checked as a mission; AnswerError if it has another form."""
+    """The fields in an answer of the model, not yet checked as a mission; AnswerError if the form is wrong."""
     start, end = answer.find("{"), answer.rfind("}")
     try:
         return MissionAnswer.model_validate_json(answer[start : end + 1])
@@ -91,7 +91,7 @@ def answer_of(answer: str) -> MissionAnswer:
 
 
 def draft_of(answer: str) -> MissionDraft:
-    """An answer of the model as a draft; AnswerError if it has another form, InputError if it cannot be flown."""
+    """An answer of the model as a draft; AnswerError if the form is wrong, InputError if it cannot be flown."""
     parsed = answer_of(answer)
     fields = parsed.model_dump(exclude_none=True)
     if parsed.shape.startswith("points"):

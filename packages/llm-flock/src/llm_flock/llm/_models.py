@@ -1,4 +1,4 @@
-"""Build a language model for each robot from the options: ranges, settings, and a shared pool of connections."""
+"""Builds a language model for each robot from the options: ranges, settings, and a shared pool of connections."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NEXT_RANGE = re.compile(rf",(?={_RANGE})")
 def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
     """Assign values to robots: `A` for all, `0-4=A,5-9=B` or `3=A,0-2=B` by ranges.
 
-    Values may contain commas: only a comma before another range separates. InputError unless each robot has one value.
+    Values may contain commas: only a comma before a range separates. InputError unless each robot has one value.
     """
     if not _STARTS_WITH_RANGE.match(text):
         return (text.strip(),) * n
@@ -95,7 +95,7 @@ def _numbers(
 
 
 def waits(model: str) -> bool:
-    """Whether a model mostly waits for answers, so that runs with it need little of a processor."""
+    """Whether a model mostly waits for answers, so that runs with it need little processor time."""
     name = parse_model(model)
     if name.kind != "simulated":
         return name.kind in ("provider", "plugin", "own")
@@ -105,7 +105,7 @@ def waits(model: str) -> bool:
 
 
 def model_digests(model: str) -> Mapping[str, str]:
-    """Digests of the files of a plug-in's model, by name; empty for any other. InputError if they are unfit."""
+    """Digests of the files of a plug-in's model, by name; empty for other models. InputError if a file is unfit."""
     name = parse_model(model)
     return source_of(name.provider).digests(name.model) if name.kind == "plugin" else {}
 
@@ -121,10 +121,9 @@ def parse_history(text: str) -> int | None:
 
 
 def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: Mapping[str, str]) -> None:
-    """Refuse a money budget for models of unknown price: it would have no effect.
+    """InputError for a money budget with models of unknown price, on which it would have no effect.
 
-    Simulated models, cassettes and geometry cost nothing. A provider behind another address may charge anything, and
-    so may a class of the user's own.
+    A provider at another address and a class of the user's own may charge anything.
     """
     if max_cost_usd is None:
         return
@@ -141,7 +140,7 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
 
 
 class _NeverAsked:
-    """Stands for a provider's model where a configuration is only checked."""
+    """Replaces a provider's model where a configuration is only checked."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -154,8 +153,7 @@ class ModelPool:
     """Builds models on one HTTP client, and a host for each plug-in; many runs of one event loop may share them.
 
     It is an async context manager. Keys are read from the environment (`environ`) when a model is first needed, and
-    removed from all texts of its replies.
-    A pool for which `asks` is false needs no keys: its models of providers check a configuration, and are never asked.
+    removed from all texts of replies. Without `asks`, it needs no keys: its models are only checked, never asked.
     """
 
     def __init__(self, *, environ: Mapping[str, str] | None = None, asks: bool = True) -> None:
@@ -172,7 +170,7 @@ class ModelPool:
         await self.aclose()
 
     async def aclose(self) -> None:
-        """Close all connections, and the hosts of plug-ins. No model of this pool may be asked afterwards."""
+        """Close all connections and the hosts of plug-ins. Do not ask a model of this pool afterwards."""
         while self._hosts:
             await self._hosts.popitem()[1].aclose()
         if self._http is not None:
@@ -189,14 +187,13 @@ class ModelPool:
         base_urls: Mapping[str, str] = MappingProxyType({}),
         timeout_s: float = 600.0,
     ) -> LanguageModel:
-        """The language model of one robot, a provider's, a simulated one, or a plug-in's.
+        """The language model of one robot: a provider's, a simulated one, or a plug-in's.
 
         Only simulated models use `rng`. `base_urls` replace the providers' own addresses (`parse_base_urls`).
-        `timeout_s` is the longest wait for a response, should `limits` fail to end it [s].
+        `timeout_s` is the longest wait for a response, a second bound after that of `limits` [s].
 
         Raises:
-            InputError: unknown name, missing key (naming the variable), missing address or file; or a replay, geometry
-                or a class, which are made elsewhere.
+            InputError: unknown name, missing key, address or file; or a replay, geometry or class: made elsewhere.
         """
         name = parse_model(text)
         if name.kind == "plugin":
@@ -212,7 +209,7 @@ class ModelPool:
             from llm_flock.llm._simulated.profiles import parse_profile
 
             return SimulatedModel(parse_profile(name.model), rng, settings)
-        hosted = self._hosted(name, base_urls, timeout_s)
+        hosted = self._hosted_model(name, base_urls, timeout_s)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
         from llm_flock.llm._client import PydanticModel
 
@@ -223,7 +220,7 @@ class ModelPool:
             hosted, name=name.text, settings=settings, secrets=tuple(filter(None, keys)), priced=priced
         )
 
-    def _hosted(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float) -> Model[Any]:
+    def _hosted_model(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float) -> Model[Any]:
         info = name.info
         key = self._environ.get(info.key_env, "").strip()
         if not key and info.key_required and name.provider not in base_urls:
@@ -234,14 +231,14 @@ class ModelPool:
         from llm_flock.extras import require
 
         require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")
-        # The SDKs take most of a second to import: a run with simulated models needs none of them.
+        # The SDKs take most of a second to import, and a run with simulated models needs none of them.
         import llm_flock.llm._hosted as hosted
 
         if self._http is None:
             self._http = hosted.new_http_client()
-        place = (name.provider, name.model, address, timeout_s)
-        if place not in self._models:
-            self._models[place] = hosted.build_model(
+        key_of_model = (name.provider, name.model, address, timeout_s)
+        if key_of_model not in self._models:
+            self._models[key_of_model] = hosted.build_model(
                 name.provider, name.model, base_url=address, key=key, http=self._http, timeout_s=timeout_s
             )
-        return self._models[place]
+        return self._models[key_of_model]

@@ -29,16 +29,15 @@ ModelChoice: TypeAlias = str | Answers | Sequence[str | Answers]
 
 
 class OwnModel:
-    """A `LanguageModel` around an object of the user's own: whatever it raises or returns, the run goes on.
+    """A `LanguageModel` around an object of the user's own; its errors and bad replies do not end a run.
 
-    What it raises counts as a failed call: `TimeoutError` and other `OSError`s are tried again, everything else is a
-    fault of the code, is logged once with its traceback, and is not. InputError if it has no `async def ask(self,
-    call)`.
+    An exception counts as a failed call. `TimeoutError` and other `OSError`s are retried. All others are faults of the
+    code: they are logged once with a traceback, and not retried. InputError without `async def ask(self, call)`.
 
     Attributes:
         name: `package.module:Class`, as in records.
-        simulated: whether the object says of itself that it is a stand-in.
-        made: whether it was made by its name, and not handed over as an object.
+        simulated: whether the object declares itself a stand-in.
+        made: whether it was made from its name, not passed as an object.
     """
 
     def __init__(self, model: object, *, name: str | None = None) -> None:
@@ -46,13 +45,13 @@ class OwnModel:
         self.simulated = bool(getattr(model, "simulated", False))
         self.made = name is not None
         self._model = model
-        self._told = False
+        self._logged = False
         if not inspect.iscoroutinefunction(getattr(model, "ask", None)):
             raise InputError("model", self.name, "a class with the method `async def ask(self, call)`")
 
     @classmethod
     def load(cls, name: str) -> Self:
-        """The model that a class, called without arguments, makes; InputError if it cannot."""
+        """An object of the class of this name, made without arguments; InputError if that fails."""
         make = load_own("model", name, model_forms())
         try:
             model = make()
@@ -74,30 +73,30 @@ class OwnModel:
         except (Exception, SystemExit, asyncio.CancelledError) as error:  # a user's code may raise anything
             if isinstance(error, asyncio.CancelledError) and is_cancelled():
                 raise
-            if not self._told:
-                self._told = True
+            if not self._logged:
+                self._logged = True
                 logger.warning("robot %d, %s failed", call.robot, self.name, exc_info=True)
             raise ModelError("refused", f"{self.name} failed: {shown(error)}") from error
-        found = Reply(text=reply, model=self.name) if isinstance(reply, str) else reply
-        if (fault := _fault(found)) is not None:
+        whole = Reply(text=reply, model=self.name) if isinstance(reply, str) else reply
+        if (fault := _fault(whole)) is not None:
             raise ModelError("garbage", f"{self.name} returned {fault}")
-        # Neither UTF-8 nor the records can hold half a character.
-        return replace(found, text=found.text.encode("utf-8", "replace").decode(), model=self.name)
+        # UTF-8 and the records cannot hold half a character.
+        return replace(whole, text=whole.text.encode("utf-8", "replace").decode(), model=self.name)
 
     async def aclose(self) -> None:
-        """Close what was made here, if it has an `aclose`; an object that was handed over stays open."""
+        """Close an object that was made here, if it has an `aclose`; one that was passed stays open."""
         close = getattr(self._model, "aclose", None)
         if self.made and close is not None:
             try:
                 await asyncio.wait_for(close(), CLOSE_S)
-            except (Exception, SystemExit, asyncio.CancelledError) as error:  # the result is there already
+            except (Exception, SystemExit, asyncio.CancelledError) as error:  # the run is over already
                 if isinstance(error, asyncio.CancelledError) and is_cancelled():
                     raise
                 logger.warning("%s could not be closed: %s", self.name, shown(error))
 
     @property
     def unrepeatable(self) -> str:
-        """What of this model a record cannot repeat, as a sentence."""
+        """A sentence about the part of this model that a record cannot repeat."""
         if not self.made:
             return (
                 f"{self.name} was handed over as an object: neither its code nor its arguments are recorded, so the "
@@ -107,7 +106,7 @@ class OwnModel:
 
 
 def says_simulated(name: str) -> bool:
-    """Whether a model is a stand-in, by its name; a class of the user's own is imported, but not called."""
+    """Whether the model of this name is a stand-in; a class of the user's own is imported, but not called."""
     if parse_model(name).kind != "own":
         return habits_of(name).simulated
     return bool(getattr(load_own("model", name, model_forms()), "simulated", False))
@@ -120,11 +119,11 @@ def own_name(model: object) -> str:
 
 
 def split_choice(choice: ModelChoice) -> tuple[str, Mapping[int, OwnModel]]:
-    """A choice of models as the configuration writes it, and the objects among them by robot; -1 stands for all."""
+    """A choice of models as the configuration writes it, and the objects in it by robot; -1 is for all robots."""
     if isinstance(choice, str):
         return choice, {}
     if not isinstance(choice, list | tuple):
-        own = _wrapped(choice)
+        own = _wrap(choice)
         return own.name, {-1: own}
     if not choice:
         raise InputError("model", [], "a model for each robot")
@@ -135,19 +134,19 @@ def split_choice(choice: ModelChoice) -> tuple[str, Mapping[int, OwnModel]]:
         if isinstance(model, str):
             names.append(model)
         else:
-            objects[robot] = known.setdefault(id(model), _wrapped(model))
+            objects[robot] = known.setdefault(id(model), _wrap(model))
             names.append(objects[robot].name)
     return ",".join(f"{robot}={name}" for robot, name in enumerate(names)), objects
 
 
-def _wrapped(model: object) -> OwnModel:
+def _wrap(model: object) -> OwnModel:
     if isinstance(model, type):
         raise InputError("model", own_name(model), f"an object, such as {model.__name__}(), or a name")
     return OwnModel(model)
 
 
 def _fault(reply: object) -> str | None:
-    """What is wrong with a reply, None if nothing: a record must be able to hold it."""
+    """The fault of a reply that a record cannot hold, else None."""
     if not isinstance(reply, Reply):
         return f"{type(reply).__name__}, and no Reply or str"
     try:

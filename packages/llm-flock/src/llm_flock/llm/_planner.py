@@ -1,4 +1,4 @@
-"""A robot's conversation with its language model: ask, read, ask again with the reason, give up after some tries.
+"""A robot's conversation with its language model: ask, read, ask again with the reason, give up after some attempts.
 
 Each robot has its own planner, which holds only this robot's conversation. Every question carries its mission, which
 may differ from the one before.
@@ -9,7 +9,8 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from typing import Any, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeAlias
 
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm._answer_forms import answer_schema
@@ -18,7 +19,7 @@ from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
 from llm_flock.llm._letters import read_way, ways_of
 from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
 from llm_flock.llm._prompting import PromptSet
-from llm_flock.llm._thoughts import quoted, whole_answer
+from llm_flock.llm._thoughts import quote, whole_answer
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import plan_by_geometry, straight_path
@@ -29,7 +30,7 @@ logger = logging.getLogger(__name__)
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 """A reason to reject an answer, as a sentence for the model, or None."""
 
-Judge: TypeAlias = Callable[[StepQuestion, StepAnswer], Verdict]
+CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], Verdict]
 
 
 def _same_task(one: Mission, other: Mission) -> bool:
@@ -42,10 +43,10 @@ def _same_task(one: Mission, other: Mission) -> bool:
     return one.model_dump(exclude=moving) == other.model_dump(exclude=moving)
 
 
-def _objection(
+def _rejection_reason(
     asked: FramedQuestion[Q], framed: A, answer: A, check: Callable[[Q, A], str | None] | None
 ) -> str | None:
-    """Why a check rejects an answer, in the numbers that the model was given and has answered with."""
+    """The reason why a check rejects an answer, in the coordinates of the prompt; None if it passes."""
     rejected = None if check is None else check(asked.question, answer)
     if check is None or rejected is None or asked.frame is None:
         return rejected
@@ -63,18 +64,44 @@ def _plain(question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswe
     return plain
 
 
+@dataclass(frozen=True, slots=True)
+class _Exchange(Generic[Q, A]):
+    """A question as a prompt, the form of its answer, and how an answer is read and checked."""
+
+    kind: Kind
+    asked: FramedQuestion[Q]
+    text: str
+    form: AnswerForm
+    read: Callable[[str], A]
+    check: Callable[[Q, A], str | None] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Outcome(Generic[A]):
+    """The result of one attempt: the reply as a message, and the answer in it; None if it cannot be read."""
+
+    message: ChatMessage
+    answer: A | None
+    rejected: str | None
+
+    @property
+    def accepted(self) -> A | None:
+        """The answer, if it was not rejected."""
+        return self.answer if self.rejected is None else None
+
+
 class LanguagePlanner:
     """A `Planner` that asks a language model.
 
-    An answer that cannot be read, or that a check rejects, goes back to the model with the reason. Rejected tries stay
-    in the conversation of their question only: later questions see the accepted exchange.
+    An answer that cannot be read, or that a check rejects, goes back to the model with the reason. Rejected attempts
+    stay in the conversation of their question only: later questions see the accepted exchange.
 
-    `history` is the number of earlier exchanges that the model sees, None for all. A planner that `clips` accepts an
-    answer that does not fit if it can be flown clipped, which is quicker than asking again.
+    `history` is the number of earlier exchanges that the model sees, None for all. With `clips`, the planner accepts an
+    unsafe step that the shield can clip, instead of asking again.
 
-    With the prompts `letters`, the model chooses among open ways by its letter. Plans come from geometry, and say so;
-    so do steps where there is nothing to choose: fewer than two ways are open, or the straight one reaches the goal.
-    Otherwise a robot that is to go slowly would halve its last step for ever.
+    With the prompts `letters`, the model chooses among open ways by its letter. Geometry makes the plans. It also makes
+    a step if fewer than two ways are open or the straight way reaches the goal; such answers have `by="geometry"`.
+    Without the second case, a robot told to go slowly would halve its last step again and again and never arrive.
     """
 
     def __init__(
@@ -87,7 +114,7 @@ class LanguagePlanner:
         history: int | None = 0,
         on_attempt: AttemptSink = lambda _: None,
         check_plan: CheckPlan | None = None,
-        judge: Judge | None = None,
+        judge: CheckStep | None = None,
         clips: bool = False,
         frame: FrameName = "world",
     ) -> None:
@@ -99,15 +126,15 @@ class LanguagePlanner:
         self._model = model
         self._prompts = prompts
         self._max_retries = max_retries
-        self._kept = history
+        self._max_exchanges = history
         self._frame: FrameName = frame
-        self._report = on_attempt
+        self._on_attempt = on_attempt
         self._check_plan = check_plan
         self._judge = judge
         self._clips = clips
         self._history: list[ChatMessage] = []
-        self._about: Mission | None = None
-        self._round = -1
+        self._mission: Mission | None = None
+        self._round: int = -1
         self._attempt = 0
 
     async def plan(self, question: PlanQuestion) -> PlanAnswer | NoAnswer:
@@ -115,24 +142,28 @@ class LanguagePlanner:
         if self._prompts.letters:
             return plan_by_geometry(question)
 
-        def read(text: str, form: AnswerForm) -> PlanAnswer:
+        asked, form = frame_plan(question, self._frame), self._form(question.mission)
+
+        def read(text: str) -> PlanAnswer:
             plan, slot = read_plan(text, form)
             return PlanAnswer(plan=plan, slot=slot)
 
-        asked = frame_plan(question, self._frame)
-        return await self._converse("plan", asked, self._prompts.plan(asked.framed), 1, read, self._check_plan)
+        text = self._prompts.plan(asked.framed)
+        return await self._converse(_Exchange("plan", asked, text, form, read, self._check_plan))
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask for the next waypoint, or for a path."""
         if self._prompts.letters:
             return await self._choose(question)
 
-        def read(text: str, form: AnswerForm) -> StepAnswer:
+        asked, form = frame_step(question, self._frame), self._form(question.mission, horizon=question.horizon)
+
+        def read(text: str) -> StepAnswer:
             waypoint, *path = read_waypoints(text, form)
             return StepAnswer(waypoint=waypoint, path=tuple(path))
 
-        asked, horizon = frame_step(question, self._frame), question.horizon
-        return await self._converse("step", asked, self._prompts.step(asked.framed), horizon, read, self._check_step)
+        text = self._prompts.step(asked.framed)
+        return await self._converse(_Exchange("step", asked, text, form, read, self._check_step))
 
     async def _choose(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask which way to go; its end is the waypoint. A path has one position."""
@@ -141,81 +172,93 @@ class LanguagePlanner:
             only = ways[0].waypoint if ways else straight_path(question).waypoint
             return StepAnswer(waypoint=only, by="geometry")
 
-        def read(text: str, _: AnswerForm) -> StepAnswer:
-            return StepAnswer(waypoint=read_way(text, ways).waypoint)
-
-        asked, letters = FramedQuestion(question=question, framed=question), "".join(way.letter for way in ways)
-        return await self._converse("step", asked, self._prompts.step(question), 1, read, self._check_step, letters)
+        asked, text = FramedQuestion(question=question, framed=question), self._prompts.step(question)
+        form = self._form(question.mission, letters="".join(way.letter for way in ways))
+        exchange = _Exchange(
+            "step",
+            asked,
+            text,
+            form,
+            lambda answer: StepAnswer(waypoint=read_way(answer, ways).waypoint),
+            self._check_step,
+        )
+        return await self._converse(exchange)
 
     def _check_step(self, question: StepQuestion, answer: StepAnswer) -> str | None:
         return None if self._judge is None else self._judge(question, answer).reason
 
-    async def _converse(
-        self,
-        kind: Kind,
-        asked: FramedQuestion[Q],
-        text: str,
-        horizon: int,
-        read: Callable[[str, AnswerForm], A],
-        check: Callable[[Q, A], str | None] | None,
-        letters: str = "",
-    ) -> A | NoAnswer:
-        """Ask one question up to `1 + max_retries` times; a probe once."""
-        mission, round_, probe = asked.question.mission, asked.question.round, asked.question.probe
+    def _form(self, mission: Mission, *, horizon: int = 1, letters: str = "") -> AnswerForm:
         json, reasons = self._prompts.json, self._prompts.reasons
-        form = AnswerForm(
+        return AnswerForm(
             n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons, letters=letters
         )
-        if self._about is None or not _same_task(self._about, mission):
-            self._history = []
-        self._about = mission
-        if round_ != self._round:  # attempts are numbered within a round, over both kinds of questions
-            self._round, self._attempt = round_, 0
-        question = ChatMessage("user", text)
-        messages = (ChatMessage("system", self._prompts.system(asked.framed.mission)), *self._history, question)
-        schema = answer_schema(kind, form) if json else None
-        reason, unfit = "", None
-        tries = 1 if probe else 1 + self._max_retries
-        for _ in range(tries):
-            call = Call(
-                robot=self._robot,
-                round=round_,
-                kind=kind,
-                attempt=self._attempt,
-                messages=messages,
-                schema=schema,
-                form=form,
-                probe=probe,
-            )
+
+    async def _converse(self, exchange: _Exchange[Q, A]) -> A | NoAnswer:
+        """Ask one question up to `1 + max_retries` times; a probe once."""
+        call, question = self._first_call(exchange), exchange.asked.question
+        reason, last_waypoint = "", None
+        attempts = 1 if question.probe else 1 + self._max_retries
+        for _ in range(attempts):
+            call = replace(call, attempt=self._attempt)
             self._attempt += 1
-            began = time.perf_counter()
             try:
-                reply = await self._model.ask(call)
+                outcome = await self._ask(call, exchange)
             except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
-                self._report(Attempt.failed(call, error, self._model.name, time.perf_counter() - began))
-                logger.info("robot %d, round %d, %s: no answer: %s", self._robot, round_, kind, error)
                 return NoAnswer(cause=error.kind, reason=str(error))
-            try:
-                framed = read(whole_answer(reply), form)
-                answer = asked.to_world(framed)
-                rejected = _objection(asked, framed, answer, check)
-            except AnswerError as error:
-                answer, rejected = None, str(error)
-            clipped = None
-            if rejected is not None and self._will_be_clipped(asked.question, answer):
-                clipped, rejected = rejected, None
-            parsed = _plain(asked.question, answer) if answer is not None and rejected is None else None
-            self._report(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
-            said = ChatMessage("assistant", quoted(reply))
-            if answer is not None and rejected is None:
-                self._keep(question, said)
-                return answer
-            reason = rejected or ""
-            unfit = answer.waypoint if isinstance(answer, StepAnswer) else unfit
-            messages += (said, ChatMessage("user", self._prompts.retry(reason, asked.framed)))
-        story = f"no usable answer in {tries} {'try' if tries == 1 else 'tries'}; the last: {reason}"
-        logger.info("robot %d, round %d, %s: %s", self._robot, round_, kind, story)
-        return NoAnswer(cause="answer", reason=story, waypoint=unfit)
+            if outcome.accepted is not None:
+                self._keep(ChatMessage("user", exchange.text), outcome.message)
+                return outcome.accepted
+            reason = outcome.rejected or ""
+            if isinstance(outcome.answer, StepAnswer):
+                last_waypoint = outcome.answer.waypoint
+            retry = ChatMessage("user", self._prompts.retry(reason, exchange.asked.framed))
+            call = replace(call, messages=(*call.messages, outcome.message, retry))
+        story = f"no usable answer in {attempts} {'try' if attempts == 1 else 'tries'}; the last: {reason}"
+        logger.info("robot %d, round %d, %s: %s", self._robot, call.round, call.kind, story)
+        return NoAnswer(cause="answer", reason=story, waypoint=last_waypoint)
+
+    def _first_call(self, exchange: _Exchange[Q, A]) -> Call:
+        """The question after the history that is about the same task."""
+        question, mission = exchange.asked.question, exchange.asked.question.mission
+        if self._mission is None or not _same_task(self._mission, mission):
+            self._history = []
+        self._mission = mission
+        if question.round != self._round:  # attempts are numbered within a round, over both kinds of questions
+            self._round, self._attempt = question.round, 0
+        system = ChatMessage("system", self._prompts.system(exchange.asked.framed.mission))
+        return Call(
+            robot=self._robot,
+            round=question.round,
+            kind=exchange.kind,
+            attempt=self._attempt,
+            messages=(system, *self._history, ChatMessage("user", exchange.text)),
+            schema=answer_schema(exchange.kind, exchange.form) if exchange.form.json else None,
+            form=exchange.form,
+            probe=question.probe,
+        )
+
+    async def _ask(self, call: Call, exchange: _Exchange[Q, A]) -> _Outcome[A]:
+        """Make one attempt: ask, read, check and report; ModelError without a reply."""
+        asked, start = exchange.asked, time.perf_counter()
+        try:
+            reply = await self._model.ask(call)
+        except ModelError as error:
+            self._on_attempt(Attempt.failed(call, error, self._model.name, time.perf_counter() - start))
+            logger.info("robot %d, round %d, %s: no answer: %s", self._robot, call.round, call.kind, error)
+            raise
+        answer, clipped = None, None
+        try:
+            framed = exchange.read(whole_answer(reply))
+            answer = asked.to_world(framed)
+            rejected = _rejection_reason(asked, framed, answer, exchange.check)
+        except AnswerError as error:
+            answer, rejected = None, str(error)
+        if rejected is not None and self._will_be_clipped(asked.question, answer):
+            clipped, rejected = rejected, None
+        outcome = _Outcome(message=ChatMessage("assistant", quote(reply)), answer=answer, rejected=rejected)
+        parsed = None if outcome.accepted is None else _plain(asked.question, outcome.accepted)
+        self._on_attempt(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
+        return outcome
 
     def _will_be_clipped(self, question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer | None) -> bool:
         if self._judge is None or not isinstance(question, StepQuestion) or not isinstance(answer, StepAnswer):
@@ -225,5 +268,5 @@ class LanguagePlanner:
     def _keep(self, question: ChatMessage, answer: ChatMessage) -> None:
         """Add an accepted exchange to the history, and drop the oldest ones."""
         self._history += [question, answer]
-        if self._kept is not None:
-            del self._history[: max(0, len(self._history) - 2 * self._kept)]
+        if self._max_exchanges is not None:
+            del self._history[: max(0, len(self._history) - 2 * self._max_exchanges)]

@@ -1,4 +1,4 @@
-"""The port between planners and language models: one method, plain values on both sides."""
+"""The port between planners and language models: one method, with plain values on both sides."""
 
 from __future__ import annotations
 
@@ -30,13 +30,7 @@ class ChatMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CallSettings:
-    """Sampling settings; None leaves the provider's default.
-
-    Attributes:
-        temperature: 0 for the likeliest answer; reasoning models ignore or refuse it.
-        seed: for repeatable sampling, where the provider supports it.
-        max_tokens: longest answer, reasoning included.
-    """
+    """Sampling settings; None leaves the provider's default. `max_tokens` limits reasoning and answer together."""
 
     temperature: float | None = None
     seed: int | None = None
@@ -44,22 +38,22 @@ class CallSettings:
     max_tokens: int | None = None
 
     def plain(self) -> dict[str, Any]:
-        """The settings without defaults, as they go into records."""
+        """The settings that are not None, as in records."""
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
 MAX_TOKENS = 10**9
-"""Most tokens that are believed of one call, in each direction: sums of calls have room in a record."""
+"""Most tokens of one call that are believed, in each direction, so that sums of calls fit into a record."""
 
 Count: TypeAlias = Annotated[int, Field(ge=0, le=MAX_TOKENS)]
 Amount: TypeAlias = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
 CHECKED = ConfigDict(strict=True, revalidate_instances="always")
-"""How pydantic checks what code or files of others hold, where it is asked to."""
+"""How pydantic checks values from other people's code or files."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Usage:
-    """Tokens of one or many calls; `cached` is the part of `input` that the provider had in its cache."""
+    """Tokens of one or many calls; `cached` is the part of `input` that came from the provider's cache."""
 
     __pydantic_config__ = CHECKED
 
@@ -69,7 +63,7 @@ class Usage:
 
     @classmethod
     def reported(cls, tokens_in: int, tokens_out: int, cached: int = 0) -> Usage:
-        """What a provider says that one call took, kept within 0 and `MAX_TOKENS`: it may say anything."""
+        """The tokens of one call as a provider reports them, limited to 0 to `MAX_TOKENS`: it may report anything."""
         read, written, known = (min(max(0, count), MAX_TOKENS) for count in (tokens_in, tokens_out, cached))
         return cls(input=read, output=written, cached=known)
 
@@ -86,9 +80,9 @@ class Usage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AnswerForm:
-    """The form of an answer, to read it, and to hold a model to it while it writes.
+    """The form of an answer, for reading it and for constraining a model that writes it.
 
-    A `horizon` of 1 asks for a single position, `letters` for one of them. `reasons`: the prompts ask for one before.
+    A `horizon` of 1 means a single position, `letters` one letter of these, `reasons` a reason before the answer.
     """
 
     n: int
@@ -104,12 +98,10 @@ class Call:
     """One question to a model.
 
     Attributes:
-        robot: its id.
-        round: motion round.
-        attempt: 0 for the first try, then 1, 2, ... as rejected answers are sent back.
-        probe: whether the model's last answers could not be used, so that this is a try whether it has recovered.
+        attempt: 0, then 1, 2, ... after rejected answers.
+        probe: whether this question only tests if a model has recovered from unusable answers.
         messages: the whole conversation that the model sees.
-        schema: JSON schema of the answer where structured answers are on, else None.
+        schema: JSON schema of the answer, None for answers as text.
         form: form of the answer. The messages state it too, so `request_hash` leaves it out.
     """
 
@@ -134,14 +126,13 @@ class Reply:
     """An answer of a model.
 
     Attributes:
-        text: the answer as it was written, without thoughts that have an end.
+        text: the answer as written, without finished thoughts.
         model: `provider:model` that answered.
-        settings: how it was sampled (temperature, seed, ...).
         cost_usd: price of this call [US dollars], None where no price is known.
-        latency_s: from the first try to the answer, waits for retries included [s].
-        faults: kinds of the transport faults that were retried before this answer came, in order.
-        finish_reason: why the model stopped writing (`stop`, `length`, ...), None where the provider does not say.
-        thought: whether it thought before it answered: thoughts are not part of the text, but may be all there is.
+        latency_s: from the first attempt to the answer, waits for retries included [s].
+        faults: kinds of the transport faults that were retried before this answer, in order.
+        finish_reason: the reason why the model stopped (`stop`, `length`, ...), None if the provider gives none.
+        thought: whether it wrote thoughts, which are not part of the text, before the answer or instead of one.
     """
 
     __pydantic_config__ = CHECKED
@@ -158,7 +149,7 @@ class Reply:
 
 
 class LanguageModel(Protocol):
-    """Anything that answers calls."""
+    """Answers calls."""
 
     @property
     def name(self) -> str:
@@ -171,10 +162,10 @@ class LanguageModel(Protocol):
 
 
 class Answers(Protocol):
-    """All that a model of the user's own needs; it may also have `aclose`, and say that it is `simulated`."""
+    """The one method that a model of the user's own needs; it may also have `aclose` and `simulated = True`."""
 
     async def ask(self, call: Call) -> Reply | str:
-        """Answer one call. Whatever it raises counts as a failed call."""
+        """Answer one call. Any exception counts as a failed call."""
         ...
 
 
@@ -183,12 +174,12 @@ class Attempt:
     """One call and its outcome: a line of a cassette and of a record's `/llm` channel.
 
     Attributes:
-        reply: without text if there was no answer; then it tells who was asked, the faults and the duration.
+        reply: without an answer, only the model, the faults and the duration.
         parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
             `"path"`), None when rejected.
-        rejected: why the answer was rejected, in the words that went back to the model.
-        clipped: why the answer, a step, is only flown clipped; None otherwise.
-        error: kind and detail of the ModelError, None when there was an answer.
+        rejected: the reason for a rejection, as sent back to the model.
+        clipped: the reason why a step is only flown clipped.
+        error: kind and detail of the ModelError, None with an answer.
     """
 
     call: Call
@@ -200,12 +191,12 @@ class Attempt:
 
     @classmethod
     def failed(cls, call: Call, error: ModelError, name: str, latency_s: float = 0.0) -> Attempt:
-        """A call to the model of this name that got no answer."""
+        """A call without an answer from the model of this name."""
         reply = Reply(text="", model=error.model or name, faults=error.faults, latency_s=latency_s)
         return cls(call=call, reply=reply, error=(error.kind, error.detail))
 
     def told(self) -> dict[str, Any]:
-        """Its fields, and those of the call and the reply, by name: what cassettes and records hold."""
+        """The fields of the attempt, its call and its reply, by name: the content of cassettes and records."""
         values = (self, self.call, self.reply)
         told = {field.name: getattr(value, field.name) for value in values for field in fields(value)}
         told |= {"request_hash": self.call.request_hash, "settings": dict(self.reply.settings)}

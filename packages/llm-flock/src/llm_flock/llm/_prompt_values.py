@@ -1,4 +1,4 @@
-"""Write the numbers and words of a mission for a prompt."""
+"""Formats the numbers and the shape of a mission for a prompt."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from llm_flock.plan import DECIMALS, Plan
 AXES = ("x", "y", "z")
 
 FARTHEST = 10.0
-"""Distance of the farthest goal that brief prompts name [step limits]: small models lose the direction of others."""
+"""Distance of the farthest goal in brief prompts [step limits]: small models lose the direction of farther ones."""
 
 
 def number_text(value: float) -> str:
@@ -55,7 +55,7 @@ def short_text(position: Point, decimals: int) -> str:
 
 
 def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) -> str:
-    """The robots that one step could come too near to, nearest first and three at most, or `none`."""
+    """The at most three nearest robots that one step could come too near to, nearest first, or `none`."""
     reach = mission.max_step + mission.safe_distance
     by_distance = sorted((math.dist(position, other), other) for other in neighbors)
     near = [other for distance, other in by_distance[:3] if distance < reach]
@@ -64,10 +64,7 @@ def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) 
 
 
 def nearer_goal(position: Point, goal: Point, max_step: float) -> Point:
-    """The goal, or the point `FARTHEST` step limits away on the straight way to one that is farther.
-
-    The point is rounded to a hundredth of the step limit: the direction counts.
-    """
+    """The goal, or the point `FARTHEST` step limits towards it, rounded to a hundredth of the step limit."""
     distance = math.dist(position, goal)
     if distance <= FARTHEST * max_step:
         return goal
@@ -77,21 +74,21 @@ def nearer_goal(position: Point, goal: Point, max_step: float) -> Point:
 
 @lru_cache(maxsize=64)
 def position_decimals(length: float) -> int:
-    """Decimals of positions where `length` matters (the step limit, say): 3, more if a thousandth of it is finer."""
+    """Decimals of positions beside a `length` such as the step limit: 3, or more if a thousandth of it is finer."""
     return min(DECIMALS, max(3, 3 - math.floor(math.log10(length))))
 
 
 @lru_cache(maxsize=1024)
 def plan_text(plan: Plan) -> str:
-    """A plan, with six decimals at most. Cached: a run shows few plans many times."""
+    """A plan, with six decimals at most. Cached, as a run shows few plans many times."""
     return "[" + ", ".join(map(place_text, plan.points)) + "]"
 
 
 def shape_text(mission: Mission) -> str:
-    """The shape in words; a custom shape by its points relative to its centre, in any orientation."""
+    """The shape as text; a custom shape by its points relative to its centre, in any orientation."""
     if mission.points is None or mission.ideal is None:
         return formations.describe(mission.shape)
-    # Rounding and adding zero remove differences like -1e-15, which would be written as -0.000.
+    # Rounding and adding zero remove values like -1e-15, which would be written as -0.000.
     offsets = [
         tuple(round(x - c, DECIMALS) + 0.0 for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal
     ]
@@ -100,7 +97,7 @@ def shape_text(mission: Mission) -> str:
 
 
 def obstacles_text(mission: Mission) -> str:
-    """The obstacles and the distance to keep from them, in words; empty without any."""
+    """The obstacles and the distance to keep from them, as text; empty without obstacles."""
     if not mission.obstacles:
         return ""
     body = "disc" if mission.dim == 2 else "ball"
@@ -133,4 +130,4 @@ MISSION: Mapping[str, Callable[[Mission], Any]] = {
     "point_format": _axes,
     "plan_format": lambda m: f"[{_axes(m)}, {_axes(m)}, ...]" if m.n_places > 1 else f"[{_axes(m)}]",
 }
-"""Variables of a mission, and how each is written. Every template but `retry.j2` may use them."""
+"""Variables of a mission, with the functions that write them. Every template but `retry.j2` may use them."""

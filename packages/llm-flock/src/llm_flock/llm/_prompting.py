@@ -1,4 +1,4 @@
-"""Render questions as prompts, from templates that an operator may replace.
+"""Renders questions as prompts, from templates that an operator may replace.
 
 The paper's messages are the system message (lines 101-113), the plan generation message (115-120) and the position
 update (166-171); the wording here is our own, and the plan message also gives the robot's id and the centre.
@@ -41,7 +41,7 @@ PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief", "let
 """Packaged sets of templates, and their folders."""
 
 LETTERS = "letters"
-"""The packaged set that asks for one letter, of ways that code computes; plans are not asked."""
+"""The packaged set that asks for the letter of one of the computed ways, and for no plan."""
 
 COMMON = frozenset({"json", "wish", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
@@ -68,7 +68,7 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     "horizon": lambda asked: asked.horizon,
     "ways": lambda asked: ways_text(ways_of(asked)),
 }
-"""Variables of a question, and how each is written."""
+"""Variables of a question, with the functions that write them."""
 
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
@@ -91,7 +91,7 @@ class PromptSet:
         json: whether they ask for a JSON object instead of the paper's text forms.
         reasons: whether they ask for a reason before the answer.
         letters: whether they ask for a letter instead of a position, and for no plan.
-        wish: what the operator wishes of the steps, in words; empty without a wish.
+        wish: the operator's wish about the steps, empty without one.
         templates: each with the variables that it may use.
     """
 
@@ -105,11 +105,9 @@ class PromptSet:
     def load(cls, prompts: str | Path = "full", *, json: bool = False, wish: str = "") -> Self:
         """A packaged set by its name, or the operator's folder, whose templates replace those of `full`.
 
-        `wish` is what the operator wishes of the steps, in words.
-
         Raises:
-            InputError: for field `prompts`: no such folder, none of the templates in it, or a template that cannot
-                be used (syntax, unknown variable, or a failure on an example), naming the file.
+            InputError: for field `prompts`: no such folder, none of the templates in it, or a template that cannot be
+                used (syntax, unknown variable, failure on an example), with its file.
         """
         if isinstance(prompts, str) and prompts in PACKAGED:
             letters = prompts == LETTERS
@@ -127,7 +125,7 @@ class PromptSet:
 
     def system(self, mission: Mission) -> str:
         """The system message: the same text for every robot of the team."""
-        return self._render("system.j2", _about(mission))
+        return self._render("system.j2", _mission_values(mission))
 
     def plan(self, question: PlanQuestion) -> str:
         """The plan generation message."""
@@ -138,23 +136,23 @@ class PromptSet:
         return self._question("step.j2", STEP, question)
 
     def retry(self, reason: str, question: PlanQuestion | StepQuestion) -> str:
-        """The message after an answer that cannot be used to the same question; `reason` is a sentence."""
+        """The message after an unusable answer to this question; `reason` is a sentence."""
         step = isinstance(question, StepQuestion)
-        about = {"reason": reason, "kind": "step" if step else "plan", "horizon": question.horizon if step else 1}
-        return self._render("retry.j2", {**_about(question.mission), **about})
+        own = {"reason": reason, "kind": "step" if step else "plan", "horizon": question.horizon if step else 1}
+        return self._render("retry.j2", {**_mission_values(question.mission), **own})
 
     def _question(self, name: str, known: Mapping[str, Callable[[Q], Any]], question: Q) -> str:
-        """Write only the variables that the template uses, for every robot asks."""
+        """Write only the variables that the template uses, to save time: every robot asks in every round."""
         uses = self.templates[name][1]
         own = {variable: write(question) for variable, write in known.items() if variable in uses}
-        return self._render(name, {**_about(question.mission), **own})
+        return self._render(name, {**_mission_values(question.mission), **own})
 
     def _render(self, name: str, variables: Mapping[str, Any]) -> str:
         template = self.templates[name][0]
         try:
             return template.render(variables, json=self.json, wish=self.wish or NO_WISH).strip()
         except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
-            # Any fault of an expression: the template is the operator's text, not our code.
+            # Expressions in the operator's template may fail in any of these ways.
             allowed = f"a template that can be rendered: {error}"
             raise InputError("prompts", template.filename or name, allowed) from None
 
@@ -174,31 +172,29 @@ class PromptSet:
 
 
 @lru_cache(maxsize=64)
-def _about(mission: Mission) -> Mapping[str, Any]:
-    """Variables of every message. A moving centre gives another mission in every round."""
+def _mission_values(mission: Mission) -> Mapping[str, Any]:
+    """Variables of every message. Cached for 64 missions: a moving centre gives another mission in each round."""
     return {name: write(mission) for name, write in MISSION.items()}
 
 
 def _templates(packaged: str, folder: Path | None = None) -> Mapping[str, tuple[jinja2.Template, frozenset[str]]]:
-    """Every template, compiled and checked: the operator's, or else the packaged one."""
+    """Every template, compiled and checked: the operator's if there is one, else the packaged one."""
     folders: list[jinja2.BaseLoader] = [] if folder is None else [jinja2.FileSystemLoader(folder)]
-    # Templates may come from strangers; in the sandbox they can only make text.
+    # Templates may come from strangers. In the sandbox they can only make text.
     environment = SandboxedEnvironment(
         loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return {name: _compiled(environment, name, folder) for name in VARIABLES}
+    return {name: _compile(environment, name, folder) for name in VARIABLES}
 
 
 _packaged = lru_cache(maxsize=len(PACKAGED))(_templates)
 
 
-def _compiled(
-    environment: jinja2.Environment, name: str, folder: Path | None
-) -> tuple[jinja2.Template, frozenset[str]]:
-    """A template with correct syntax and known variables."""
+def _compile(environment: jinja2.Environment, name: str, folder: Path | None) -> tuple[jinja2.Template, frozenset[str]]:
+    """A template and the variables that it uses; InputError for wrong syntax or an unknown variable."""
     assert environment.loader is not None
     file = name if folder is None else str(folder / name)
     try:

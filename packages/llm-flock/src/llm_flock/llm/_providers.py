@@ -1,4 +1,4 @@
-"""The table of providers, the names of models (`provider:model`), and what answers names of plug-ins."""
+"""The table of providers, the names of models (`provider:model`), and the interface of plug-ins with models."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ PROVIDERS: Mapping[str, ProviderInfo] = {info.name: info for info in _TABLE}
 
 
 def model_forms() -> str:
-    """What a model string may be, as a phrase."""
+    """The forms of a model string, as a phrase."""
     from llm_flock import plugins
 
     installed = "".join(f"{prefix}:MODEL, " for prefix in plugins.entries("models"))
@@ -70,8 +70,8 @@ def model_forms() -> str:
 
 
 _OWN = re.compile(r"(?:[^\W\d]\w*\.)+[^\W\d]\w*:[^\W\d][\w.<>]*|[^\W\d]\w*:(?:[\w.<>]+\.)?[A-Z]\w*|__main__:[\w.<>]+")
-"""A class of the user's own. Where the module has no dot, the class begins with a capital letter, so that a misspelt
-provider is no class."""
+"""A class of the user's own. If the module has no dot, the class must begin with a capital letter, so that a misspelt
+provider is not taken for a class."""
 
 _RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
 
@@ -79,8 +79,8 @@ _RESPONSES_ONLY = re.compile(r"(?:^|-)(?:pro|codex|deep-research)(?:-|$)")
 def needs_responses(provider: str, model: str, base_url: str) -> bool:
     """Whether to ask a model through OpenAI's Responses API instead of chat completions.
 
-    OpenAI serves some families there only: o1-pro, o3-pro and gpt-5-pro, codex, and deep-research, of any version.
-    Servers at other addresses may translate, so there it takes the provider's name.
+    OpenAI serves some families only there: o1-pro, o3-pro and gpt-5-pro, codex, and deep-research, of any version.
+    At other addresses, which may translate, only the provider `openai-responses` uses it.
     """
     if provider != "openai":
         return provider == "openai-responses"
@@ -89,7 +89,7 @@ def needs_responses(provider: str, model: str, base_url: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelName:
-    """A parsed model string: `provider` is in the table, or the prefix of a plug-in, else the kind.
+    """A parsed model string; `provider` is in the table, the prefix of a plug-in, or else the kind.
 
     `model` is the part after the first colon: model name, profile of a simulated model, path of a cassette, or a class.
     """
@@ -108,7 +108,7 @@ class ModelName:
 def parse_model(text: str) -> ModelName:
     """Read `provider:model`, `simulated:PROFILE`, `replay:FILE`, `geometry`, `package.module:Class`, or a plug-in's.
 
-    Nothing that the name chooses is imported: it may come from a record. ExtraMissing if an extra has to be installed.
+    The name may come from a record, so it causes no import. ExtraMissing if an extra has to be installed.
     """
     text = text.strip()
     provider, colon, model = text.partition(":")
@@ -140,7 +140,7 @@ def parse_model(text: str) -> ModelName:
 
 
 def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
-    """Price of one call by the installed lists [US dollars], nothing is downloaded; None where no price is known."""
+    """Price of one call by the installed lists [US dollars], None if unknown; nothing is downloaded."""
     provider = "openai" if provider == "openai-responses" else provider
     if provider not in ("openai", "anthropic", "deepseek"):
         return None
@@ -157,11 +157,11 @@ def cost_usd(provider: str | None, model: str, usage: Usage) -> float | None:
 
 
 def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
-    """Addresses that replace the own ones of the providers in use: one URL, or `provider=URL,provider=URL`.
+    """Addresses that replace those of the providers in use: one URL, or `provider=URL,provider=URL`.
 
     Raises:
         InputError: for field `base_url`: not an http(s) address, a password in it, a provider that is not in use, one
-            address for several providers (each would get the other's key), or a provider without any address.
+            address for several providers (each would get the other's key), or a provider without an address.
     """
     used = {name.provider: name.info for name in map(parse_model, models) if name.kind == "provider"}
     urls: dict[str, str] = {}
@@ -182,14 +182,14 @@ def parse_base_urls(text: str | None, models: Iterable[str]) -> dict[str, str]:
 
 
 def check_url(url: str) -> str:
-    """The address without a trailing slash. A user name, password or query is refused: it would end up in records."""
+    """The address without a trailing slash; InputError for a user name, password or query, which records would show."""
     try:
         parts = urlsplit(url)
         host, secret, port = parts.hostname, parts.username or parts.password, parts.port
     except ValueError:
         raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...") from None
     if len(url) > MAX_URL_LENGTH or hidden(url) is not None:
-        raise InputError("base_url", url, f"at most {MAX_URL_LENGTH} letters that everybody sees")
+        raise InputError("base_url", url, f"at most {MAX_URL_LENGTH} visible characters")
     if secret:
         raise InputError("base_url", f"{parts.scheme}://...@{host}", "an address without a user name or password")
     if parts.query or parts.fragment:
@@ -201,14 +201,14 @@ def check_url(url: str) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Habits:
-    """How a model is best asked, where the configuration does not say.
+    """How to ask a model, where the configuration leaves it open.
 
     Attributes:
         prompts: name of a packaged set of prompts.
         frame: coordinates of the prompts.
-        plans: whether it is asked for a plan, the others come from geometry; None where it is asked for all.
-        contained: it costs nothing, uses no network and reads no file outside installed packages.
-        simulated: it is a stand-in, and no language model: everything that is shown says so.
+        plans: whether to ask it for this plan, which else comes from geometry; None asks for all.
+        contained: whether it costs nothing, uses no network and reads no file outside installed packages.
+        simulated: whether it is a stand-in, which all output must state.
     """
 
     prompts: str = "full"
@@ -219,14 +219,14 @@ class Habits:
 
 
 class ModelHost(Protocol):
-    """What the models of one team share, such as an engine."""
+    """Holds what the models of one team share, such as an engine."""
 
     def model(self, text: str, settings: CallSettings | None) -> LanguageModel:
-        """The model of one robot, named as in the configuration; InputError if it is known that it cannot work."""
+        """The model of one robot, named as in the configuration; InputError if it certainly cannot work."""
         ...
 
     async def aclose(self) -> None:
-        """Give everything back. No model of this host may be asked afterwards."""
+        """Release everything. Do not ask a model of this host afterwards."""
         ...
 
 
@@ -243,15 +243,15 @@ class ModelSource(Protocol):
 
     @property
     def at_once(self) -> int:
-        """Questions that it answers at the same time; others wait, and their time-outs begin later."""
+        """Number of questions that it answers at the same time; the time-outs of others begin later."""
         ...
 
     def host(self) -> ModelHost:
-        """A host for one team. Loads nothing before the first question."""
+        """A host for one team, which loads nothing before the first question."""
         ...
 
     def habits(self, model: str) -> Habits:
-        """How a model is best asked, by the part of its name after the prefix. Reads no file."""
+        """How to ask a model, by the part of its name after the prefix. Reads no file."""
         ...
 
     def digests(self, model: str) -> Mapping[str, str]:
@@ -259,7 +259,7 @@ class ModelSource(Protocol):
         ...
 
     def versions(self, model: str) -> Mapping[str, str]:
-        """As `digests`, with the files that were made from them: what a record says of the model."""
+        """As `digests`, with the files that were made from them, for records."""
         ...
 
 
@@ -271,7 +271,7 @@ def source_of(prefix: str) -> ModelSource:
 
 
 def habits_of(text: str) -> Habits:
-    """How the model of this name is best asked; as any other, where no plug-in of its prefix is installed."""
+    """How to ask the model of this name; the defaults without a plug-in of its prefix."""
     prefix, _, model = text.partition(":")
     if not model:
         return Habits()

@@ -1,7 +1,7 @@
 """Cassettes: files with every conversation of a run, one attempt a line, and a model that answers from them.
 
-A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`, with `"simulated": true` where a stand-in may
-have answered; each further line is a `CassetteLine`.
+A cassette is JSON Lines. The first line is `{"llm_flock_cassette": 1}`, with `"simulated": true` if a stand-in may have
+answered; each further line is a `CassetteLine`.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 import logging
 from collections.abc import Mapping
 from contextlib import ExitStack
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import IO, Any, Self
@@ -30,9 +30,9 @@ MAX_LINE_LENGTH = 1 << 26
 
 
 class CassetteLine(BaseModel):
-    """One attempt, answered or not. Field names and meanings are those of `port.Attempt`, `Call` and `Reply`.
+    """One attempt, with the fields of `port.Attempt`, `Call` and `Reply`.
 
-    `text` is null when there was no answer; then `error` says why.
+    Without an answer, `text` is null and `error` has the reason.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -57,7 +57,7 @@ class CassetteLine(BaseModel):
     finish_reason: str | None = None
     thought: bool = False
     clipped: str | None = None
-    """The last three are missing in older cassettes."""
+    """Older cassettes lack the last three fields."""
 
 
 class _Cassette:
@@ -66,7 +66,7 @@ class _Cassette:
     _file: IO[Any]
 
     def close(self) -> None:
-        """Close the file. It cannot be used afterwards."""
+        """Close the file."""
         self._file.close()
 
     def __enter__(self) -> Self:
@@ -79,8 +79,8 @@ class _Cassette:
 class CassetteWriter(_Cassette):
     """An `AttemptSink` that writes each attempt as soon as it is over; a context manager.
 
-    A run that is killed loses at most the line that was being written. An existing file is never touched. `simulated`
-    tells whether a stand-in may answer: the names of models need not say so.
+    A killed run loses at most the last line. An existing file is never touched. `simulated` is whether a stand-in may
+    answer, which the names of models may not show.
     """
 
     def __init__(self, path: Path, *, simulated: bool = False) -> None:
@@ -94,8 +94,8 @@ class CassetteWriter(_Cassette):
 
     def __call__(self, attempt: Attempt) -> None:
         """Write one line, the fields of a `CassetteLine`."""
-        told = attempt.told() | {"answer_schema": attempt.call.schema}
-        self._write({name: told[name] for name in CassetteLine.model_fields})
+        values = attempt.told() | {"answer_schema": attempt.call.schema}
+        self._write({name: values[name] for name in CassetteLine.model_fields})
 
     def _write(self, line: dict[str, Any]) -> None:
         # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.
@@ -107,17 +107,17 @@ class CassetteWriter(_Cassette):
 class ReplayModel(_Cassette):
     """A `LanguageModel` that answers from a cassette, by (robot, round, attempt), in any order.
 
-    Only the offset of each line is kept in memory. Usage, cost, latency and faults are the recorded ones, and recorded
-    failures are repeated. Ask it directly: `limits.Limited` would retry a second time. RecordError if it is damaged.
+    It keeps only the offset of each line in memory. It repeats usage, cost, latency, faults and failures as recorded.
+    Ask it directly: `limits.Limited` would retry a second time. RecordError for a damaged cassette.
     """
 
     def __init__(self, path: Path) -> None:
         self.name = f"replay:{path}"
         self._path = path
         self.models: set[str] = set()
-        """Names of the models that answered when the cassette was recorded."""
+        """Names of the models in the cassette."""
         self.exhausted = False
-        """Whether it has repeated that the recorded run's budget was used up."""
+        """Whether it has repeated an error of a used-up budget."""
         self._plans: set[tuple[int, int]] = set()
         self._marked = False
         try:
@@ -130,7 +130,7 @@ class ReplayModel(_Cassette):
 
     @property
     def simulated(self) -> bool:
-        """Whether a simulated stand-in answered when the cassette was recorded."""
+        """Whether a simulated stand-in answered in the recorded run."""
         return self._marked or any(model.startswith("simulated:") for model in self.models)
 
     def was_asked(self, question: PlanQuestion) -> bool:
@@ -147,17 +147,16 @@ class ReplayModel(_Cassette):
             error.faults = line.faults
             error.model = line.model
             raise error
-        told: dict[str, Any] = {field.name: getattr(line, field.name) for field in fields(Reply)}
-        told["text"] = line.text or ""
-        return Reply(**told)
+        values: dict[str, Any] = {field.name: getattr(line, field.name) for field in fields(Reply)}
+        return replace(Reply(**values), text=line.text or "")
 
     def _read(self, call: Call) -> CassetteLine:
-        where = _place(call.robot, call.round, call.attempt)
+        where = _key_text(call.robot, call.round, call.attempt)
         offset = self._offsets.get((call.robot, call.round, call.attempt))
         if offset is None:
             rounds = [r for robot, r, _ in self._offsets if robot == call.robot]
-            held = f"rounds {min(rounds)} to {max(rounds)}" if rounds else "nothing"
-            raise ReplayDrift(f"{self._path}: no {call.kind} recorded for {where}; it holds {held} of this robot")
+            extent = f"rounds {min(rounds)} to {max(rounds)}" if rounds else "nothing"
+            raise ReplayDrift(f"{self._path}: no {call.kind} recorded for {where}; it holds {extent} of this robot")
         self._file.seek(offset)
         line = CassetteLine.model_validate_json(self._file.readline())
         if line.request_hash != call.request_hash or line.kind != call.kind:
@@ -182,7 +181,7 @@ class ReplayModel(_Cassette):
                 raise RecordError(f"{self._path}, line {number}: damaged: {at}: {first['msg']}") from None
             key = (line.robot, line.round, line.attempt)
             if key in offsets:
-                raise RecordError(f"{self._path}, line {number}: {_place(*key)} is there twice")
+                raise RecordError(f"{self._path}, line {number}: {_key_text(*key)} is there twice")
             offsets[key] = self._file.tell() - len(raw)
             self.models.add(line.model)
             if line.kind == "plan":
@@ -200,21 +199,21 @@ class ReplayModel(_Cassette):
             raise RecordError(f"{self._path}: cassette version {version!r}; this program reads version {VERSION}")
 
 
-def _place(robot: int, round_: int, attempt: int) -> str:
+def _key_text(robot: int, round_: int, attempt: int) -> str:
     return f"robot {robot}, round {round_}, attempt {attempt}"
 
 
 def _difference(line: CassetteLine, call: Call) -> str:
     """The first line in which this question differs from the recorded one, of limited length."""
-    recorded = _readable(line.kind, line.messages, line.answer_schema)
-    asked = _readable(call.kind, call.messages, call.schema)
+    recorded = _lines(line.kind, line.messages, line.answer_schema)
+    asked = _lines(call.kind, call.messages, call.schema)
     for was, is_now in zip_longest(recorded, asked, fillvalue=""):
         if was != is_now:
             return f"-{was[:300]}\n+{is_now[:300]}"
     return "the texts are equal: the recorded hash does not fit its own line"
 
 
-def _readable(kind: str, messages: tuple[ChatMessage, ...], schema: Mapping[str, Any] | None) -> list[str]:
-    said = [line for message in messages for line in (f"[{message.role}]", *message.text.splitlines())]
+def _lines(kind: str, messages: tuple[ChatMessage, ...], schema: Mapping[str, Any] | None) -> list[str]:
+    text = [line for message in messages for line in (f"[{message.role}]", *message.text.splitlines())]
     form = [] if schema is None else [f"[schema] {json.dumps(schema, sort_keys=True)}"]
-    return [f"kind: {kind}", *said, *form]
+    return [f"kind: {kind}", *text, *form]

@@ -21,11 +21,9 @@ CHARS_PER_TOKEN = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rate:
-    """Limits of a provider for all runs together, checked where they are read; None is without limit.
+    """Limits of a provider for all runs together, checked where they are read; None is no limit.
 
-    Attributes:
-        calls_per_minute: calls within any 60 s, retries included.
-        tokens_per_minute: tokens in and out within any 60 s; of calls under way, the expected number.
+    A minute is any 60 s. Retries count as calls; calls under way count with their expected tokens, in and out.
     """
 
     max_concurrent: int | None = None
@@ -35,7 +33,7 @@ class Rate:
 
 @dataclass(slots=True, eq=False)
 class _SentCall:
-    """A call that was sent; tokens and money are those expected until it has ended."""
+    """A call that was sent; until it ends, tokens and money are expected values."""
 
     model: str
     tokens: int
@@ -45,7 +43,7 @@ class _SentCall:
 
 @dataclass(slots=True)
 class _Traffic:
-    """One provider's calls: those under way and those of the last minute."""
+    """Calls of one provider: the number under way and the list of the last minute."""
 
     rate: Rate
     window_s: float
@@ -63,7 +61,7 @@ class _Traffic:
         full = rate.calls_per_minute is not None and len(recent) >= rate.calls_per_minute
         if not full and rate.tokens_per_minute is not None:
             full = sum(call.tokens for call in recent) + tokens > rate.tokens_per_minute
-        # A call larger than the whole limit may go when no other one counts.
+        # A call larger than the whole limit may go when no other call counts.
         return recent[0].at_s + self.window_s - now if recent and full else 0.0
 
     def sent(self, call: _SentCall) -> None:
@@ -77,10 +75,10 @@ class SharedGate(BudgetMeter):
     """A `CallGate` within one process and event loop.
 
     Calls count when they begin. Tokens and money are known with the answer; until then a call reserves its expected
-    use, so that near the end of a budget calls wait for those under way, and it is overrun by about one call.
+    use. Near the end of a budget, calls wait for those under way, so it is overrun by about one call.
 
-    `rates` are of each provider that has any, by its name (`openai`, `simulated`, ...). A plug-in's models default to
-    as many questions at once as they answer. `window_s` is the length of a minute, for tests [s].
+    `rates` maps names of providers (`openai`, `simulated`, ...) to limits. A plug-in's models default to the number of
+    questions that they answer at the same time. `window_s` is the length of a minute, for tests [s].
     """
 
     owner = " of the sweep"
@@ -100,7 +98,7 @@ class SharedGate(BudgetMeter):
         self._answers: defaultdict[str, tuple[int, int, float]] = defaultdict(lambda: (0, 0, 0.0))
 
     async def enter(self, model: str, chars: int, *, again: bool) -> int:
-        """See `CallGate`. Calls of one provider go in the order of arrival."""
+        """See `CallGate`. Calls of one provider go first come, first served."""
         traffic = self._traffic[model.partition(":")[0]]
         tokens, cost = self._expected(model, chars)
         async with traffic.queue:
@@ -140,19 +138,19 @@ class SharedGate(BudgetMeter):
 
     def _wait_for_budget(self, tokens: int, cost: float) -> float:
         """Infinite while calls under way may use up the rest of the budget, else 0 [s]."""
-        budget, held = self.budget, self._under_way.values()
-        if not held or (budget.max_tokens is None and budget.max_cost_usd is None):
+        budget, calls = self.budget, self._under_way.values()
+        if not calls or (budget.max_tokens is None and budget.max_cost_usd is None):
             return 0.0
-        tokens += self.spent.tokens + self.elsewhere.tokens + sum(call.tokens for call in held)
-        cost += self.spent.cost_usd + self.elsewhere.cost_usd + sum(call.cost_usd for call in held)
+        tokens += self.spent.tokens + self.elsewhere.tokens + sum(call.tokens for call in calls)
+        cost += self.spent.cost_usd + self.elsewhere.cost_usd + sum(call.cost_usd for call in calls)
         over = budget.max_tokens is not None and tokens > budget.max_tokens
         over |= budget.max_cost_usd is not None and cost > budget.max_cost_usd
         return float("inf") if over else 0.0
 
     def _expected(self, model: str, chars: int) -> tuple[int, float]:
-        """Expected tokens and money of a call: by list price, or the mean of earlier calls."""
+        """Expected tokens and money of a call: by list price, or as the mean of earlier calls."""
         calls, output, paid = self._answers[model]
-        # An answer is expected to be as long as the mean of earlier ones; the first one, 500 tokens.
+        # The expected length is the mean of earlier answers; for the first one, 500 tokens.
         usage = Usage(input=chars // CHARS_PER_TOKEN, output=output // calls if calls else 500)
         provider, _, name = model.partition(":")
         if self.budget.max_cost_usd is None:

@@ -1,8 +1,8 @@
-"""Tell a model's thoughts from what it says: thoughts hold drafts, which must never be read as the answer.
+"""Separates a model's thoughts from its answer: thoughts hold drafts, which must never be read as the answer.
 
-Servers are to keep thoughts apart, but many leave them in the text, with their marks: `<think>...</think>` (DeepSeek
-R1, Qwen3) and its relatives, `[THINK]` (Magistral), `◁think▷` (Kimi), and channels (gpt-oss; Gemma). Some drop the
-opening mark, because it stood in the prompt, and some drop the special tokens of channels, so that `analysis` and
+Servers should send thoughts separately, but many leave them in the text, with their marks: `<think>...</think>`
+(DeepSeek R1, Qwen3) and its relatives, `[THINK]` (Magistral), `◁think▷` (Kimi), and channels (gpt-oss; Gemma). Some
+drop the opening mark, which was part of the prompt. Some drop the special tokens of channels, so that `analysis` and
 `assistantfinal` stick to the text. The time is linear in the length of the text.
 """
 
@@ -18,7 +18,7 @@ MAX_QUOTED = 20_000
 """Longest answer that is quoted to the model [characters]; a runaway answer must not fill every later request."""
 
 NO_TEXT = "(no text)"
-"""Stands for an empty answer in the conversation: providers refuse empty messages."""
+"""Replaces an empty answer in the conversation, because providers refuse empty messages."""
 
 _MARK = re.compile(
     r"<\s*+(?P<close>/?)\s*+(?:seed:)?(?P<name>think(?:ing)?|thoughts?|reasoning)\s*+>"
@@ -38,7 +38,7 @@ _BARE_FINAL = "assistantfinal"
 
 @dataclass(frozen=True, slots=True)
 class Spoken:
-    """What stands after the last thought: the whole text without one, nothing if the last is `unfinished`."""
+    """The text after the last thought: the whole text without thoughts, none if the last one is `unfinished`."""
 
     text: str
     thought: bool = False
@@ -49,19 +49,19 @@ _UNFINISHED = Spoken("", thought=True, unfinished=True)
 
 
 def spoken(text: str) -> Spoken:
-    """Split what is said from the thoughts before it. Call on every text before it is read as an answer."""
+    """Drop the thoughts from a text. Call it on every text that is read as an answer."""
     if _CHANNEL in text:
         return _in_channels(text)
     if _BARE_CHANNEL.match(text):
-        _, final, said = text.rpartition(_BARE_FINAL)
-        return Spoken(said, thought=True) if final else _UNFINISHED
+        _, final, answer = text.rpartition(_BARE_FINAL)
+        return Spoken(answer, thought=True) if final else _UNFINISHED
     inside, after = "", -1
     for mark in _MARK.finditer(text):
         closes, kind = _meaning(mark)
         if not inside and not closes:
             inside = kind
         elif not inside or (closes and kind == inside):
-            # A close without an opening ends a thought, too: its opening mark stood in the prompt.
+            # A closing mark alone ends a thought, too: its opening mark was in the prompt.
             inside, after = "", mark.end()
     if inside:
         return _UNFINISHED
@@ -76,36 +76,36 @@ def _meaning(mark: re.Match[str]) -> tuple[bool, str]:
 
 
 def _in_channels(text: str) -> Spoken:
-    """The last channel of gpt-oss, where it is `final`; all others hold thoughts."""
-    name, begun, said = text.rpartition(_CHANNEL)[2].partition(_MESSAGE)
-    if not begun or not name.strip().lower().startswith("final"):
+    """The last channel of gpt-oss if it is `final`; all others hold thoughts."""
+    name, mark, answer = text.rpartition(_CHANNEL)[2].partition(_MESSAGE)
+    if not mark or not name.strip().lower().startswith("final"):
         return _UNFINISHED
-    end = _END.search(said)
-    return Spoken(said if end is None else said[: end.start()], thought=True)
+    end = _END.search(answer)
+    return Spoken(answer if end is None else answer[: end.start()], thought=True)
 
 
 def whole_answer(reply: Reply) -> str:
-    """What the model says, to be read as its answer; AnswerError if it was cut off, or if the model only thought.
+    """The model's answer without thoughts; AnswerError if it was cut off, or holds only thoughts.
 
-    A cut in the middle of `Position: [51.2, 4` cannot be read anyway, but `Path: [[51.2, 4], [` or a draft before the
-    answer could be, and nobody can see whether `Position: [51.2, 4]` was meant to go on: the provider's word counts.
+    The provider's `finish_reason` decides whether it was cut off. `Path: [[51.2, 4], [` or a draft before the answer
+    could still be read, and `Position: [51.2, 4]` does not show whether more was to follow.
     """
-    said = spoken(reply.text)
+    answer = spoken(reply.text)
     cut = reply.finish_reason == "length"
-    empty = said.unfinished or not said.text.strip()
-    if empty and (cut or reply.thought or said.thought):
+    empty = answer.unfinished or not answer.text.strip()
+    if empty and (cut or reply.thought or answer.thought):
         raise AnswerError(_only_thoughts(reply, cut=cut))
     if cut:
         raise AnswerError(f"it was cut off{_length(reply)} before it was complete; answer more briefly.")
     if reply.finish_reason == "content_filter":
         raise AnswerError("the provider's content filter stopped it before it was complete.")
-    return said.text
+    return answer.text
 
 
-def quoted(reply: Reply) -> str:
-    """What the model said, for its own conversation: without thoughts, of limited length, and never empty."""
-    said = spoken(reply.text).text
-    return said[:MAX_QUOTED] if said.strip() else NO_TEXT
+def quote(reply: Reply) -> str:
+    """The answer for the model's own conversation: without thoughts, of limited length, and never empty."""
+    answer = spoken(reply.text).text
+    return answer[:MAX_QUOTED] if answer.strip() else NO_TEXT
 
 
 def _only_thoughts(reply: Reply, *, cut: bool) -> str:

@@ -1,1 +1,1 @@
-"""Simulated language models: they read nothing but the prompt, and get wrong what their profile says."""
+"""Simulated language models: they read only the prompt, and fail in the ways of their profile."""

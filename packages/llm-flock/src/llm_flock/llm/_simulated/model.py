@@ -1,6 +1,6 @@
 """A simulated model in place of a provider's: it reads the prompt, and answers in prose or in JSON.
 
-Limits, retries, records and replay treat it as any other model. All results say that they are simulated.
+Limits, retries, records and replay treat it as any other model. All results are marked as simulated.
 """
 
 from __future__ import annotations
@@ -38,27 +38,24 @@ from llm_flock.mission import ORIENTATIONS
 from llm_flock.protocol._geometry import turned
 
 CHARS_PER_TOKEN = 4
-"""Tokens are only estimated here."""
+"""For an estimate of the tokens."""
 
-LATER = 4
-"""Number of failures that were added after the first results were published, the last ones of `FAILURES`."""
+ADDED_LATER = 4
+"""Number of the last `FAILURES` that were added after the first results were published."""
 
 CHANCE_WITHIN = 10.0
-"""Coordinates by chance are at most this far from the centre [spacings] or the own position [step limits]."""
+"""Largest distance of random coordinates from the centre [spacings] or the own position [step limits]."""
 
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 """Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
 
 TURNS_DEG = (0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75)
 SHARES = (1.0, 0.75, 0.5, 0.25)
-"""Directions of a step aside, beside the way to the goal, and parts of the longest step, in the order of trying."""
+"""Directions of a step aside from the way to the goal, and parts of the longest step, in the order of preference."""
 
 
 class SimulatedModel:
-    """A `LanguageModel`, named `simulated:PROFILE`. It costs nothing and needs no network.
-
-    The same conversation with the same chance gives the same answers.
-    """
+    """A `LanguageModel` named `simulated:PROFILE`; equal conversations and random generators give equal answers."""
 
     def __init__(
         self,
@@ -75,10 +72,7 @@ class SimulatedModel:
         self._sleep = sleep
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call; settings and schema change nothing, for the prompt says it all.
-
-        ModelError for the failure `flaky`, InputError for prompts that are not in the words of the packaged templates.
-        """
+        """Answer one call; ModelError for `flaky`, InputError for prompts that are not from the packaged templates."""
         started = time.perf_counter()
         failures = self.draw()
         for profile in LATENCIES.keys() & failures:
@@ -91,7 +85,7 @@ class SimulatedModel:
             text=text,
             model=self.name,
             settings=self._settings,
-            usage=Usage(input=_tokens(sum(len(said.text) for said in call.messages)), output=_tokens(len(text))),
+            usage=Usage(input=_tokens(sum(len(message.text) for message in call.messages)), output=_tokens(len(text))),
             cost_usd=0.0,
             latency_s=time.perf_counter() - started,
             finish_reason="stop",
@@ -101,10 +95,10 @@ class SimulatedModel:
         """Draw the failures of the next call."""
         if not any(self._rates):
             return frozenset()
-        # One draw for each failure, whatever its rate: changing one rate does not shift the others' chance.
-        chance = self._rng.random(len(FAILURES) - LATER).tolist()
-        # Those added after published results draw only where they are on, so that these stay reproducible.
-        chance += [float(self._rng.random()) if rate else 1.0 for rate in self._rates[-LATER:]]
+        # One draw for each failure at any rate, so that changing one rate does not shift the draws of the others.
+        chance = self._rng.random(len(FAILURES) - ADDED_LATER).tolist()
+        # Failures added after published results draw only with a rate, so that those results stay reproducible.
+        chance += [float(self._rng.random()) if rate else 1.0 for rate in self._rates[-ADDED_LATER:]]
         return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
 
     def _fault(self, robot: int) -> ModelError:
@@ -134,7 +128,7 @@ class SimulatedModel:
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
 
     def _letter(self, ways: Sequence[str], failures: frozenset[str]) -> str:
-        """The first way whatever the wish, for a stand-in reads no words; some failures change it."""
+        """The first way, except for some failures. A stand-in does not read the wish."""
         if "malformed" in failures:
             return "I would rather not say."
         return ways[int(self._rng.integers(len(ways)))] if "random" in failures else ways[0]
@@ -172,10 +166,10 @@ class SimulatedModel:
             f"and take the place with my own number."
         )
         if as_json:
-            said = json.dumps({REASONING: reason, "plan": rows, "my_plan": index})
+            answer = json.dumps({REASONING: reason, "plan": rows, "my_plan": index})
         else:
-            said = f"{reason}\n\nPlan: {rows}\nmy plan: {index}"
-        return said[: len(said) * 2 // 3] if cut else said
+            answer = f"{reason}\n\nPlan: {rows}\nmy plan: {index}"
+        return answer[: len(answer) * 2 // 3] if cut else answer
 
     def _step(self, prompt: StepPrompt, failures: frozenset[str]) -> str:
         waypoint, reason, last = self._waypoint(prompt, failures)
@@ -196,8 +190,8 @@ class SimulatedModel:
         if "random" in failures:
             here = np.array(prompt.position)
             there = here + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, here.shape) * prompt.task.max_step
-            said: list[float] = there.round(prompt.decimals).tolist()
-            return repr(said), "I go somewhere.", True
+            waypoint_row: list[float] = there.round(prompt.decimals).tolist()
+            return repr(waypoint_row), "I go somewhere.", True
         if failures - {"careful"}:
             return self._faulty_step(prompt, failures)
         if "careful" in failures and (aside := _aside(prompt)) is not None:
@@ -208,7 +202,7 @@ class SimulatedModel:
         return waypoint, "My goal is farther away than one step, so I take a full step straight towards it.", False
 
     def _faulty_step(self, prompt: StepPrompt, failures: frozenset[str]) -> tuple[str, str, bool]:
-        """A step with a wrong target, of a wrong length, or both."""
+        """A step with a wrong target, a wrong length, or both."""
         target, reason = prompt.goal, "I head for my goal"
         if "collapse" in failures:
             seen = [prompt.position, *prompt.seen()]
@@ -241,11 +235,11 @@ class SimulatedModel:
 
 
 def _aside(prompt: StepPrompt) -> tuple[str, str, bool] | None:
-    """A step aside where the straight one ends too near to another robot, or none; None where it does not."""
+    """A step aside, or a wait, if the straight step ends too near to another robot; else None."""
     here, goal, others, safe = prompt.position, prompt.goal, prompt.seen(), prompt.task.safe_distance
 
     def keeps_away(there: Point) -> bool:
-        """From one that is too near already, the step has to lead away."""
+        """Whether it is far enough from all others, or farther than now from one that is too near."""
         return all(math.dist(there, other) >= min(safe, math.dist(here, other)) for other in others)
 
     way = math.dist(here, goal)

@@ -23,14 +23,13 @@ PROFILES: Mapping[str, str] = {
 }
 """Every profile, and its failure."""
 
-
 FAILURES = tuple(name for name in PROFILES if name != "ideal")
-"""The failures, in the order in which chance decides on them."""
+"""The failures, in the order in which they are drawn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """Share of calls, in [0, 1], that each failure affects, 0 where not given; `text` is the operator's spelling."""
+    """Share of calls that each failure affects, in [0, 1], default 0; `text` is the operator's spelling."""
 
     text: str = "ideal"
     rates: Mapping[str, float] = field(default_factory=dict[str, float])

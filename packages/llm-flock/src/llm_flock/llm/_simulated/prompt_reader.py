@@ -1,4 +1,4 @@
-"""Read the packaged prompts: all that a simulated model knows comes from here."""
+"""Reads the packaged prompts, from which a simulated model learns everything."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """The content of the system message: the shape in words, lengths [units], obstacles, and how far to keep away.
+    """The content of the system message: the shape as text, lengths [units] and obstacles.
 
-    `safe_distance` is that from other robots, `clearance` that from obstacles; 0 where the message has none.
+    `safe_distance` is for other robots, `clearance` for obstacles; 0 if the message has none.
     """
 
     shape: str
@@ -62,7 +62,7 @@ class Task:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepPrompt:
-    """The content of the position update; `horizon` is 1 where it asks for a single position."""
+    """The content of the position update; `horizon` is 1 if it asks for a single position."""
 
     task: Task
     position: Point
@@ -78,12 +78,12 @@ class StepPrompt:
 
     @property
     def decimals(self) -> int:
-        """Of stated positions."""
+        """Decimals of stated positions."""
         return sensible_decimals(self.task.max_step)
 
     @property
     def reach(self) -> float:
-        """Longest stated step: the step limit less what rounding of the printed position may add."""
+        """Longest stated step: the step limit minus the largest rounding error of the printed position."""
         return self.task.max_step - max(1e-6, 10.0 ** -(self.decimals + 1))
 
     def towards(self, target: Point) -> Point:
@@ -119,7 +119,7 @@ def numbers(text: str) -> Point:
 
 @lru_cache(maxsize=64)
 def sensible_decimals(length: float) -> int:
-    """Decimals of stated numbers: two, and more where lengths are below one unit."""
+    """Decimals of stated numbers: two, or more if lengths are below one unit."""
     return max(2, 2 - math.floor(math.log10(length)))
 
 
@@ -153,21 +153,21 @@ def _obstacles(text: str) -> tuple[Obstacle, ...]:
 
 def read_plan(text: str) -> tuple[int, bool]:
     """Read the robot's id in the plan message, and whether the answer is to be JSON; InputError as in `read_task`."""
-    robot = _found(_ROBOT, text)
+    robot = _first_group(_ROBOT, text)
     if not robot:
         raise _other_words("plan.j2", text)
     return int(robot), _JSON_MARK in text
 
 
 def read_still(text: str, dim: int) -> list[Point]:
-    """Read where the plan message says that robots stand still; empty if it names none."""
-    return _points(_found(_STILL, text), dim)
+    """Read the positions of robots that stand still from the plan message; empty if it names none."""
+    return _points(_first_group(_STILL, text), dim)
 
 
 def read_step(text: str, task: Task) -> StepPrompt:
     """Read the position update, without the plan in it; InputError if it is not in the packaged words."""
-    goal_text = _found(_GOAL, text)
-    position, goal = numbers(_found(_POSITION, text)), numbers(goal_text)
+    goal_text = _first_group(_GOAL, text)
+    position, goal = numbers(_first_group(_POSITION, text)), numbers(goal_text)
     if not position or len(goal) != len(position):
         raise _other_words("step.j2", text)
     return StepPrompt(
@@ -175,14 +175,14 @@ def read_step(text: str, task: Task) -> StepPrompt:
         position=position,
         goal=goal,
         goal_text=goal_text,
-        neighbors=_found(_NEIGHBORS, text),
-        horizon=int(_found(_HORIZON, text) or 1),
+        neighbors=_first_group(_NEIGHBORS, text),
+        horizon=int(_first_group(_HORIZON, text) or 1),
         json=_JSON_MARK in text,
     )
 
 
 def read_ways(text: str) -> list[str]:
-    """Read the letters of the ways, in their order; empty if the question is not for a letter."""
+    """Read the letters of the ways, in order; empty if the question is not for a letter."""
     return _WAY.findall(text.rpartition("\n")[2]) if text.startswith(WISH_MARK) else []
 
 
@@ -197,10 +197,10 @@ def check_prompts(prompts: PromptSet, mission: Mission) -> None:
     read_step(prompts.step(step), task)
 
 
-def _found(pattern: re.Pattern[str], text: str) -> str:
-    """What the group of a pattern matches, empty without a match."""
-    found = pattern.search(text)
-    return "" if found is None else found[1]
+def _first_group(pattern: re.Pattern[str], text: str) -> str:
+    """The text of the group of a pattern, empty without a match."""
+    match = pattern.search(text)
+    return "" if match is None else match[1]
 
 
 def _other_words(template: str, text: str) -> InputError:
@@ -209,10 +209,7 @@ def _other_words(template: str, text: str) -> InputError:
 
 @lru_cache(maxsize=64)
 def formation(task: Task) -> Points:
-    """Ideal points of the task's shape, shape (n, d) [units]; do not change them.
-
-    A shape that is only described in words becomes a circle.
-    """
+    """Ideal points of the task's shape, shape (n, d) [units]; do not change them. Free text becomes a circle."""
     center, n = task.center, task.n_places
     if _GIVEN in task.shape:
         rows = np.array(numbers(task.shape.partition(_GIVEN)[2])).reshape(n, len(center))
@@ -220,7 +217,7 @@ def formation(task: Task) -> Points:
     else:
         spec = _spec(task.shape)
         points = formations.ideal_points(spec, n, center[:2], task.spacing)
-    assert points is not None, "only free text has no ideal points, and it was taken for a circle"
+    assert points is not None, "only free text has no ideal points, and it became a circle"
     if points.shape[1] < len(center):
         height = np.full((n, len(center) - 2), center[2:])
         points = np.hstack([points, height])
