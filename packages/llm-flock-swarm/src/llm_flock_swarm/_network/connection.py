@@ -78,7 +78,7 @@ def load_keys(config: SwarmConfig, member: int) -> Keyring | None:
     keys = load_keyring(Path(folder), member)
     if keys.robots != config.mission.n_robots:
         raise InputError("keys", folder, f"keys of {config.mission.n_robots} robots, not of {keys.robots}")
-    return keys.of_flight(config.network.swarm)
+    return keys.for_flight(config.network.swarm)
 
 
 def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> ZenohLink:
@@ -92,7 +92,8 @@ def open_link(config: SwarmConfig, member: int, listen: str | None = None) -> Ze
     seal: Seal = PlainSeal(member)
     if keys is not None and network.keys is not None:
         from llm_flock_swarm._trust.envelope import Envelope
-        from llm_flock_swarm._trust.keys import next_session, tls_config
+        from llm_flock_swarm._trust.session import next_session
+        from llm_flock_swarm._trust.tls import tls_config
 
         folder = Path(network.keys)
         listens, connects = ([end.replace("tcp/", "tls/", 1) for end in ends] for ends in (listens, connects))
