@@ -10,8 +10,9 @@ from pathlib import Path
 from swarms import swarm_config
 
 from llm_flock.message import Message, encode
+from llm_flock_swarm._network.access import BURST_FACTOR
 from llm_flock_swarm._network.config import NetworkConfig, SwarmConfig
-from llm_flock_swarm._network.connection import SPARE, open_link
+from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.swarm import free_port, launched
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack
 from llm_flock_swarm._trust.keys import make_keys
@@ -103,5 +104,5 @@ def test_member_cannot_speak_or_live_for_others_nor_flood_them(tmp_path: Path) -
     assert heard.count((1, b"honest")) == 10 and (1, b"forged") not in heard
     assert alive == [(1, True)]
     # As many as at once, and as many as in that time.
-    assert heard.count((2, b"flood")) <= (BURST_S + lasted) * SPARE / config.network.gossip_s
+    assert heard.count((2, b"flood")) <= (BURST_S + lasted) * BURST_FACTOR / config.network.gossip_s
     assert refused["too_many"] > heard.count((2, b"flood")) > 0

@@ -14,9 +14,11 @@ from llm_flock.record import NullWriter, RecordSink, RecordWriter, SummaryMessag
 from llm_flock.runtime import TrialProgress, finite, run_info
 from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import load_keys, mission_order, open_link, receive, signed_by_operator
+from llm_flock_swarm._network.connection import load_keys, open_link
+from llm_flock_swarm._network.mission_orders import mission_order, mission_verifier
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.receiving import receive
 from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
 
 CHECK_S = 0.1  # time between two checks whether the team has formed [s]
@@ -32,7 +34,7 @@ def observer_of(
     """An observer that checks signatures with the keys of this member, if the swarm uses any."""
     keys = load_keys(config, member)
     judge = None if keys is None else Judge(keys, config)
-    return Observer(config, sink, on_row, signed=signed_by_operator(config, member), judge=judge)
+    return Observer(config, sink, on_row, signed=mission_verifier(config, member), judge=judge)
 
 
 @contextmanager
@@ -107,7 +109,7 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
 
     with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
-        signed = signed_by_operator(config, OPERATOR)
+        signed = mission_verifier(config, OPERATOR)
 
         def witness(_robot: int, report: RobotReport) -> None:
             if signed is None or signed(MissionStamp(*report.mission), report.order):

@@ -13,7 +13,7 @@ from llm_flock.errors import MessageError
 from llm_flock.record import BodySample, Entry, FlightEvent, RecordSink
 from llm_flock.robots import Pose, PoseFrame
 from llm_flock.runtime import ROBOT, MissionFrame, Ros2Config
-from llm_flock_swarm._network.connection import refusing
+from llm_flock_swarm._network.receiving import count_refusals
 from llm_flock_swarm._ros2.drawing import ERROR, OK, WARN
 from llm_flock_swarm._ros2.graph import Graph
 from llm_flock_swarm._ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes, live
@@ -44,7 +44,7 @@ class FlightShow:
 
     def write(self, entry: Entry) -> None:
         """Take an entry; an error is counted, and logged, and nothing else."""
-        with refusing(self.faults.counts):
+        with count_refusals(self.faults.counts):
             self._team.take(entry)
             if isinstance(entry, FlightEvent):
                 self._event = entry

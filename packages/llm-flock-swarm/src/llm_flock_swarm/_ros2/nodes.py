@@ -11,7 +11,7 @@ from typing import Any
 from llm_flock.errors import MessageError
 from llm_flock.printable import one_line
 from llm_flock.runtime import Ros2Config
-from llm_flock_swarm._network.connection import refusing
+from llm_flock_swarm._network.receiving import count_refusals
 from llm_flock_swarm._ros2 import drawing, types
 from llm_flock_swarm._ros2.drawing import LONGEST, OK, WARN, MarkerDrawer, PoseEncoder, Position, TeamView
 from llm_flock_swarm._ros2.graph import Graph
@@ -52,7 +52,7 @@ async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
     diagnosed_s = 0.0
     while True:
         await asyncio.sleep(MARKERS_S)
-        with refusing(faults):  # an error in the drawing ends no flight
+        with count_refusals(faults):  # an error in the drawing ends no flight
             now = time.monotonic()
             diagnose = now - diagnosed_s >= DIAGNOSTICS_S
             show(diagnose)

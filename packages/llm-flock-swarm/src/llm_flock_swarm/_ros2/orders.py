@@ -18,7 +18,8 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
 from llm_flock.message import MISSION_FIELDS, MissionStamp, OperatorClock
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import mission_order, open_link, signed_by_operator
+from llm_flock_swarm._network.connection import open_link
+from llm_flock_swarm._network.mission_orders import mission_order, mission_verifier
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.watch import FREE_PORT
 from llm_flock_swarm._network.wire import pack
@@ -81,7 +82,7 @@ class MissionGiver:
     """Gives missions to a running swarm. Call in a running event loop; `close` leaves the network."""
 
     def __init__(self, config: SwarmConfig, observer: Observer) -> None:
-        self._signed = signed_by_operator(config, OPERATOR)
+        self._signed = mission_verifier(config, OPERATOR)
         self._config, self._observer = config, observer
         self._clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
         self._link = open_link(config, OPERATOR, FREE_PORT)

@@ -12,9 +12,10 @@ from llm_flock.members import WORLD
 from llm_flock.record import RecordSink, SummaryMessage
 from llm_flock.runtime import TrialProgress, finite
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import open_link, receive
+from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.receiving import receive
 from llm_flock_swarm._network.swarm import Swarm, SwarmResult, run_swarm, world_config
 from llm_flock_swarm._network.watch import look, observer_of, recording, run_watch
 from llm_flock_swarm._network.wire import Command, RobotReport, pack
