@@ -70,6 +70,12 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     return robots
 
 
+def check_driver(config: FlightConfig) -> None:
+    """Raise InputError for an unknown driver, or for addresses that it refuses; opens no connection."""
+    if driver_of(config.fleet.robot) in (crazyflie, mavlink):
+        build_fleet(config)
+
+
 def start_of(config: FlightConfig, drone: DroneConfig) -> Position:
     """Position of a drone before take-off [m]; raises InputError if the file does not say it."""
     if drone.start is None:

@@ -18,7 +18,7 @@ from llm_flock.printable import printable
 from llm_flock_view._viewer import form
 from llm_flock_view._viewer.canvases import player_options
 from llm_flock_view._viewer.data import answer
-from llm_flock_view._viewer.export import exported
+from llm_flock_view._viewer.export import export
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.page import html
 from llm_flock_view._viewer.run_rows import FIGURES
@@ -95,7 +95,7 @@ class Routes:
             return Response("no such record", status_code=404)
         name = request.path_params["name"]
         try:
-            content = exported(run.path, name)
+            content = export(run.path, name)
         except (FlockError, OSError) as error:
             return Response(printable(str(error)), status_code=400, media_type="text/plain")
         heads = {**UNCACHED, "content-disposition": f'attachment; filename="{name}"'}
