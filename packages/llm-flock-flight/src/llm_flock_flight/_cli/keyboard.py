@@ -13,14 +13,9 @@ from typing import TYPE_CHECKING, Self
 if TYPE_CHECKING:
     from llm_flock_flight._flight.flight import Flight
 
-LAND_KEYS = frozenset("lL ")
-"""Keys that land all drones: l, or the space bar."""
-
-RETURN_KEYS = frozenset("rR")
-"""Keys that let all drones return to their starts."""
-
-CUT_KEYS = frozenset("xX")
-"""Keys that cut all motors."""
+LAND_KEYS = frozenset("lL ")  # keys that land all drones: l, or the space bar
+RETURN_KEYS = frozenset("rR")  # keys that let all drones return to their starts
+CUT_KEYS = frozenset("xX")  # keys that cut all motors
 
 
 async def ask(question: str) -> str:

@@ -42,19 +42,13 @@ from llm_flock_flight._positions import PoseFeed
 
 logger = logging.getLogger(__name__)
 
-TAKING_OFF = "taking off"
-"""Name of the stage from which on the operator may end the flight."""
-
-RETURN = "return"
-"""How a flight ended whose operator let all drones return."""
-
-FLYING = "flying"
-"""Name of the stage from take-off until the drones return or land."""
+TAKING_OFF = "taking off"  # name of the stage from which on the operator may end the flight
+RETURN = "return"  # how a flight ended whose operator let all drones return
+FLYING = "flying"  # name of the stage from take-off until the drones return or land
 
 NEVER_UP = "never took off"
 CUT = "motors cut"
-SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
-"""Ends after which a drone needs no attention."""
+SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})  # ends after which a drone needs no attention
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -19,11 +19,8 @@ from llm_flock_flight._flight.config import FlightConfig
 
 logger = logging.getLogger(__name__)
 
-READY_S = 60.0
-"""Longest start of the deadman, which first imports everything that it may need [s]."""
-
-FAREWELL_S = 5.0
-"""Longest wait for the deadman to end after the farewell [s]."""
+READY_S = 60.0  # longest start of the deadman, which first imports everything that it may need [s]
+FAREWELL_S = 5.0  # longest wait for the deadman to end after the farewell [s]
 
 
 class NoDeadman(FlockError):

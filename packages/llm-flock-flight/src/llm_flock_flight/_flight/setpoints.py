@@ -12,8 +12,7 @@ from llm_flock.arrays import Points
 from llm_flock.robots import PEAK_SPEED, Position, Segment
 from llm_flock_flight._flight.config import FlightConfig
 
-SLACK_M = 1e-4
-"""Set-points may be nearer than planned by this: a generous bound of the shield's rounding [m]."""
+SLACK_M = 1e-4  # set-points may be nearer than planned by this: a generous bound of the shield's rounding [m]
 
 
 def resting(position: Position) -> Segment:

@@ -16,8 +16,7 @@ from llm_flock_flight._flight.team import FlyingTeam
 
 T = TypeVar("T")
 
-LATE_S = 0.25
-"""After a pause of this length this process is behind with reading what has arrived [s]."""
+LATE_S = 0.25  # after a pause of this length this process is behind with reading what has arrived [s]
 
 
 class FlightEnded(Exception):

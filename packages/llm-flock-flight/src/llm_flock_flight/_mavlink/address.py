@@ -10,8 +10,7 @@ from llm_flock.errors import InputError
 SCHEMES = ("udp", "udpin", "udpout", "serial")
 ADDRESSES = "udp://0.0.0.0:14540 to listen, udpout://HOST:PORT to call, or serial:///dev/ttyACM0:57600"
 
-MAX_BAUD = 20_000_000
-"""Highest accepted rate of a serial line [baud]."""
+MAX_BAUD = 20_000_000  # highest accepted rate of a serial line [baud]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

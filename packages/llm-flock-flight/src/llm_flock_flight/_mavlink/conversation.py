@@ -12,11 +12,8 @@ from llm_flock_flight._mavlink.codec import result_name
 from llm_flock_flight._mavlink.port import Port
 from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
 
-ACCEPTED, TEMPORARILY, IN_PROGRESS = 0, 1, 5
-"""Answers (MAV_RESULT)."""
-
-ANSWER_S = 0.2
-"""Wait for an answer before a command is sent again [s]."""
+ACCEPTED, TEMPORARILY, IN_PROGRESS = 0, 1, 5  # answers (MAV_RESULT)
+ANSWER_S = 0.2  # wait for an answer before a command is sent again [s]
 
 LOOK_S = 0.01
 

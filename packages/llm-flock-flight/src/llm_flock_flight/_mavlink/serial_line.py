@@ -13,8 +13,7 @@ from typing import Any
 
 from llm_flock.extras import require
 
-MAX_PACKETS = 200
-"""Packets that may wait to be written; more than that are dropped, as a radio does."""
+MAX_PACKETS = 200  # packets that may wait to be written; more than that are dropped, as a radio does
 
 
 class SerialLine:

@@ -17,8 +17,7 @@ from llm_flock.robots import PointMass, Position
 from llm_flock_flight._testing.crtp.firmware import COMMANDER, PID, Firmware, packet
 from llm_flock_flight._testing.crtp.radio import ModelledRadio
 
-STEP_S = 0.002
-"""Time between two checks for log packets that are due [s]."""
+STEP_S = 0.002  # time between two checks for log packets that are due [s]
 
 LARGEST = 64
 

@@ -6,16 +6,12 @@ from dataclasses import dataclass, field
 
 from llm_flock.robots import Position
 
-STEP_S = 0.005
-"""Step of the integration [s]."""
-
-GAIN = 3.0
-"""Speed towards a set-point, by distance [1/s]."""
+STEP_S = 0.005  # step of the integration [s]
+GAIN = 3.0  # speed towards a set-point, by distance [1/s]
 
 GRAVITY = 9.81
 LANDING_M_S = 0.7
-CLIMB_M_S = 0.8
-"""Of a landing and of a take-off that the autopilot flies by itself [m/s]."""
+CLIMB_M_S = 0.8  # of a landing and of a take-off that the autopilot flies by itself [m/s]
 
 REST: Position = (0.0, 0.0, 0.0)
 

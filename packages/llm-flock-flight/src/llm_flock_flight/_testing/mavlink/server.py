@@ -17,11 +17,8 @@ from llm_flock_flight._mavlink.codec import GROUND_STATION, Codec
 from llm_flock_flight._mavlink.frames import enu
 from llm_flock_flight._testing.mavlink.autopilot import Autopilot
 
-PORTS = (20_000, 32_000)
-"""Of drivers: below those that systems choose by themselves."""
-
-STEP_S = 0.005
-"""Time between two steps of the vehicles [s]."""
+PORTS = (20_000, 32_000)  # of drivers: below those that systems choose by themselves
+STEP_S = 0.005  # time between two steps of the vehicles [s]
 
 
 class AutopilotStandIn:
