@@ -12,17 +12,10 @@ from llm_flock.robots import Equipment, Robot, RobotError, RobotState, SelfCheck
 from llm_flock_flight._crazyflie.radios import MAX_SHARE, RadioPlan, exchanges_of, plan_radios
 from llm_flock_flight._flight.config import ON_FLOOR_M, FlightConfig, good_place, wrong_place
 
-SETTLE_S = 3.0
-"""Longest time from the connections until all checks pass: batteries are read, links rated [s]."""
-
-CONVERGE_S = 10.0
-"""The same where an estimator converges, after a reset say, or a drone that has landed still says that it flies [s]."""
-
-SLOW = ("estimator", "on the floor")
-"""Checks for which that time is given."""
-
-LOOK_S = 0.05
-"""Time between two checks [s]."""
+SETTLE_S = 3.0  # longest time from the connections until all checks pass: batteries are read, links rated [s]
+CONVERGE_S = 10.0  # the same where an estimator converges, or a landed drone still reports that it flies [s]
+SLOW = ("estimator", "on the floor")  # checks for which that time is given
+LOOK_S = 0.05  # time between two checks [s]
 
 CHECKS = (
     "ready",
@@ -37,11 +30,8 @@ CHECKS = (
 )
 """Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
 
-RADIO = "radio"
-"""Name of the line of a radio."""
-
-NAMES = ("connected", *CHECKS, "apart", "in step")
-"""Names of all checks, in order."""
+RADIO = "radio"  # name of the line of a radio
+NAMES = ("connected", *CHECKS, "apart", "in step")  # names of all checks, in order
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,20 +10,11 @@ from llm_flock_flight._mavlink.codec import HEARTBEAT
 from llm_flock_flight._mavlink.conversation import Conversation
 from llm_flock_flight._mavlink.modes import Flavour
 
-ARM_DISARM, TAKEOFF, SET_MODE, TERMINATE, REQUEST_MESSAGE = 400, 22, 176, 185, 512
-"""Commands (MAV_CMD)."""
-
-FORCE = 21196.0
-"""Second parameter of ARM_DISARM that disarms in the air."""
-
-ORDER_S = 0.8
-"""Longest time to try one order [s]: callers of the driver wait one second for a command, three for arming."""
-
-STOP_S = 0.6
-"""Longest time to try each of the two commands of an emergency stop [s]."""
-
-AGAIN_S, NEWS_S = 0.2, 1.2
-"""A heartbeat is asked for this often, and awaited for this long: one that cannot be asked for comes once a second."""
+ARM_DISARM, TAKEOFF, SET_MODE, TERMINATE, REQUEST_MESSAGE = 400, 22, 176, 185, 512  # commands (MAV_CMD)
+FORCE = 21196.0  # second parameter of ARM_DISARM that disarms in the air
+ORDER_S = 0.8  # longest time to try one order [s]; callers wait one second for a command, three for arming
+STOP_S = 0.6  # longest time to try each of the two commands of an emergency stop [s]
+AGAIN_S, NEWS_S = 0.2, 1.2  # a heartbeat is asked for this often, and awaited for this long [s]
 
 logger = logging.getLogger(__name__)
 

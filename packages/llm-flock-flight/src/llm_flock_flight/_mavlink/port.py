@@ -22,14 +22,9 @@ if TYPE_CHECKING:
 
     Line: TypeAlias = "UdpLine | SerialLine"
 
-STRANGERS = 200
-"""Most heartbeats of unknown senders that are parsed in a second: they may be vehicles that introduce themselves."""
-
-HEARTBEAT_S = 0.5
-"""Time between two of our heartbeats [s]."""
-
-PEER_TIMEOUT_S = 3.0
-"""After this silence a vehicle may answer from another address [s]."""
+STRANGERS = 200  # most heartbeats of unknown senders that are parsed in a second: they may be new vehicles
+HEARTBEAT_S = 0.5  # time between two of our heartbeats [s]
+PEER_TIMEOUT_S = 3.0  # after this silence a vehicle may answer from another address [s]
 
 MAV_TYPE_GCS, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE = 6, 8, 4
 
