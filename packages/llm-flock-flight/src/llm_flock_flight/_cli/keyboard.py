@@ -95,7 +95,7 @@ class Keyboard(contextlib.ExitStack):
             typed = os.read(sys.stdin.fileno(), 64)
         except OSError:
             typed = b""
-        if not typed:  # the terminal is closed, and would be ready to be read for ever
+        if not typed:  # the terminal is closed, and would stay ready to be read
             asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
             self._flight.abort()
         for key in typed.decode(errors="ignore"):

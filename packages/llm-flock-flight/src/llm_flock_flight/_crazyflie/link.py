@@ -1,7 +1,7 @@
 """One link to one Crazyflie: the only place that knows cflib, its threads and its traps.
 
 - cflib opens a link with callbacks and without a time limit: over UDP it resends nothing, so one lost packet blocks it
-  for ever. Here packets are resent, and an attempt that stays silent for a while is given up.
+  without end. Here packets are resent, and an attempt that stays silent for a while is given up.
 - Its first two packets, for the version of the protocol, are not sent again even so: done here.
 - cflib's `close_link` first sends a set-point without thrust. In flight it would take the drone from its high-level
   commander and drop it, so it is not sent.
@@ -144,7 +144,7 @@ class CrazyflieLink:
 
     @property
     def why_closed(self) -> str:
-        """Why nothing can be sent, in words."""
+        """The reason why nothing can be sent."""
         return f"the link is lost: {self.lost}" if self.lost else "is not connected"
 
     def silent_s(self, now: float) -> float:

@@ -59,7 +59,7 @@ class FirmwareParameters:
         return float(struct.unpack(element.pytype, data[1:])[0])
 
     async def write(self, values: Mapping[str, float], until_s: float) -> tuple[str, ...]:
-        """Set parameters or raise, and read each back; returns those that have another value, in words."""
+        """Set parameters or raise, and read each back; returns those that have another value, as text."""
         differ: list[str] = []
         for name, value in values.items():
             element = self._element(name)

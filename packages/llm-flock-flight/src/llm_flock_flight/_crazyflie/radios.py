@@ -47,7 +47,7 @@ WIFI_HALF_MHZ, RADIO_HALF_MHZ = 11, 1
 """Half of the width of a Wi-Fi channel of 20 MHz with its edges, and of a Crazyradio channel at 2 Mbit/s."""
 
 LAST_IN_BAND = 83
-"""Channels beyond are above 2.4835 GHz, where few countries let anybody send without a licence."""
+"""Channels beyond are above 2.4835 GHz, where few countries allow sending without a licence."""
 
 LAST_CHANNEL = 125
 

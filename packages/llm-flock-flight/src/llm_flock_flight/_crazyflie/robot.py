@@ -140,7 +140,7 @@ class CrazyflieRobot:
             if time.monotonic() >= until:
                 raise RobotError(self.name, "connected, but sends no position")
             await asyncio.sleep(0.005)
-        # One that was told to take off may be about to, whatever it says.
+        # A drone that was told to take off may be about to, even if it does not report flying.
         if not log.info & FLYING and not self._aloft:
             self._equipment = await self._prepare(until, missing)
         elif not self._connected:

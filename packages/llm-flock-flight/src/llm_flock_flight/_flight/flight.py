@@ -1,4 +1,4 @@
-"""One flight: connect, preflight, take off, flock, land; whatever goes wrong, land safely from there."""
+"""One flight: connect, preflight, take off, flock, land. After any fault, the drones land from where they are."""
 
 from __future__ import annotations
 
@@ -111,8 +111,8 @@ class Flight:
 
     def emergency(self) -> bool:
         """Cut all motors, wherever the drones are; returns False if the flight has not begun."""
-        everybody = frozenset(range(len(self._robots)))
-        return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+        all_robots = frozenset(range(len(self._robots)))
+        return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=all_robots))
 
     def _enter(self, stage: str) -> None:
         self._stage = stage

@@ -102,7 +102,7 @@ class HeartbeatSender:
                 os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
         except BrokenPipeError:
             if not self._missed:
-                logger.warning("the deadman process is gone: nobody would land the drones if this process died now")
+                logger.warning("the deadman process is gone: nothing would land the drones if this process died now")
             self._missed = True
 
     async def __aexit__(self, kind: object, error: BaseException | None, trace: object) -> None:

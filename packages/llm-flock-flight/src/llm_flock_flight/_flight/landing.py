@@ -186,7 +186,7 @@ class Landing:
             raise RobotError(body.name, f"was told to land, and is still {above:.1f} m high")
 
     def _taken(self, robot: int, error: TakenOver) -> None:
-        """Leave a drone to whoever flies it."""
+        """Leave a drone to the pilot or failsafe that flies it."""
         self._log.note("unreachable", robot, reason=str(error))
         self._team.aloft.discard(robot)
         self.ends[robot] = TAKEN

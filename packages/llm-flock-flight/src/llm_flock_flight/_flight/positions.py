@@ -34,7 +34,7 @@ class TellsLocalisation(Protocol):
 
     @property
     def localisation(self) -> str | None:
-        """What is seen, in words; None if the robot does not tell."""
+        """The state of its localisation as text; None if the robot does not know it."""
         ...
 
 

@@ -44,7 +44,7 @@ class SetPointCheck:
         )
 
     def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
-        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown [m, s]."""
+        """The limits that a joint motion from rest to rest would break; empty if it may be flown [m, s]."""
         found: list[str] = []
         for robot, (start, end) in enumerate(zip(before, after, strict=True)):
             found += self._one(robot, start, end, duration_s)

@@ -26,7 +26,7 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
     for first in robots[::size]:
         group = robots[first : first + size]
         results = await asyncio.gather(*(_lift(config, team, log, robot) for robot in group), return_exceptions=True)
-        for result in results:  # the whole group has ended by now, so whoever is up can be landed
+        for result in results:  # the whole group has ended, so drones in the air can be landed
             if result is not None:
                 raise result
 

@@ -1,4 +1,4 @@
-"""MAVLink's bytes: the only place that knows pymavlink. What comes in may be anything, and never raises."""
+"""Encodes and decodes MAVLink: the only place that knows pymavlink. Input may be anything, and never raises."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def introduces(data: bytes) -> bool:
 
 
 class Codec:
-    """Writes packets of one sender, and reads packets of anybody."""
+    """Writes packets of one sender, and reads packets of all senders."""
 
     def __init__(self, system_id: int = GROUND_STATION, component: int = COMPONENT) -> None:
         self._dialect = dialect()
@@ -80,7 +80,7 @@ class Codec:
 
 
 def result_name(result: int) -> str:
-    """What an autopilot answers to a command (MAV_RESULT), in words."""
+    """An autopilot's answer to a command (MAV_RESULT) as text."""
     names = {
         0: "accepted",
         1: "temporarily rejected",

@@ -63,10 +63,10 @@ class Conversation:
         *,
         anyway: bool = False,
     ) -> None:
-        """Send a command, `what` in words, until the autopilot accepts it; raises TakenOver or another RobotError.
+        """Send a command, described by `what`, until the autopilot accepts it; raises TakenOver or another RobotError.
 
         `done` sees whether the autopilot has done it: its answer may have been lost, and it may refuse the same command
-        again. What has to be sent `anyway` goes also to one that was taken over.
+        again. A command sent `anyway` goes also to a vehicle that was taken over.
         """
         answers = self._answers[command] = asyncio.Queue()
         end = time.monotonic() + timeout_s

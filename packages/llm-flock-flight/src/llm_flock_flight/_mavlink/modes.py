@@ -38,7 +38,7 @@ class Flavour:
     integers_as_bits: bool
 
     def name_of(self, mode: int) -> str:
-        """A mode in words."""
+        """The name of a mode."""
         return self.names.get(mode, f"mode {mode}")
 
     def set_mode(self, mode: int) -> tuple[float, float, float]:

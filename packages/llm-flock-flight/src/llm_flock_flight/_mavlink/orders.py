@@ -40,7 +40,7 @@ async def disarm(talk: Conversation) -> None:
 
 
 def refuse_armed(talk: Conversation, flavour: Flavour) -> None:
-    """Raise TakenOver for a vehicle whose motors somebody else has started."""
+    """Raise TakenOver for a vehicle whose motors another pilot has started."""
     if talk.telemetry.armed:
         mode = flavour.name_of(talk.telemetry.mode)
         raise TakenOver(talk.name, f"is armed already, in mode {mode}, and not by this program")

@@ -1,8 +1,8 @@
-"""The external pose port: frames of poses as UDP datagrams, from whoever sends them to it, one JSON object each.
+"""The external pose port: frames of poses as UDP datagrams from any sender, one JSON object each.
 
 {"time": 12.34, "poses": [{"name": "cf1", "position": [0.1, 0.2, 0.9], "quaternion": [0, 0, 0, 1]}]}
 
-docs/how-to/positions.md describes the format. What is wrong is counted and dropped. The first sender of a usable
+docs/how-to/positions.md describes the format. Invalid input is counted and dropped. The first sender of a usable
 datagram is followed until it is silent for `SILENT_S`; meanwhile datagrams of others are dropped unread, so that a
 flood of theirs costs little.
 """
@@ -140,7 +140,7 @@ class UdpPoses:
                 data, sender = self._socket.recvfrom(MAX_BYTES + 1)
             except (BlockingIOError, InterruptedError):
                 return
-            except OSError:  # an ICMP error of something that nobody sent from here
+            except OSError:  # an ICMP error of a packet that was not sent from here
                 continue
             try:
                 self.hear(data, sender, time.monotonic())

@@ -70,7 +70,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Asked:
-    """What came back from one robot: its accepted answer, its calls without scripted ones, and its first answer."""
+    """The result of one robot: its accepted answer, its calls without scripted ones, and its first answer."""
 
     answer: PlanAnswer | StepAnswer | NoAnswer
     attempts: Sequence[Attempt] = ()
@@ -169,7 +169,7 @@ class Examiner:
                 return
             attempts.append(attempt)
             if len(attempts) == 1:
-                # The checks have seen the answer by now, if it could be read.
+                # The checks have seen the answer, if it could be read.
                 first = next(iter(seen), None)
 
         if model is None:

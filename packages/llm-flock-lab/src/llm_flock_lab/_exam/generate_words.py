@@ -10,7 +10,7 @@ import numpy as np
 from llm_flock_lab._exam.questions import Question
 
 MISSIONS = 500
-"""Missions in words; a fifth cannot be flown, and an eighth of the others carry text that is no part of the task."""
+"""Described missions: a fifth cannot be flown, and an eighth of the others carry text that is no part of the task."""
 
 SHAPES: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "line": (("a straight line", "a line", "one row"), (3, 4, 5, 6, 7, 8)),

@@ -128,7 +128,7 @@ def _command(spec: Any, repeats: int) -> str:
 
 
 def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
-    """The fields of a `Row` that follow from the results, at least one, in whatever order they came."""
+    """The fields of a `Row` that follow from the results, at least one, in any order."""
     ordered = sorted(outcomes, key=lambda o: (o.question, o.repeat))
     sections = {s: [o for o in ordered if o.section == s] for s in SECTIONS}
     sections = {name: found for name, found in sections.items() if found}

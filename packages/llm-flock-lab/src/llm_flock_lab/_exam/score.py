@@ -33,7 +33,7 @@ class Marks:
 
 
 def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-    """Why a robot refuses the plan that its own model proposes, in words for the model; None if it does not."""
+    """The reason why a robot rejects its own model's plan, as told to the model; None if it does not."""
     return check_proposal(question.mission, answer.plan, question.still, question.position)
 
 
@@ -90,11 +90,11 @@ def _nearer_to_team(question: Question, mission: Mission, waypoint: Point) -> bo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordMarks:
-    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is."""
+    """The marks of a mission that a model read; `reason` says what is wrong, None if nothing is."""
 
     reason: str | None
     read: bool
-    safe: bool  # whether nobody would be shown a mission that nobody asked for
+    safe: bool  # whether no user would be shown a mission that was not asked for
 
 
 def word_marks(question: Question, text: str) -> WordMarks:

@@ -275,7 +275,7 @@ def _rows_are(results: Results) -> str:
 
 
 def _consensus_words(results: Results) -> str:
-    """The rule by which each protocol chooses its plan, in words."""
+    """The rule by which each protocol chooses its plan, as text."""
     rules = {trial.cell.protocol: trial.figures["consensus"] for trial in results.trials if trial.figures["consensus"]}
     words = (f"{name}: {'without' if rule == 'none' else rule} consensus" for name, rule in rules.items())
     return "; ".join(words) + "." if rules else ""

@@ -242,7 +242,7 @@ def _environment() -> jinja2.Environment:
 
 
 def _clean(value: object) -> str:
-    """A value of a page, without characters that turn text around or that nobody sees."""
+    """A value of a page, without characters that turn text around or are invisible."""
     text = printable(str(value))
     return Markup(text) if isinstance(value, Markup) else text
 

@@ -47,7 +47,7 @@ class Team:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultCell:
-    """A cell of the grid; `condition` is the value of every further axis in words, empty without any."""
+    """A cell of the grid; `condition` is the value of every further axis as text, empty without any."""
 
     team: Team
     protocol: str

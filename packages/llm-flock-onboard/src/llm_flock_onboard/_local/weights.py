@@ -51,7 +51,7 @@ class Weights:
     packaged: bool = False
 
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of each file by its name: the identity of the weights, whatever format is read."""
+        """SHA-256 of each file by its name: the identity of the weights, in every format."""
         return {file.name: _digest(file) for file in (self.model, self.adapter) if file is not None}
 
     def loaded(self) -> tuple[Path, ...]:

@@ -126,7 +126,7 @@ class AgentLoop:
         }
 
     async def gossip(self) -> None:
-        """Exchange messages periodically until cancelled, whatever else the robot is doing."""
+        """Exchange messages periodically until cancelled."""
         gossip_s = self._config.network.gossip_s
         clock = PeriodClock(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
         while True:
@@ -139,7 +139,7 @@ class AgentLoop:
                 raise FlockError(f"robot {self.agent.robot} cannot go on: {MAX_FAULTS} exchanges in a row failed")
 
     def exchange(self) -> None:
-        """Decide on the messages since the last exchange; count a heartbeat once a period; then broadcast."""
+        """Decide on the messages since the last exchange, count a heartbeat once a period, then broadcast."""
         self.look()
         if not self.agent.position:
             return

@@ -71,7 +71,7 @@ def _write(**event: Any) -> None:
 
 
 def _forked(order: dict[str, Any]) -> int:
-    """Start a process; returns its id once it is sure to end with this one, whatever either is in the middle of."""
+    """Start a process; returns its id once it is sure to end with this one."""
     parent = os.getpid()
     bound, binding = os.pipe()
     pid = os.fork()

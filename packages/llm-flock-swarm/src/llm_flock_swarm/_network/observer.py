@@ -256,7 +256,7 @@ class Observer:
 
     @property
     def hopeless(self) -> str | None:
-        """Why no robot has a plan, in words, if the model of none is asked for one any more; else None."""
+        """The reason why no robot has a plan, once no model is asked for one any more; else None."""
         reasons = [self.reports[robot].hopeless for robot in self.robots]
         found = [reason for reason in reasons if reason is not None]
         if not found or len(found) < len(self.alive):

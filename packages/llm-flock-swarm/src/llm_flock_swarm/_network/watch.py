@@ -91,13 +91,13 @@ async def run_watch(
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:
-    """Give another mission to one robot, which passes it on; returns the robots it went to, none if nobody answers.
+    """Give another mission to one robot, which passes it on; returns the robots that got it, none if none answers.
 
-    Where none is named, and the team has keys, one robot more than may lie is given it. The order is later than those
-    that robots report within `HEAR_S`, whatever the clock of this machine says.
+    If `robot` is None and the team has keys, one robot more than may lie gets it. The order is later than those that
+    robots report within `HEAR_S`, even if the clock of this machine is behind.
     """
     clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
-    mission_order(config, dict(fields), clock.next())  # refuses what is not allowed before anybody is looked for
+    mission_order(config, dict(fields), clock.next())  # rejects invalid fields before the search for robots
     found: list[int] = []
     answered = asyncio.Event()
     most = 1 if robot is not None or config.network.keys is None else config.network.liars + 1

@@ -123,7 +123,7 @@ class RosPoses:
         return PoseFrame(stamp_s=attached.stamp_ns / 1e9, poses={name: pose})
 
     def senders(self, now: float) -> tuple[str, ...]:
-        """The two publishers of the first drone that has two, by the beginnings of their gids; else nobody."""
+        """The two publishers of the first drone that has two, by the beginnings of their gids; else none."""
         for name, (other, heard_s) in self._others.items():
             if now - heard_s < RECENT_S:
                 return tuple(f"publisher {gid.hex()[:8]} of {name}" for gid in (self._sources[name], other))

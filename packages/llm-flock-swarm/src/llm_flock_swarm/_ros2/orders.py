@@ -1,6 +1,6 @@
-"""Missions from ROS: read, checked, and given to the swarm as its operator gives them.
+"""Reads missions from ROS, checks them, and gives them to the swarm as its operator does.
 
-With keys, the operator's key signs them: whoever may publish on the topics speaks for the operator.
+With keys, the operator's key signs them: every node that may publish on the topics speaks for the operator.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class MissionGiver:
         self._link = open_link(config, OPERATOR, FREE_PORT)
 
     def give(self, fields: Mapping[str, Any]) -> Sequence[int]:
-        """Change these fields of the team's present mission; a MessageError `bad_mission`, or `nobody` is there."""
+        """Change these fields of the team's mission. MessageError: `bad_mission`, or `nobody` if no robot is there."""
         observer = self._observer
         try:
             observer.mission.change(**fields)

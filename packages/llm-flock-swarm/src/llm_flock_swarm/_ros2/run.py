@@ -90,7 +90,7 @@ async def _run_sensors(
                 show_set_point(sender)
 
         async def repeat() -> None:
-            """Set-points that nobody heard, or only those who came later did not."""
+            """Publish all set-points again: a subscriber may have come late."""
             while True:
                 await asyncio.sleep(1.0 / config.ros2.ros_rate_hz)
                 for robot in range(n_robots):
@@ -112,7 +112,7 @@ async def _run_sensors(
 
 
 async def _sense(link: ZenohLink, bodies: SensedBodies, observer: Observer, frame_s: float) -> None:
-    """Tell the swarm what the sensors see, as long as they see everybody."""
+    """Send the swarm its sensors' readings while they hold every robot."""
     while True:
         reading = bodies.reading()
         if reading is not None:

@@ -63,7 +63,7 @@ class NodeName:
 
 
 def tokens_of(domain: int, namespace: str, name: str) -> str:
-    """Key expression of the liveliness tokens of all nodes of this name, in whatever session."""
+    """Key expression of the liveliness tokens of all nodes of this name, in any session."""
     return f"{_ADMIN}/{domain}/*/*/*/{NODE}/*/{mangled(namespace)}/{name}"
 
 
@@ -74,7 +74,7 @@ def gid_of(token: str) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What comes with every message: its number from 1, when it was sent, and its publisher."""
+    """The attachment of every message: its number from 1, its time, and its publisher."""
 
     sequence: int
     stamp_ns: int  # by the sender's wall clock

@@ -24,7 +24,7 @@ REMEMBERED = 4096  # most signatures that are remembered as good
 
 
 class Uncertified(Exception):
-    """A statement that nobody signed, or that no honest robot makes."""
+    """A statement without a valid signature, or that no honest robot makes."""
 
 
 class Checks:
@@ -71,7 +71,7 @@ class Checks:
             return False  # who left it has not blocked it
         stated = owner if grant.by == NO_OWNER else left_by(grant.by)
         statement = word_statement(page, slot, version, stated)
-        # Exactly as many as are needed: whoever merges the entry has to pass the grant on.
+        # Exactly as many as are needed: every robot that merges the entry has to pass the grant on.
         return len(grant.words) == len({robot for robot, _ in grant.words}) == self.witnesses and all(
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
         )

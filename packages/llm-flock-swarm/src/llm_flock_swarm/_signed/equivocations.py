@@ -1,6 +1,7 @@
 """Proposers whose plans do not count: each has signed two plans for one epoch of the mission, and no honest robot does.
 
-They could keep a team from agreeing for ever. The proof is passed on: all their plans for this mission are void.
+Otherwise they could keep a team from ever agreeing. Robots pass the proof on; all plans of these proposers for this
+mission are void.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Equivocations:
         return first.signature if first is not None and same else None
 
     def hear(self, mission: MissionStamp, proofs: Proofs) -> None:
-        """Check the proofs that somebody shows, and keep those that are news; a MessageError if one proves nothing."""
+        """Check the proofs of a message, and keep the new ones. MessageError: a proof proves nothing."""
         self._turn_to(mission)
         for proof in proofs.equivocations:
             if proof.proposer in self._proofs:

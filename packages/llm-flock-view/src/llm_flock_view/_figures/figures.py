@@ -132,7 +132,7 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
 def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
     """Runs side by side: how each ended, and below it the error of all over time.
 
-    Where a run has no known ideal, as a shape in words has none, the curves are left out.
+    Where a run has no known ideal, as a described shape has none, the curves are left out.
 
     Raises:
         InputError: no records, or not one label a record.

@@ -31,7 +31,7 @@ LINE = 0.6
 """Half the width of a ring [points]."""
 
 GAP = 1.0
-"""Between a word and whatever is next to it [points]."""
+"""Gap between a word and its neighbours [points]."""
 
 
 class Outlines(NamedTuple):

@@ -43,7 +43,7 @@ FIGURES = (
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
-    """The JSON for a path such as /data/1/news; None if there is no such; numbers not valid have their default."""
+    """The JSON for a path such as /data/1/news; None if there is no such path. Invalid numbers get their defaults."""
     parts = path.strip("/").split("/")
     if parts == ["data", "runs"]:
         return to_json([run_row(run) for run in list(library.runs.values())])
@@ -95,7 +95,7 @@ def about(run: Recording) -> dict[str, Any]:
 
 
 def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
-    """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
+    """Everything but the robots after the rounds (the start counted), plans and missions that the page knows."""
     history = run.history
     last = history.rounds
     rows = history.rows[rounds : last + 1]

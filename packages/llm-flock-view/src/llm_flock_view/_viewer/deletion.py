@@ -12,7 +12,7 @@ from llm_flock_view._viewer.recording import Recording, version_of
 
 
 def delete_record(run: Recording) -> None:
-    """Delete a run's file, if nobody writes it and it is still the one that was read, and its folder if it is empty."""
+    """Delete a run's file if it is complete and still the one that was read, and its folder if that is empty."""
     if run.path is None:
         raise _refused("there is no such record")
     if run.open:

@@ -1,4 +1,4 @@
-"""Recorded events as marks on the timeline, and in words."""
+"""Recorded events as marks on the timeline, and as text."""
 
 from __future__ import annotations
 

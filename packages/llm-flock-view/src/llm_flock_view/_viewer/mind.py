@@ -26,7 +26,7 @@ _ORIGINS = {
     "geometry": "moved by geometry",
     "hold": "stayed where it was",
 }
-"""What moved a robot in the round, in words."""
+"""The cause of a robot's move in the round, as text."""
 
 
 class HeardClaim(NamedTuple):

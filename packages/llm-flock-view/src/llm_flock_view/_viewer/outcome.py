@@ -1,6 +1,6 @@
-"""What came of a run: which missions were formed and when, and who kept the team from the others.
+"""The outcome of a run: the missions that were formed, when, and the robots that kept the team from the others.
 
-The first screen answers these three questions with it, before anybody has clicked on anything.
+The first screen shows it before any click.
 """
 
 from __future__ import annotations

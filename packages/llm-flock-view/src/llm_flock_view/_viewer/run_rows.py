@@ -34,7 +34,7 @@ def run_row(run: Recording) -> dict[str, Any]:
         "open": run.open,
         "failure": None if run.failure is None else one_line(run.failure),
         "ready": run.ready,
-        # A record that is being written, a link or a swarm is nobody's to delete.
+        # A record that is being written, a link or a swarm cannot be deleted.
         "deletable": run.path is not None and not run.open and not run.path.is_symlink(),
     }
     if not run.ready:

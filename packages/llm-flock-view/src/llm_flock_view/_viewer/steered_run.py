@@ -79,7 +79,7 @@ def _free(model: str) -> bool:
 
 
 def check_pace(pace: float) -> None:
-    """Refuse a pace [rounds a second] that nobody can watch."""
+    """Refuse a pace that is too slow or too fast to watch [rounds a second]."""
     if not 0.1 <= pace <= 100:
         raise InputError("pace", pace, "from 0.1 to 100 rounds a second")
 

@@ -50,7 +50,7 @@ class SwarmSource:
             self.recording.open = False
 
     def _steer(self) -> dict[str, Any]:
-        """What can be ordered: another mission, while anybody may answer."""
+        """The possible orders: another mission, while a robot may answer."""
         mission = self.team.config.mission
         return {
             "kind": "swarm",

@@ -85,7 +85,7 @@ class AutopilotStandIn:
             if self._calls is None:
                 self._peer = peer
             elif peer[1] != self._calls[1]:
-                continue  # a late packet for whoever had this port before must not turn it away from its driver
+                continue  # a late packet for an earlier program on this port must not turn it away from its driver
             for message in self._codec.datagram(data):
                 if int(message.get_srcSystem()) == GROUND_STATION:
                     with self.lock:
@@ -179,7 +179,7 @@ class AutopilotStandIns:
 
 
 def _free_ports(host: str, count: int) -> list[int]:
-    """UDP ports that nobody uses now, and that no system gives to whoever asks for any before the driver is there."""
+    """Free UDP ports, of a range from which no system hands out ports before the driver is there."""
     found: list[int] = []
     for port in random.SystemRandom().sample(range(*PORTS), PORTS[1] - PORTS[0]):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, contextlib.suppress(OSError):
