@@ -13,7 +13,7 @@ from llm_flock.message import Message, encode
 from llm_flock_swarm._network.access import BURST_FACTOR
 from llm_flock_swarm._network.config import NetworkConfig, SwarmConfig
 from llm_flock_swarm._network.connection import open_link
-from llm_flock_swarm._network.swarm import free_port, launched
+from llm_flock_swarm._network.swarm import free_port, launch_swarm
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack
 from llm_flock_swarm._trust.keys import make_keys
 from llm_flock_swarm._zenoh import BURST_S
@@ -26,7 +26,7 @@ def saying(message: Message) -> bytes:
 
 async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
     heard: list[bytes] = []
-    async with launched(config, absent=frozenset({3})) as swarm:
+    async with launch_swarm(config, absent=frozenset({3})) as swarm:
         open_network = swarm.config.network.model_copy(update={"keys": None})
         stranger = open_link(swarm.config.model_copy(update={"network": open_network}), 2, listen="tcp/127.0.0.1:0")
         member = open_link(swarm.config, 3, listen="tcp/127.0.0.1:0")

@@ -60,7 +60,7 @@ class Keyboard(contextlib.ExitStack):
         assert task is not None
         self._task = task
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._signalled)
+            loop.add_signal_handler(number, self._on_signal)
             self.callback(loop.remove_signal_handler, number)
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
             loop.add_signal_handler(signal.SIGHUP, self._land_or_end)
@@ -87,10 +87,10 @@ class Keyboard(contextlib.ExitStack):
         now[0] &= ~termios.IXON  # Ctrl-S
         now[6][termios.VSUSP] = b"\0"  # Ctrl-Z
         termios.tcsetattr(number, termios.TCSANOW, now)
-        loop.add_reader(number, self._pressed)
+        loop.add_reader(number, self._on_keys)
         self.callback(loop.remove_reader, number)
 
-    def _pressed(self) -> None:
+    def _on_keys(self) -> None:
         try:
             typed = os.read(sys.stdin.fileno(), 64)
         except OSError:
@@ -106,7 +106,7 @@ class Keyboard(contextlib.ExitStack):
             elif key in RETURN_KEYS:
                 self._flight.return_home()
 
-    def _signalled(self) -> None:
+    def _on_signal(self) -> None:
         self._signals += 1
         if self._signals > 1:
             self._flight.emergency()

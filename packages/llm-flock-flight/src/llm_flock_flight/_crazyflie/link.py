@@ -207,8 +207,8 @@ class CrazyflieLink:
         cf.connection_failed.add_callback(self._lose)
         cf.packet_received.add_callback(self._hear)
         cf.link_statistics.link_quality_updated.add_callback(self._rate)
-        cf.add_port_callback(HIGH_LEVEL_PORT, self._answered)
-        cf.add_port_callback(PARAMETER_PORT, self._told)
+        cf.add_port_callback(HIGH_LEVEL_PORT, self._on_answer)
+        cf.add_port_callback(PARAMETER_PORT, self._on_parameter)
         await in_thread(lambda: cf.open_link(self._uri), end - time.monotonic())
         asked_s = time.monotonic()
         while not ready.is_set():
@@ -240,7 +240,7 @@ class CrazyflieLink:
         Raises Unusable without one of `needed`, and RobotError as `send`.
         """
 
-        def came(_stamp: int, data: dict[str, float], _block: object) -> None:
+        def on_data(_stamp: int, data: dict[str, float], _block: object) -> None:
             take(data, time.monotonic())
 
         table = self.cf.log.toc
@@ -254,7 +254,7 @@ class CrazyflieLink:
         for variable, kind in variables.items():
             if variable not in missing:
                 block.add_variable(variable, kind)
-        block.data_received_cb.add_callback(came)
+        block.data_received_cb.add_callback(on_data)
         self.cf.log.add_config(block)
         try:
             await in_thread(block.start, SEND_S)
@@ -328,7 +328,7 @@ class CrazyflieLink:
         if link is not None:
             link.close()
 
-    def _told(self, packet: Any) -> None:
+    def _on_parameter(self, packet: Any) -> None:
         self._call(self._pass_on, packet.channel, bytes(packet.data))
 
     def _pass_on(self, channel: int, data: bytes) -> None:
@@ -341,7 +341,7 @@ class CrazyflieLink:
     def _rate(self, percent: float) -> None:
         self.quality = min(1.0, max(0.0, percent / 100.0))
 
-    def _answered(self, packet: Any) -> None:
+    def _on_answer(self, packet: Any) -> None:
         data = bytes(packet.data)
         if len(data) >= 4:
             self._call(self._settle, data[0], data[3])

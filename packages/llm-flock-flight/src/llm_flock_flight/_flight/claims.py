@@ -34,11 +34,11 @@ def identity(drone: DroneConfig, *, shared: bool) -> str | None:
     """The identity of a drone on this computer, the same for all spellings of its address; None without an address."""
     if drone.uri is None:
         return None
-    address = one_spelling(drone.uri, _resolved)
+    address = one_spelling(drone.uri, _resolve)
     return f"{address} {drone.system_id or 1}" if shared else address
 
 
-def _resolved(host: str) -> str:
+def _resolve(host: str) -> str:
     """The address of a host by its name; the name itself if it cannot be resolved."""
     try:
         return str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
@@ -47,7 +47,7 @@ def _resolved(host: str) -> str:
 
 
 @contextmanager
-def claimed(config: FlightConfig, folder: Path | None = None) -> Generator[Sequence[int]]:
+def claim_drones(config: FlightConfig, folder: Path | None = None) -> Generator[Sequence[int]]:
     """Claim all drones of a flight, or raise InputError, and give them back; yields the handles of the locked files.
 
     A process that inherits the handles keeps the drones claimed. Drones simulated in this process need no claim, and

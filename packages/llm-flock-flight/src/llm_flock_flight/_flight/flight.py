@@ -25,7 +25,7 @@ from llm_flock.runtime import (
     open_outputs,
     warn_of_mission,
 )
-from llm_flock_flight._flight.claims import claimed
+from llm_flock_flight._flight.claims import claim_drones
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.heartbeat import HeartbeatSender
 from llm_flock_flight._flight.homing import fly_home, homes_of
@@ -130,7 +130,7 @@ class Flight:
         A record that breaks off ends no flight. Raises InputError or FlockError, and nothing has taken off; or
         FlockError when answers can be written no more, and all drones were landed.
         """
-        with claimed(self._config) as claims:
+        with claim_drones(self._config) as claims:
             return await self._run(confirm, claims)
 
     async def _run(self, confirm: Callable[[PreflightReport], Awaitable[bool]], claims: Sequence[int]) -> FlightResult:

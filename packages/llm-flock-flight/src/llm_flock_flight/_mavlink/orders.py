@@ -54,14 +54,14 @@ async def refuse_armed_lately(talk: Conversation, flavour: Flavour) -> None:
     log, asked_s = talk.telemetry, time.monotonic()
     end = asked_s + NEWS_S
 
-    def told() -> bool:
+    def has_news() -> bool:
         return log.heartbeat_s >= max(asked_s, log.certain_s)
 
-    while not told():
+    while not has_news():
         if time.monotonic() >= end:
             raise RobotError(talk.name, f"sent no heartbeat in {NEWS_S:g} s: whether it is armed already is not known")
         talk.tell(REQUEST_MESSAGE, (float(HEARTBEAT),))
-        await talk.until(told, AGAIN_S)
+        await talk.until(has_news, AGAIN_S)
     refuse_armed(talk, flavour)
 
 
@@ -82,12 +82,12 @@ async def cut(talk: Conversation) -> bool:
     """Stop the motors in the air: disarm by force, and if that is refused terminate the flight."""
     log, began = talk.telemetry, time.monotonic()
 
-    def stopped() -> bool:
+    def has_stopped() -> bool:
         return not log.armed and log.heartbeat_s > began
 
     for command, parameters in ((ARM_DISARM, (0.0, FORCE)), (TERMINATE, (1.0,))):
         try:
-            await talk.command(command, parameters, "an emergency stop", STOP_S, stopped, anyway=True)
+            await talk.command(command, parameters, "an emergency stop", STOP_S, has_stopped, anyway=True)
         except RobotError as error:
             logger.warning("%s", error)
         else:

@@ -108,7 +108,7 @@ class MavlinkRobot:
         log = talk.telemetry
         try:
             async with asyncio.timeout(timeout_s):
-                await self._port.attach(self.system_id, lambda message: self._came(talk, message))
+                await self._port.attach(self.system_id, lambda message: self._on_message(talk, message))
         except OSError as error:  # a TimeoutError is one as well
             raise RobotError(self.name, f"{self.uri} cannot be opened: {error.strerror or error}") from None
         try:
@@ -269,7 +269,7 @@ class MavlinkRobot:
 
     # What follows is between the commands.
 
-    def _came(self, talk: Conversation, message: Any) -> None:
+    def _on_message(self, talk: Conversation, message: Any) -> None:
         """Take a message, and see whether the autopilot still obeys."""
         talk.take(message)
         log = talk.telemetry

@@ -204,16 +204,16 @@ class Examiner:
         framed = frame_step(question.step_question(mission, round_), self._frame).frame
         waypoint = question.first["waypoint"]
         place = place_text(waypoint if framed is None else framed.rounded(waypoint))
-        return (self._worded(f"Position: {place}", {"position": json.loads(place)}),)
+        return (self._word_answer(f"Position: {place}", {"position": json.loads(place)}),)
 
     def _plan_text(self, said: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int) -> str:
         framed = frame_plan(question.plan_question(mission, robot, round_), self._frame).frame
         rows = said["plan"] if framed is None else [framed.rounded(point) for point in said["plan"]]
         plan = f"[{', '.join(map(place_text, rows))}]"
         lines = f"Plan: {plan}\nmy plan: {said['slot']}"
-        return self._worded(lines, {"plan": json.loads(plan), "my_plan": said["slot"]})
+        return self._word_answer(lines, {"plan": json.loads(plan), "my_plan": said["slot"]})
 
-    def _worded(self, lines: str, fields: dict[str, Any]) -> str:
+    def _word_answer(self, lines: str, fields: dict[str, Any]) -> str:
         """An answer in the form that the prompts ask for."""
         if self._prompts.json:
             return json.dumps({REASONING: SAID, **fields} if self._prompts.reasons else fields)
@@ -227,11 +227,11 @@ class Examiner:
             reply = await model.ask(call)
         except ModelError as error:
             attempt = Attempt.failed(call, error, model.name)
-            return _scored(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
+            return _score(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
         marks = word_marks(question, reply.text)
         attempt = Attempt(call=call, reply=reply, rejected=marks.reason)
         tries = 0 if marks.reason is None else None
-        scored = _scored(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
+        scored = _score(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
         return replace(scored, readable=marks.read, flyable=marks.safe)
 
 
@@ -271,10 +271,10 @@ def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repe
     elif first is not None:
         marks = step_marks(question, mission, first)
     attempts = [attempt for one in asked for attempt in one.attempts]
-    return _scored(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
+    return _score(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
 
 
-def _scored(
+def _score(
     question: Question,
     repeat: int,
     attempts: list[Attempt],

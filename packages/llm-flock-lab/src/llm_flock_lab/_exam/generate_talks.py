@@ -13,7 +13,7 @@ from llm_flock.arrays import Point, Points
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import check_proposal, step_faults
-from llm_flock_lab._exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, rounded, rounded_rows, unit
+from llm_flock_lab._exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, round_point, rounded_rows, unit
 from llm_flock_lab._exam.generate_steps import draw_step
 from llm_flock_lab._exam.questions import Question
 
@@ -87,7 +87,7 @@ def _refused_step(
         question = draw_step(rng, drawn, STEP_TEAMS[number % len(STEP_TEAMS)], float(rng.uniform(*distances)))
         mission = question.build_mission()
         asked = question.step_question(mission, 0)
-        said = rounded(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
+        said = round_point(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
         if step_faults(asked, said):
             return replace(question, section="retry", tags=(kind, "step"), first={"waypoint": said})
 

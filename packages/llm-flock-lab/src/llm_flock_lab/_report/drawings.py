@@ -48,7 +48,7 @@ def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
     lines = cell_lines(results)
     yield success(results, lines)
     yield from errors_over_time(results)
-    yield from compared(results, reference)
+    yield from draw_comparisons(results, reference)
     yield from along_axes(results)
     if any(trial.ratio is not None for trial in results.trials):
         yield ratios(results)
@@ -122,7 +122,7 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
     )
 
 
-def compared(results: Results, reference: str) -> Iterator[Drawing]:
+def draw_comparisons(results: Results, reference: str) -> Iterator[Drawing]:
     """Protocols against the reference on the same seeds: success, and the error at the end."""
     lines = pair_lines(results, reference)
     formed, error = "formed, difference [% points]", "error at the end, difference [units]"

@@ -112,9 +112,9 @@ def draw_choices(seed: int, split: Split) -> Iterator[Choice]:
         if len(ways) < 2:
             continue
         wish = wishes[int(rng.integers(len(wishes)))]
-        said = _drawn(rng, WORDINGS[wish][split])
+        said = _draw(rng, WORDINGS[wish][split])
         if rng.random() < BESIDE_SHARE:
-            both = [said, _drawn(rng, BESIDE[split])]
+            both = [said, _draw(rng, BESIDE[split])]
             said = " ".join(both if rng.random() < 0.5 else both[::-1])
         right = right_letter(ways, wish)
         if wish == "far" or right != right_letter(ways, "far") or rng.random() < DECIDED:
@@ -167,7 +167,7 @@ async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | N
         return list(await asyncio.gather(*(one(asked, choice) for choice in choices)))
 
 
-def _drawn(rng: np.random.Generator, texts: Sequence[str]) -> str:
+def _draw(rng: np.random.Generator, texts: Sequence[str]) -> str:
     return texts[int(rng.integers(len(texts)))]
 
 

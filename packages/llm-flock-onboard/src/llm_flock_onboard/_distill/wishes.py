@@ -22,7 +22,7 @@ _TEXTS: dict[str, dict[Split, list[str]]] = tomllib.loads(
 )
 
 
-def _said(wish: Wish, split: Split) -> tuple[str, ...]:
+def _wordings(wish: Wish, split: Split) -> tuple[str, ...]:
     if wish not in SIDES:
         return tuple(_TEXTS[wish][split])
     side, other, port = SIDES[wish]
@@ -31,7 +31,7 @@ def _said(wish: Wish, split: Split) -> tuple[str, ...]:
 
 
 WORDINGS: Mapping[Wish, Mapping[Split, Sequence[str]]] = {
-    wish: {split: _said(wish, split) for split in SPLITS} for wish in get_args(Wish)
+    wish: {split: _wordings(wish, split) for split in SPLITS} for wish in get_args(Wish)
 }
 """Wordings of a mission's wishes. No held-out wording is taught."""
 

@@ -128,7 +128,7 @@ def swarm(
     sinks = chosen(extensions)
     require("network", "swarm")
     require_posix("swarm")
-    from llm_flock_swarm._ros2.run import swarm_shown
+    from llm_flock_swarm._ros2.run import run_shown_swarm
 
     settings = _load(config, flags)
     settings = with_output_folder(settings, "swarm-", record=record, typed=flags.get("out"))
@@ -142,7 +142,7 @@ def swarm(
     signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
         with showing(sinks, settings) as sink, ExitStack() as shown:
-            flight = swarm_shown(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
+            flight = run_shown_swarm(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
             result = asyncio.run(flight)
     except KeyboardInterrupt:
         say(f"interrupted; all {n_robots} robots have ended", error=True)

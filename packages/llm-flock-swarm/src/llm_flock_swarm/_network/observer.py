@@ -129,7 +129,7 @@ class Observer:
         now_s = self._clock()
         if not self.said.has_room(robot, report, now_s):
             raise MessageError("too_much", "more events and calls than records have room for")
-        events, calls = self._checked(robot, report)
+        events, calls = self._check_report(robot, report)
         self._take_mission(report)
         self._take_places(robot, report)
         self.reports[robot] = report
@@ -141,7 +141,7 @@ class Observer:
         for entry in (*events, *calls):
             self._sink.write(entry.model_copy(update={"round": now}))
 
-    def _checked(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
+    def _check_report(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
         """The events and calls in a report as entries of round 0, once all of it is found to be possible."""
         dim = self.mission.dim
         for point in (report.waypoint, *(report.points or ())):

@@ -64,11 +64,11 @@ class FlightShow:
     def show_rest(self, diagnose: bool) -> None:
         if (view := self._team.view()) is not None:
             self._nodes.show_markers(view, time.time_ns())
-            self._nodes.show_state({**self._team.state_json(), "flight": self._told()})
+            self._nodes.show_state({**self._team.state_json(), "flight": self._event_fields()})
         if diagnose:
             self._nodes.show_diagnostics(self._findings(), time.time_ns())
 
-    def _told(self) -> dict[str, Any] | None:
+    def _event_fields(self) -> dict[str, Any] | None:
         event = self._event
         return None if event is None else event.model_dump(mode="json", exclude_none=True)
 
@@ -108,10 +108,10 @@ class RosPoses:
             topic = f"{head}{robot}{tail}"
             node.listens(topic, POSE)
 
-            def heard(_topic: str, message: Any, attached: Attachment, name: str = name) -> None:
+            def on_pose(_topic: str, message: Any, attached: Attachment, name: str = name) -> None:
                 take(self.frame(name, message, attached))
 
-            graph.subscribe(topic, POSE, heard, self._refuse, rate=POSE_RATE)
+            graph.subscribe(topic, POSE, on_pose, self._refuse, rate=POSE_RATE)
 
     def frame(self, name: str, message: Any, attached: Attachment) -> PoseFrame:
         """The frame with one drone's message; a MessageError says why it is refused."""

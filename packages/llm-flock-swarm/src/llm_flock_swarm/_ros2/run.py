@@ -28,7 +28,7 @@ from llm_flock_swarm._ros2.types import POSE
 from llm_flock_swarm._zenoh import ZenohLink
 
 
-async def swarm_shown(
+async def run_shown_swarm(
     config: SwarmConfig,
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,

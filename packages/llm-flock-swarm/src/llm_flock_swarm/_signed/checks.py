@@ -55,7 +55,7 @@ class Checks:
         grant = certificate.grant
         if isinstance(grant, ExchangeGrant):
             made, number = grant.entries().get(slot, (UNSAID, 0))
-            if made != entry or not self._exchanged(page, grant, most_exchanges(places)):
+            if made != entry or not self._is_exchange_granted(page, grant, most_exchanges(places)):
                 return False
             if certificate.number <= number:
                 return certificate.number == number
@@ -76,7 +76,7 @@ class Checks:
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
         )
 
-    def _exchanged(self, page: Context, done: ExchangeGrant, most: int) -> bool:
+    def _is_exchange_granted(self, page: Context, done: ExchangeGrant, most: int) -> bool:
         offer = offer_statement(page, done.maker, done.offer(), done.number)
         return (
             self.exchanges

@@ -49,7 +49,7 @@ class Equivocations:
         for proof in proofs.equivocations:
             if proof.proposer in self._proofs:
                 continue
-            signed = all(self._signed(mission, proof.proposer, plan) for plan in proof.plans)
+            signed = all(self._is_signed(mission, proof.proposer, plan) for plan in proof.plans)
             if not (_exclude(*proof.plans) and signed):
                 raise MessageError("uncertified", f"robot {proof.proposer} has not signed two plans")
             self._proofs[proof.proposer] = proof
@@ -58,7 +58,7 @@ class Equivocations:
         if mission != self._mission:
             self._mission, self._seen, self._proofs = mission, {}, {}
 
-    def _signed(self, mission: MissionStamp, proposer: int, signed: SignedPlan) -> bool:
+    def _is_signed(self, mission: MissionStamp, proposer: int, signed: SignedPlan) -> bool:
         origin = Provenance(
             mission=mission.counter,
             mission_digest=mission.digest,

@@ -62,7 +62,7 @@ def guilt(
     asked = next((m for m in missions if m.digest == message.mission.digest), None)
     if asked is not None and validator.objection(asked, message.plan) is not None:
         return "unverified_plan"
-    return _forged(message, proofs, evidence)
+    return _forgery(message, proofs, evidence)
 
 
 def _check_order(channel: SignedChannel, inbound: Inbound) -> None:
@@ -71,7 +71,7 @@ def _check_order(channel: SignedChannel, inbound: Inbound) -> None:
         channel.check_mission(inbound.message.mission, inbound.authorization)
 
 
-def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
+def _forgery(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
     """Whether the message states something in the name of a robot that has not signed it."""
     for robot, (count, signature) in enumerate(zip(message.beats or (), proofs.beats or (), strict=False)):
         if signature and not evidence.signed_by(robot, beat_statement(robot, count), signature):

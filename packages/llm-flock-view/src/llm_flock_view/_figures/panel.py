@@ -237,7 +237,7 @@ class Panel:
 
     def _words(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Sequence[Rectangle]) -> None:
         """Letter of the plan on a tag in its colour, then the influence; beside a dead robot its number."""
-        words = {robot: self._said(state, robot, looks[robot]) for robot in range(len(looks))}
+        words = {robot: self._label(state, robot, looks[robot]) for robot in range(len(looks))}
         words = {robot: word for robot, word in words.items() if any(word)}
         points = 72.0 / _dpi(axes)
         order = [*words, *(robot for robot in range(len(places)) if robot not in words)]
@@ -267,7 +267,7 @@ class Panel:
                 halo = [withStroke(linewidth=0.25 * self._font, foreground=PAPER)]
                 self._word(axes, text, middle + [tags[robot] / 2, 0.0], path_effects=halo, zorder=6)
 
-    def _said(self, state: State, robot: int, look: PlanLook) -> tuple[str, str]:
+    def _label(self, state: State, robot: int, look: PlanLook) -> tuple[str, str]:
         """Letters and number beside a robot: none before it has a plan."""
         if state.phases[robot] == DEAD:
             return "", str(robot)
@@ -290,11 +290,11 @@ class Panel:
         """What words cross only where there is no other room: rings, ways, walls and obstacles [points]."""
         points, mission = 72.0 / _dpi(axes), self.record.mission.mission
 
-        def seen(places: Any) -> NDArray[np.float64]:
+        def to_pixels(places: Any) -> NDArray[np.float64]:
             flat = np.asarray(places, dtype=np.float64)
             return points * np.asarray(axes.transData.transform(flat.reshape(-1, 2))).reshape(flat.shape)
 
-        goals = seen([goal[:2] for goal in state.goals if goal is not None] or np.empty((0, 2)))
+        goals = to_pixels([goal[:2] for goal in state.goals if goal is not None] or np.empty((0, 2)))
         rings = [np.column_stack([goals, np.full(len(goals), RING * self._disc / 2)])]
         (left, bottom, *_), (right, top, *_) = mission["arena"]
         legs = np.stack([self._path[: state.round], self._path[1 : state.round + 1]], axis=2).reshape(-1, 2, 2)
@@ -304,11 +304,11 @@ class Panel:
             if obstacle.get("polygon") is not None:
                 lines.append(_edges(obstacle["polygon"]))
                 continue
-            middle, edge = seen(
+            middle, edge = to_pixels(
                 [obstacle["center"][:2], [obstacle["center"][0] + obstacle["radius"], obstacle["center"][1]]]
             )
             rings.append(np.array([[*middle, np.linalg.norm(edge - middle)]]))
-        return Outlines(np.concatenate(rings), seen(np.concatenate(lines)))
+        return Outlines(np.concatenate(rings), to_pixels(np.concatenate(lines)))
 
     def _discs(self, axes: Axes, places: Points, looks: Looks, above: float) -> None:
         axes.scatter(

@@ -109,7 +109,7 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
         "steer": None if run.steer is None else run.steer(),
         "plans": [plan_look(number) for number in range(plans, len(history.plan_numbers))],
         "missions": [{"round": m.round, "text": printable(shape_text(m.mission))} for m in history.missions[missions:]],
-        "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
+        "figures": {name: [_round(getattr(row, name)) for row in rows] for name in FIGURES},
         "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
     }
 
@@ -161,5 +161,5 @@ def _from_above(row: Sequence[float]) -> list[float]:
     return [round(row[0], DECIMALS), round(row[1], DECIMALS)]
 
 
-def _rounded(value: float | None) -> float | None:
+def _round(value: float | None) -> float | None:
     return None if value is None else round(value, 6)

@@ -52,7 +52,7 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
     parts: list[MissionPart] = []
     for k, info in enumerate(given):
         last = given[k + 1].round - 1 if k + 1 < len(given) else None
-        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formed(run, k, told, last)))
+        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formation_round(run, k, told, last)))
     return parts
 
 
@@ -62,7 +62,7 @@ def shape_text(mission: Mapping[str, Any]) -> str:
     return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
 
 
-def _formed(run: RunHistory, k: int, told: Sequence[object], last: int | None) -> int | None:
+def _formation_round(run: RunHistory, k: int, told: Sequence[object], last: int | None) -> int | None:
     if told and isinstance(told[k], dict):
         formed = cast("dict[str, Any]", told[k]).get("formed")
         return formed if isinstance(formed, int) else None
@@ -114,13 +114,13 @@ def _headline(run: RunHistory, parts: Sequence[MissionPart], *, over: bool) -> s
     name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
     if last.formed is not None:
         given = f" (given in round {last.first})" if len(parts) > 1 else ""
-        return begun(f"{name}formed in round {last.formed}{given}{_helped(run)}{_gaps(run)}")
+        return begun(f"{name}formed in round {last.formed}{given}{_help_text(run)}{_gaps(run)}")
     if not over:
         return begun(f"{name}not formed yet")
     return begun(f"{name}not formed: {stop_text(run)}")
 
 
-def _helped(run: RunHistory) -> str:
+def _help_text(run: RunHistory) -> str:
     """Whether the models did it alone; older records do not say."""
     if (run.result or {}).get("formed_by_models", True):
         return ""

@@ -125,7 +125,7 @@ class StandIn:
             except (BlockingIOError, ConnectionError):
                 return
             with self._lock:
-                if self._silent or self._lost():
+                if self._silent or self._loses_packet():
                     continue
                 self._peer = peer
                 if self._radio is None:
@@ -154,7 +154,7 @@ class StandIn:
                 for packet in due:
                     self._send(packet)
 
-    def _lost(self) -> bool:
+    def _loses_packet(self) -> bool:
         return self.loss > 0.0 and bool(self._rng.random() < self.loss)
 
     def _send(self, data: bytes) -> None:
@@ -165,7 +165,7 @@ class StandIn:
             radio.put(number, "down", data, time.monotonic())
 
     def _transmit(self, data: bytes) -> None:
-        if self._peer is not None and not self._lost():
+        if self._peer is not None and not self._loses_packet():
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 self.socket.sendto(data, self._peer)
 

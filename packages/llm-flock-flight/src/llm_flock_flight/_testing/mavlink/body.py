@@ -49,7 +49,7 @@ class Airframe:
             fall = self.velocity[2] + GRAVITY * STEP_S if self.height_m > 0.0 else 0.0
             self.velocity = (0.0, 0.0, fall)
         elif self.lifted:
-            wanted = self._wanted()
+            wanted = self._desired_velocity()
             share = STEP_S / 0.08  # the time constant of the speed
             north, east, down = (v + share * (w - v) for v, w in zip(self.velocity, wanted, strict=True))
             self.velocity = (north, east, down)
@@ -60,7 +60,7 @@ class Airframe:
         if down > 0.0:
             self.velocity = REST
 
-    def _wanted(self) -> Position:
+    def _desired_velocity(self) -> Position:
         if self.target is None:
             return REST
         rows = [f + GAIN * (t - p) for t, p, f in zip(self.target, self.ned, self.feed_forward, strict=True)]

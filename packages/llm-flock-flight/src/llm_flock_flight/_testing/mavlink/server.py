@@ -80,7 +80,7 @@ class AutopilotStandIn:
                 data, peer = self.socket.recvfrom(4096)
             except (BlockingIOError, ConnectionError):
                 return
-            if self.silent or self.deaf or self._lost():
+            if self.silent or self.deaf or self._loses_packet():
                 continue
             if self._calls is None:
                 self._peer = peer
@@ -98,12 +98,12 @@ class AutopilotStandIn:
             due = self.autopilot.tick(time.monotonic())
         self._send(due)
 
-    def _lost(self) -> bool:
+    def _loses_packet(self) -> bool:
         return self.loss > 0.0 and bool(self._rng.random() < self.loss)
 
     def _send(self, packets: Sequence[bytes]) -> None:
         for packet in packets:
-            if self._peer is not None and not self.silent and not self._lost():
+            if self._peer is not None and not self.silent and not self._loses_packet():
                 with contextlib.suppress(BlockingIOError, ConnectionError):
                     self.socket.sendto(packet, self._peer)
 
