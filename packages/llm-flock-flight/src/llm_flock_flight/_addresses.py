@@ -1,4 +1,4 @@
-"""One spelling for each address of a drone, by which two ways of writing the same are known to be the same."""
+"""One spelling for each address of a drone, so that two ways of writing the same address are equal."""
 
 from __future__ import annotations
 

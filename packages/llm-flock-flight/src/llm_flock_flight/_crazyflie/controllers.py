@@ -2,7 +2,7 @@
 
 Numbers: `ControllerType` in `src/modules/interface/controller/controller.h` and `StateEstimatorType` in
 `src/modules/interface/estimator/estimator.h` of the firmware. Mellinger's, Brescianini's and Lee's controllers add the
-set-point's velocity to what they ask for; PID and INDI ask for a velocity by the distance to the set-point alone, so at
+set-point's velocity to their command; PID and INDI ask for a velocity by the distance to the set-point alone, so at
 a steady speed they are behind by speed over gain.
 """
 

@@ -1,4 +1,4 @@
-"""What each Crazyradio has to carry, and whether it can: a pure function of the drones' addresses and their traffic.
+"""The load and the capacity of each Crazyradio: a pure function of the drones' addresses and their traffic.
 
 The unit is the exchange: the radio sends one packet to one drone, and the acknowledgement brings back at most one.
 cflib 0.1.34 hands a packet to the radio over USB and reads the answer before the next one, and sets address, channel
@@ -7,8 +7,8 @@ and data rate by USB requests of their own whenever they differ from those of th
 - an exchange at 2 Mbit/s, two USB transfers: about 0.7 ms (measured by a user: bitcraze/crazyradio2-firmware, issue 9);
 - one such request: about 1 ms (Bitcraze's wiki, "Usb and Radio protocol of the Crazyradio dongle").
 
-So a radio with several drones on one channel does about 590 exchanges a second, and on several channels 370. What
-Bitcraze's people say is of that size: at least 500 a second (bitcraze/crazyflie-lib-python, issue 258), "400ish" (issue
+So a radio with several drones on one channel does about 590 exchanges a second, and on several channels 370. Bitcraze's
+own numbers are similar: at least 500 a second (bitcraze/crazyflie-lib-python, issue 258), "400ish" (issue
 467). The user above counted 300, with another library. It is a model for planning: measure your radios.
 """
 

@@ -1,4 +1,4 @@
-"""What a Crazyflie logs: the variables, the newest values, and what its supervisor says."""
+"""Logs of a Crazyflie: the variables, the newest values, and the state of its supervisor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Landing: where and when each drone lands, so that none lands on or under another."""
+"""Landing: chooses spots and an order so that no drone lands on or under another."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Monitors of a flight: compare every drone's state with its command and the limits. Reads no clock and no robot.
 
-Every trouble ends the flight. A drone is landed wherever that is safer than a fall: everywhere but far outside the
+Every trouble ends the flight. A drone is landed if that is safer than a fall: everywhere but far outside the
 geofence.
 """
 

@@ -1,4 +1,4 @@
-"""Set-points: where each drone should be at any time, and the checks of every command before it is sent."""
+"""Set-points: the intended position of each drone at any time, and the checks of every command before it is sent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Supervises a flight: interrupts what is going on as soon as something is wrong, and cuts motors."""
+"""Supervises a flight: interrupts it at the first trouble, and cuts motors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands to one autopilot and its answers: sent again until confirmed, refused in its own words, or given up."""
+"""Commands to one autopilot and its answers: sent again until confirmed, refused with its reason, or given up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flight modes of PX4 and of ArduPilot's copters: their numbers, their names, and who flies in them."""
+"""Flight modes of PX4 and of ArduPilot's copters: their numbers, their names, and the pilot in each."""
 
 from __future__ import annotations
 

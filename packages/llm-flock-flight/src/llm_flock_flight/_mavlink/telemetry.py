@@ -1,4 +1,4 @@
-"""The newest values that an autopilot sent. Takes any message, and drops what cannot be."""
+"""The newest values that an autopilot sent. Takes any message, and drops impossible values."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Motion capture through libmotioncapture: Vicon, OptiTrack, Qualisys and VRPN, by the package `motioncapture`.
 
-The library runs in a process of its own, and what it reads goes to a free external pose port of this machine. It waits
+The library runs in a process of its own, and sends its frames to a free external pose port of this machine. It waits
 for its system without a time limit, while it connects even with Python's interpreter lock, and it is native code: none
 of that may stop a flight's event loop or end its process.
 """

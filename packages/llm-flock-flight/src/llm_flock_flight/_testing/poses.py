@@ -1,4 +1,4 @@
-"""A stand-in for a motion capture: streams where stand-in drones are as UDP datagrams, with faults on request.
+"""A stand-in for a motion capture: streams the poses of stand-in drones as UDP datagrams, with faults on request.
 
 from llm_flock_flight._testing.poses import PoseStream
 

@@ -1,4 +1,4 @@
-"""Make questions that go on from an earlier answer: one that was refused, or an own plan that was not adopted."""
+"""Make questions that go on from an earlier answer: one that was rejected, or an own plan that was not adopted."""
 
 from __future__ import annotations
 

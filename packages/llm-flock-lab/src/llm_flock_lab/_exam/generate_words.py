@@ -1,4 +1,4 @@
-"""Make missions in plain words from templates, with the fields that they say, and impossible ones to be refused."""
+"""Make missions in plain words from templates, with the fields that they state, and impossible ones to be rejected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Score answers by code: whether robots would take them, and how far they are off.
+"""Scores answers by code: whether robots would accept them, and how far they are off.
 
 The verdict is that of the checks in `llm_flock.protocol._verification`. A few questions ask for more: the shape that
 words describe, a way that is clear of obstacles, the team's plan and not the own one, different places.

@@ -1,4 +1,4 @@
-"""What a sweep will use: expected before it is flown, and counted while it is."""
+"""The cost of a sweep: expected before it flies, and counted while it flies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures of a report: which there are, what is in each, and its caption."""
+"""The figures of a report: their names, contents and captions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Writes the report: one HTML page that needs nothing else, the same in Markdown, and a folder of figures."""
+"""Writes the report: one self-contained HTML page, the same in Markdown, and a folder of figures."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false

@@ -1,4 +1,4 @@
-"""Questions for one letter, to teach and to measure (`llm.letters`): what is right follows from the wish by a rule."""
+"""Questions for one letter, to teach and to measure (`llm.letters`). A rule derives the right answer from the wish."""
 
 from __future__ import annotations
 

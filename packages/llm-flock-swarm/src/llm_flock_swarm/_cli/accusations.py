@@ -1,4 +1,4 @@
-"""Shows who is accused of lying in a record, and checks the proofs with the public keys of the team."""
+"""Lists the robots that a record accuses of lying, and checks the proofs with the public keys of the team."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Turns world states and robot reports into measurements, a record, and whether the team has formed.
+"""Turns world states and robot reports into measurements and a record, and decides whether the team has formed.
 
-An observer only listens, and believes a robot about itself and nothing else: positions are the sensors', a mission
-needs the operator's signature where the team has keys, places are those that a plan's digest names, and a place counts
-as blocked once one robot more than may lie says so.
+An observer only listens, and believes a robot only about itself. Positions come from the sensors. A mission needs the
+operator's signature if the team has keys. Places are those that a plan's digest names, and a place counts as blocked
+once one robot more than may lie reports it.
 """
 
 from __future__ import annotations

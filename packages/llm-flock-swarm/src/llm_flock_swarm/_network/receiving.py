@@ -1,4 +1,4 @@
-"""Receives messages: decodes them, and counts those that are refused."""
+"""Decodes received messages, and counts those that are rejected."""
 
 from __future__ import annotations
 

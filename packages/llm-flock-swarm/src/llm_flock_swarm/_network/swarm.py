@@ -1,4 +1,4 @@
-"""Launches a swarm on this machine: a world, N robots and a recorder, each as a process; commands no robot."""
+"""Launches a swarm on this machine: a world, N robots and a recorder, each as a process. It commands no robot."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Shows a running swarm in ROS 2, and takes missions and poses from there.
 
-Poses and paths leave with the reading of the sensors that they come from, at most `ros_rate_hz` times a second.
+Poses and paths are published with each reading of the sensors, at most `ros_rate_hz` times a second.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Shows a flight in ROS 2; no fault here reaches a drone. Poses come in, only with `pose_source = "ros2"`."""
+"""Shows a flight in ROS 2. No fault here reaches a drone. Poses are read only with `pose_source = "ros2"`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The team in ROS 2's graph: a node for each robot and one for the team, and what they publish."""
+"""The team in ROS 2's graph: a node for each robot and one for the team, and their topics."""
 
 from __future__ import annotations
 

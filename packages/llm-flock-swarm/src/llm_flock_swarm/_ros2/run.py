@@ -1,4 +1,4 @@
-"""Runs a bridge as a process: beside a swarm that is there, or as the sensors of one whose bodies ROS knows."""
+"""Runs a bridge as a process: beside a running swarm, or as the sensors of a swarm whose bodies ROS moves."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Poses from ROS as the sensors of a swarm: the world process of bodies that something else moves.
 
-Where a body is to fly goes to ROS as a set-point. One that lags behind it gets no further one, and one that does not
-follow at all is taken to stay where it is.
+The target of a body goes to ROS as a set-point. A body that lags behind it gets no further one, and a body that does
+not follow at all counts as standing still.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What rmw_zenoh puts on the wire besides CDR, since April 2025 (jazzy 0.2.4, kilted, lyrical); see its design.md."""
+"""The wire format of rmw_zenoh besides CDR, since April 2025 (jazzy 0.2.4, kilted, lyrical). See its design.md."""
 
 from __future__ import annotations
 

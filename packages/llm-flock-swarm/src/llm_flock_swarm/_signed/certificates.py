@@ -1,8 +1,8 @@
 """Certificates: signatures under bid entries, offers, plan origins, heartbeats and missions, and how they are encoded.
 
 A slot is freed, or found blocked, by witnesses, one more than may lie; a claim on it is signed by its owner and carries
-their statements. An exchange is signed by both robots, and counts only where no two may lie together. So one who signs
-is honest, and no history has to be shown. Of a robot's numbered claims on one plan the last one counts.
+their statements. An exchange is signed by both robots, and counts only where no two may lie together. So one of
+the signers is honest, and no history has to be shown. Of a robot's numbered claims on one plan the last one counts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The channel of a team with keys: who speaks, who proposed the plan, whose heart beats, and who gave the mission."""
+"""The channel of a team with keys: proves senders, proposers of plans, heartbeats, and the operator's missions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether signatures prove what they are with: statements of members, and certificates of entries of a bid table."""
+"""Checks signatures under statements of members, and certificates of entries of a bid table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the discs of a team are drawn: those that hide one another fan out, and every number stays in sight.
+"""Places the discs of a team: those that hide one another fan out, and every number stays in sight.
 
 Pages do the same in `viewer/static/crowd.js`, for the size and zoom that only the browser knows; a figure needs none.
 """

@@ -1,4 +1,4 @@
-"""Where words stand beside discs: on no disc and no other word; where there is room, on no ring and no line either.
+"""Places words beside discs: on no disc and no other word and, if there is room, on no ring and no line.
 
 Pages do the same in `viewer/static/labels.js`, for the size and zoom that only the browser knows; a figure needs none.
 """

@@ -1,4 +1,4 @@
-"""How plans, robots and words look, the same in every figure and animation."""
+"""The look of plans, robots and words, the same in every figure and animation."""
 
 from __future__ import annotations
 

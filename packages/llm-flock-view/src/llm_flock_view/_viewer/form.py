@@ -1,4 +1,4 @@
-"""What the form that starts runs offers: shapes with their pictures, protocols, and models."""
+"""Choices of the form that starts runs: shapes with their pictures, protocols, and models."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What one robot knew and asked in a round, as plain values.
+"""The knowledge and questions of one robot in a round, as plain values.
 
-Pages set all of it as text, so no answer of a model can become markup. It is printable: it neither turns nor hides.
+Pages set all of it as text, so no answer of a model can become markup. No character in it turns or hides text.
 """
 
 from __future__ import annotations

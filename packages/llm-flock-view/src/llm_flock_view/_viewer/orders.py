@@ -1,4 +1,4 @@
-"""What pages may order, as one JSON object each: start and steer runs, read a described mission, delete a record."""
+"""Orders of pages, as one JSON object each: start and steer runs, read a described mission, delete a record."""
 
 from __future__ import annotations
 

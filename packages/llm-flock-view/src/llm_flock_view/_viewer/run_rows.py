@@ -1,4 +1,4 @@
-"""A row of the table of runs: what a run was, what came of it, and a thumbnail of its last round."""
+"""A row of the table of runs: the run, its outcome, and a thumbnail of its last round."""
 
 from __future__ import annotations
 

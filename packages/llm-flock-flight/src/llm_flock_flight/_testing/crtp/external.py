@@ -1,4 +1,4 @@
-"""A stand-in's estimator that lives on positions from outside: it follows what is sent, and stands still without it.
+"""A stand-in's estimator by positions from outside: it follows each received pose, and stands still without one.
 
 A real estimator would go on by its inertial sensors, and drift; that is not modelled.
 """
