@@ -171,34 +171,34 @@ def _load(dongle: str, served: Mapping[str, RadioAddress], each_hz: float) -> Ra
 
 
 def _warnings(loads: Sequence[RadioLoad], each_hz: float) -> list[str]:
-    said: list[str] = []
+    notes: list[str] = []
     for load in loads:
         if load.share > MAX_SHARE:
             drones = sum(len(other.drones) for other in loads)
             enough = radios_for(drones, each_hz)
             advice = f"; {enough} radios would carry {drones} drones" if enough > len(loads) else ""
-            said.append(
+            notes.append(
                 f"radio {load.dongle} needs {load.share:.0%} of what it can do (at most {MAX_SHARE:.0%}){advice}"
             )
         if len(load.channels) > 1:
-            said.append(
+            notes.append(
                 f"radio {load.dongle} serves channels {', '.join(map(str, load.channels))}: it retunes for each packet,"
                 f" which costs about {1000 * SETTING_S:g} ms; give all its drones one channel"
             )
         for channel in load.channels:
             if (wifi := wifi_over(channel)) is not None:
-                said.append(
+                notes.append(
                     f"channel {channel} lies in Wi-Fi channel {wifi}; those from 75 to {LAST_IN_BAND} lie in none"
                 )
             if channel > LAST_IN_BAND:
-                said.append(f"channel {channel} is above 2.4835 GHz, where sending needs a licence in most countries")
+                notes.append(f"channel {channel} is above 2.4835 GHz, where sending needs a licence in most countries")
     for one, two in combinations(loads, 2):
         near = [(a, b) for a in one.channels for b in two.channels if abs(a - b) < 2 * RADIO_HALF_MHZ]
         for a, b in near:
-            said.append(
+            notes.append(
                 f"radios {one.dongle} and {two.dongle} share the air of channels {a} and {b}: leave 2 between them"
             )
-    return said
+    return notes
 
 
 def wifi_over(channel: int) -> int | None:

@@ -319,8 +319,8 @@ class CrazyflieRobot:
             if answer == REFUSED and (number == LAND or (number == TAKE_OFF and attempt)):
                 return
             if answer is not None:
-                said = says(self._log.info)
-                raise _Refused(self.name, f"refused {what} (answer {answer}); its supervisor says: {said}")
+                supervisor = says(self._log.info)
+                raise _Refused(self.name, f"refused {what} (answer {answer}); its supervisor says: {supervisor}")
         raise RobotError(self.name, f"did not confirm {what}, sent {ATTEMPTS} times")
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:

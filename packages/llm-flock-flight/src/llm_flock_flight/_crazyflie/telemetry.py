@@ -126,8 +126,8 @@ def lighthouse_text(values: Mapping[str, float]) -> str:
     if status == 0:
         return f"Lighthouse: {STATUS[0]}"
     received, active = (_stations(int(values[f"lighthouse.{name}"])) for name in ("bsReceive", "bsActive"))
-    said = STATUS[status] if status < len(STATUS) else f"status {status}"
-    return f"Lighthouse: {said}; receives {received}, uses {active}"
+    state = STATUS[status] if status < len(STATUS) else f"status {status}"
+    return f"Lighthouse: {state}; receives {received}, uses {active}"
 
 
 def _stations(bits: int) -> str:

@@ -56,12 +56,12 @@ class WayHome:
 
     def step(self, team: Readings) -> Points:
         """How each drone moves next, shape (n, d) [units]."""
-        told = {robot: mind.course for robot, mind in enumerate(self._safety)}
+        last_courses = {robot: mind.course for robot, mind in enumerate(self._safety)}
         after: list[Point] = []
         for robot, (mind, home) in enumerate(zip(self._safety, self._homes, strict=True)):
             seen = team.sense(robot)
             here = seen.position
-            courses = {j: course for j in team.in_radio_range[robot] if (course := told[j]) is not None}
+            courses = {j: course for j in team.in_radio_range[robot] if (course := last_courses[j]) is not None}
             leg = leg_to(self._mission, here, home)
             share = min(1.0, self._mission.max_step / max(math.dist(here, leg.stop), 1e-12))
             wish = leg.stop if share == 1.0 else tuple(x + share * (y - x) for x, y in zip(here, leg.stop, strict=True))

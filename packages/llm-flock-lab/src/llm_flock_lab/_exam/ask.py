@@ -206,12 +206,14 @@ class Examiner:
         place = place_text(waypoint if framed is None else framed.rounded(waypoint))
         return (self._word_answer(f"Position: {place}", {"position": json.loads(place)}),)
 
-    def _plan_text(self, said: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int) -> str:
+    def _plan_text(
+        self, reply: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int
+    ) -> str:
         framed = frame_plan(question.plan_question(mission, robot, round_), self._frame).frame
-        rows = said["plan"] if framed is None else [framed.rounded(point) for point in said["plan"]]
+        rows = reply["plan"] if framed is None else [framed.rounded(point) for point in reply["plan"]]
         plan = f"[{', '.join(map(place_text, rows))}]"
-        lines = f"Plan: {plan}\nmy plan: {said['slot']}"
-        return self._word_answer(lines, {"plan": json.loads(plan), "my_plan": said["slot"]})
+        lines = f"Plan: {plan}\nmy plan: {reply['slot']}"
+        return self._word_answer(lines, {"plan": json.loads(plan), "my_plan": reply["slot"]})
 
     def _word_answer(self, lines: str, fields: dict[str, Any]) -> str:
         """An answer in the form that the prompts ask for."""

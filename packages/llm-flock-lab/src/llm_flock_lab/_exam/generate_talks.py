@@ -87,9 +87,9 @@ def _refused_step(
         question = draw_step(rng, drawn, STEP_TEAMS[number % len(STEP_TEAMS)], float(rng.uniform(*distances)))
         mission = question.build_mission()
         asked = question.step_question(mission, 0)
-        said = round_point(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
-        if step_faults(asked, said):
-            return replace(question, section="retry", tags=(kind, "step"), first={"waypoint": said})
+        answer = round_point(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
+        if step_faults(asked, answer):
+            return replace(question, section="retry", tags=(kind, "step"), first={"waypoint": answer})
 
 
 def _refused_plan(
@@ -101,9 +101,9 @@ def _refused_plan(
         mission = build_mission(**fields)
         robot = int(rng.integers(n))
         question = Question(id="", section="retry", n=n, tags=(kind, "plan"), mission=fields, robots=(robot,))
-        said = rounded_rows(slip(draw_plan(rng, mission), mission), mission.spacing)
-        if check_proposal(mission, Plan.of(said), (), mission.center) is not None:
-            return replace(question, first={"plan": said, "slot": robot % len(said)})
+        answer = rounded_rows(slip(draw_plan(rng, mission), mission), mission.spacing)
+        if check_proposal(mission, Plan.of(answer), (), mission.center) is not None:
+            return replace(question, first={"plan": answer, "slot": robot % len(answer)})
 
 
 def _angle_deg(here: Point, one: Point, other: Point) -> float:

@@ -67,13 +67,13 @@ ASIDES = (
 
 def mission_questions(rng: np.random.Generator, known: Collection[str | None]) -> Iterator[Question]:
     """`MISSIONS` texts, no two alike, and none that is known."""
-    said: set[str] = set()
-    while len(said) < MISSIONS:
-        number = len(said)
+    texts: set[str] = set()
+    while len(texts) < MISSIONS:
+        number = len(texts)
         question = _impossible(rng) if number % 5 == 4 else _possible(rng, aside=number % 8 == 3)
         assert question.words is not None
-        if question.words not in said and question.words not in known:
-            said.add(question.words)
+        if question.words not in texts and question.words not in known:
+            texts.add(question.words)
             yield question
 
 

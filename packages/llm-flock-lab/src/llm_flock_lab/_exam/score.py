@@ -102,14 +102,14 @@ def word_marks(question: Question, text: str) -> WordMarks:
     assert question.wanted is not None
     refused: str | None = None
     try:
-        said = answer_of(text).model_dump(exclude_none=True)
+        fields = answer_of(text).model_dump(exclude_none=True)
     except AnswerError as error:
         return WordMarks(reason=str(error), read=False, safe=True)
     try:
         draft_of(text)
     except (AnswerError, InputError) as error:
         refused = str(error)
-    wrong = _differs(question.wanted, said)
+    wrong = _differs(question.wanted, fields)
     safe = refused is not None or (question.possible and wrong is None)
     if wrong is None and question.possible and refused is not None:
         wrong = refused
@@ -118,11 +118,11 @@ def word_marks(question: Question, text: str) -> WordMarks:
     return WordMarks(reason=wrong, read=True, safe=safe)
 
 
-def _differs(wanted: Mapping[str, object], said: Mapping[str, object]) -> str | None:
+def _differs(wanted: Mapping[str, object], fields: Mapping[str, object]) -> str | None:
     """The first field that differs. One that was not mentioned may be left out, or have the mission's default."""
     defaults = {name: Mission.model_fields[name].default for name in ("center", "spacing")}
     for name in ("shape", "n_robots", "center", "spacing"):
-        asked, found = wanted.get(name, defaults.get(name)), said.get(name, defaults.get(name))
+        asked, found = wanted.get(name, defaults.get(name)), fields.get(name, defaults.get(name))
         if isinstance(asked, tuple | list) and isinstance(found, tuple | list):
             asked, found = list(cast("tuple[float, ...]", asked)), list(cast("tuple[float, ...]", found))
         if asked != found:

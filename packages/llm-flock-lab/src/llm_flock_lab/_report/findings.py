@@ -65,7 +65,7 @@ def _cell_line(cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
         return mean_interval(known(values), least=0.0)
 
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
-    alone = [bool(said) for trial in trials if (said := trial.figures.get("formed_by_models")) is not None]
+    alone = [bool(by_models) for trial in trials if (by_models := trial.figures.get("formed_by_models")) is not None]
     errors = known(trial.error for trial in trials)
     calls = sum(known(trial.figures["model_calls"] for trial in trials))
     return CellLine(

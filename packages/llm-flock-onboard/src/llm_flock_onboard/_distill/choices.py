@@ -112,13 +112,13 @@ def draw_choices(seed: int, split: Split) -> Iterator[Choice]:
         if len(ways) < 2:
             continue
         wish = wishes[int(rng.integers(len(wishes)))]
-        said = _draw(rng, WORDINGS[wish][split])
+        sentence = _draw(rng, WORDINGS[wish][split])
         if rng.random() < BESIDE_SHARE:
-            both = [said, _draw(rng, BESIDE[split])]
-            said = " ".join(both if rng.random() < 0.5 else both[::-1])
+            both = [sentence, _draw(rng, BESIDE[split])]
+            sentence = " ".join(both if rng.random() < 0.5 else both[::-1])
         right = right_letter(ways, wish)
         if wish == "far" or right != right_letter(ways, "far") or rng.random() < DECIDED:
-            yield Choice(question=question, wish=wish, words=said, ways=tuple(ways), right=right)
+            yield Choice(question=question, wish=wish, words=sentence, ways=tuple(ways), right=right)
 
 
 def choice_examples(seed: int, count: int, split: Split) -> Iterator[Example]:

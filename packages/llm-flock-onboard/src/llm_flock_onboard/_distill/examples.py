@@ -116,12 +116,12 @@ def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
     alone = replace(question, neighbors=())
     if judge(alone, asked.to_world(StepAnswer(waypoint=waypoint)), shield_on=True).reason is not None:
         return None
-    said, one = place_text(waypoint), question.horizon == 1
+    text, one = place_text(waypoint), question.horizon == 1
     return Example(
         kind="step" if one else "path",
         system=prompts.system(mission),
         user=prompts.step(asked.framed),
-        answer=f"Position: {said}" if one else f"Path: [{said}]",
+        answer=f"Position: {text}" if one else f"Path: [{text}]",
         team=f"{question.mission.shape} {question.mission.n_places}",
     )
 

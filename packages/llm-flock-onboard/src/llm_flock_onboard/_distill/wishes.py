@@ -26,8 +26,8 @@ def _wordings(wish: Wish, split: Split) -> tuple[str, ...]:
     if wish not in SIDES:
         return tuple(_TEXTS[wish][split])
     side, other, port = SIDES[wish]
-    said = (wording.format(side=side, other=other, port=port) for wording in _TEXTS["sides"][split])
-    return tuple(text[0].upper() + text[1:] for text in said)
+    texts = (wording.format(side=side, other=other, port=port) for wording in _TEXTS["sides"][split])
+    return tuple(text[0].upper() + text[1:] for text in texts)
 
 
 WORDINGS: Mapping[Wish, Mapping[Split, Sequence[str]]] = {

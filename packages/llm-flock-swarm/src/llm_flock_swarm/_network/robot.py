@@ -69,7 +69,7 @@ class RobotProcess:
         )
         receive(link, "frame", WorldState, self._on_state, sender=WORLD)
         receive(link, "beacon", Beacon, self._hear)
-        receive(link, "say", BeaconedMessage, lambda sender, said: self._hear(sender, said.beacon, said.message))
+        receive(link, "say", BeaconedMessage, lambda sender, packet: self._hear(sender, packet.beacon, packet.message))
         take_order = self.agent_loop.take_order
         receive(link, "mission", MissionOrder, lambda _, order: take_order(order), number=robot, sender=OPERATOR)
         link.watch_alive(self._on_alive)

@@ -215,14 +215,14 @@ class Bridge:
             "model calls without an answer": observer.said.calls_failed,
             "readings shown": self._shown,
         }
-        said = "formed" if observer.formed_s is not None else "forming"
-        found: list[Finding] = [("team", ERROR if gone else OK, "too near" if gone else said, team)]
+        summary = "formed" if observer.formed_s is not None else "forming"
+        found: list[Finding] = [("team", ERROR if gone else OK, "too near" if gone else summary, team)]
         found.append(self.refused.finding("from ROS"))
         if self.bodies is not None:
             missing = self.bodies.missing
-            said = f"no fresh pose of {len(missing)} robots: all stand still" if missing else "all poses are fresh"
+            summary = f"no fresh pose of {len(missing)} robots: all stand still" if missing else "all poses are fresh"
             values: dict[str, object] = {"missing": ", ".join(map(str, missing)), "late commands": self.bodies.late}
-            found.append(("poses", ERROR if missing else OK, said, values))
+            found.append(("poses", ERROR if missing else OK, summary, values))
         state = observer.state()
         for robot in range(observer.mission.n_robots):
             phase = ASLEEP if state is None else state.phases[robot]

@@ -244,10 +244,10 @@ def diagnostics(found: Sequence[tuple[str, int, str, Mapping[str, object]]], sta
             status(
                 level=level,
                 name=name,
-                message=one_line(said, LONGEST),
+                message=one_line(summary, LONGEST),
                 hardware_id=hardware,
                 values=[pair(key=key, value=one_line(str(value), LONGEST)) for key, value in values.items()],
             )
-            for name, level, said, values in found
+            for name, level, summary, values in found
         ],
     )

@@ -81,8 +81,8 @@ class FlightShow:
         for name, up, volts, link in zip(self._names, sample.flying, sample.battery_v, sample.link, strict=True):
             low = volts is not None and volts < self._low_battery_v
             level = ERROR if link == 0.0 else WARN if low else OK
-            said = "link lost" if link == 0.0 else "flying" if up else "on the ground"
-            found.append((name, level, said, {"battery [V]": volts, "link": link}))
+            summary = "link lost" if link == 0.0 else "flying" if up else "on the ground"
+            found.append((name, level, summary, {"battery [V]": volts, "link": link}))
         return found
 
 

@@ -42,9 +42,9 @@ class Refused:
         total = sum(counts.values())
         new, self._told = total - self._told, total
         values: dict[str, object] = {f"refused {reason}": count for reason, count in sorted(counts.items())}
-        values |= {f"last {reason}": one_line(said, LONGEST) for reason, said in sorted(last.items())}
-        said = f"{new} messages refused" if new else "nothing refused of late"
-        return name, WARN if new else OK, said, values
+        values |= {f"last {reason}": one_line(summary, LONGEST) for reason, summary in sorted(last.items())}
+        summary = f"{new} messages refused" if new else "nothing refused of late"
+        return name, WARN if new else OK, summary, values
 
 
 async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
@@ -104,7 +104,7 @@ class TeamNodes:
 
     def show_diagnostics(self, found: Sequence[Finding], stamp_ns: int) -> None:
         """Publish lines of diagnostics, under the team's name."""
-        named = [(f"{self.frame_of_team}: {name}", level, said, values) for name, level, said, values in found]
+        named = [(f"{self.frame_of_team}: {name}", level, summary, values) for name, level, summary, values in found]
         self._diagnostics.publish(drawing.diagnostics(named, stamp_ns, self.frame_of_team))
 
     @property

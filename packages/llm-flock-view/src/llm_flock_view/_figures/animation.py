@@ -217,7 +217,7 @@ def _write_video(record: RunRecord, path: Path, part: Path, fps: int, ffmpeg: st
                 pipe.write(data)
         except BrokenPipeError:
             pass  # ffmpeg gave up; it says why below
-        _, said = process.communicate()
+        _, output = process.communicate()
     if process.returncode:
-        reason = said.decode(errors="replace").strip()
+        reason = output.decode(errors="replace").strip()
         raise InputError("out", str(path), f"what ffmpeg can write ({reason})")

@@ -54,12 +54,12 @@ def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> st
     """An event as a sentence without its subject; `plan_name` gives the letters that stand for a plan."""
     if event.kind in _FLIGHT and (event.kind != "clipped" or "sent" in event.detail):
         return _FLIGHT[event.kind](event.detail)
-    told = _SENTENCES.get(event.kind)
+    sentence = _SENTENCES.get(event.kind)
     if event.kind in _PLAN_SENTENCES:
         return _PLAN_SENTENCES[event.kind](event.detail, plan_name(event.detail.get("plan")))
     if event.kind == "breaker" and event.detail.get("state") == "open":
         return f"does without its model for now: {breaker_text(event)}"
-    return _unknown(event) if told is None else told(event.detail)
+    return _unknown(event) if sentence is None else sentence(event.detail)
 
 
 Detail = Mapping[str, Any]

@@ -113,8 +113,8 @@ class PageOrders:
         if not runs:
             raise FieldError("run", None, says="this run takes no orders: it was not started from the page")
         flying = [run for run in runs if run.refusal("end") is None] or runs
-        said = [_give(run, order, asked) for run in flying]
-        return {"done": f"{said[0]} (round {flying[0].round + 1})"}
+        replies = [_give(run, order, asked) for run in flying]
+        return {"done": f"{replies[0]} (round {flying[0].round + 1})"}
 
 
 def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:

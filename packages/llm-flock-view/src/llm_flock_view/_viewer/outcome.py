@@ -45,14 +45,15 @@ class MissionPart(NamedTuple):
 def mission_parts(run: RunHistory) -> list[MissionPart]:
     """The missions in their order; `formed` is a round of the run, as its result says, or while it flies, its rows."""
     given = list(run.missions)
-    said = (run.result or {}).get("missions")
-    told = cast(
-        "Sequence[object]", said if isinstance(said, list) and len(cast("list[object]", said)) == len(given) else ()
+    missions = (run.result or {}).get("missions")
+    entries = cast(
+        "Sequence[object]",
+        missions if isinstance(missions, list) and len(cast("list[object]", missions)) == len(given) else (),
     )
     parts: list[MissionPart] = []
     for k, info in enumerate(given):
         last = given[k + 1].round - 1 if k + 1 < len(given) else None
-        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formation_round(run, k, told, last)))
+        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formation_round(run, k, entries, last)))
     return parts
 
 
@@ -62,9 +63,9 @@ def shape_text(mission: Mapping[str, Any]) -> str:
     return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
 
 
-def _formation_round(run: RunHistory, k: int, told: Sequence[object], last: int | None) -> int | None:
-    if told and isinstance(told[k], dict):
-        formed = cast("dict[str, Any]", told[k]).get("formed")
+def _formation_round(run: RunHistory, k: int, entries: Sequence[object], last: int | None) -> int | None:
+    if entries and isinstance(entries[k], dict):
+        formed = cast("dict[str, Any]", entries[k]).get("formed")
         return formed if isinstance(formed, int) else None
     since = max(0, run.missions[k].round - 1)
     if run.result is not None and last is None:

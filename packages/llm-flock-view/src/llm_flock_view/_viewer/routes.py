@@ -113,8 +113,8 @@ class Routes:
             asked: Any = json.loads(body)
         except (ValueError, RecursionError):
             return Response("an order is JSON", status_code=400)
-        said = await self.orders.carry_out(asked)
-        content = await run_in_threadpool(partial(to_json, said))
+        reply = await self.orders.carry_out(asked)
+        content = await run_in_threadpool(partial(to_json, reply))
         return Response(content, headers=UNCACHED, media_type="application/json")
 
     def _play(self, *keys: str) -> Response:

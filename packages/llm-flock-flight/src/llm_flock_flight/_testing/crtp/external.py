@@ -44,7 +44,7 @@ class ExternalPosition:
         if self._standing:
             self._standing = False
             self._body.stall(now, False)
-        x, y, z = (told - here for told, here in zip(position, self._body.estimate(now), strict=True))
+        x, y, z = (target - here for target, here in zip(position, self._body.estimate(now), strict=True))
         share = 1.0 if max(abs(x), abs(y), abs(z)) > FAR_M else TRUST
         self._body.jump((share * x, share * y, share * z), now)
         return True
