@@ -271,7 +271,7 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
 
 
 def _radio_tables(settings: FlightConfig) -> list[Table]:
-    """What each radio has to carry; no table where no drone is called by radio."""
+    """The load of each radio; no table if no drone is called by radio."""
     from llm_flock_flight._flight.preflight import radio_plan
 
     table = Table(
@@ -336,7 +336,7 @@ def reach_drones(
         bool, typer.Option("--drones/--no-drones", help="Look for Crazyflies by radio, cable and UDP (a second)")
     ] = True,
 ) -> list[Finding]:
-    """What `llm-flock doctor` says of Crazyflies that answer."""
+    """The line of `llm-flock doctor` about Crazyflies that answer."""
     if not drones:
         return []
     if EXTRAS["crazyflie"].missing:

@@ -57,7 +57,7 @@ def number_of(table: Mapping[int, FirmwareController | str], name: str) -> int:
 
 
 def equipment(values: Mapping[str, float], unwatched: tuple[str, ...], complaints: tuple[str, ...]) -> Equipment:
-    """What the values of `READ` say; those that the firmware does not have are missing."""
+    """The equipment by the values of `READ`, of which those that the firmware lacks are missing."""
     wrong = list(complaints)
     name = lag_s = most = None
     if CONTROLLER in values:

@@ -56,7 +56,7 @@ def host_and_port(uri: str) -> tuple[str, int] | None:
 
 
 def default_folder() -> Path:
-    """Where drones' tables are kept, as fetching them takes long: in this user's cache (XDG base directories)."""
+    """The folder of drones' tables, which take long to fetch: in this user's cache (XDG base directories)."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     base = Path(given) if given.startswith("/") else Path.home() / ".cache"
     return base / "llm-flock" / "crazyflie"

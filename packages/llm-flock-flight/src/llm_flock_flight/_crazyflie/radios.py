@@ -54,7 +54,7 @@ LAST_CHANNEL = 125
 
 @dataclass(frozen=True, slots=True)
 class RadioAddress:
-    """Where a drone is to be called: `radio://DONGLE/CHANNEL/RATE/ADDRESS`."""
+    """A drone's radio address: `radio://DONGLE/CHANNEL/RATE/ADDRESS`."""
 
     dongle: str
     channel: int
@@ -64,7 +64,7 @@ class RadioAddress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadioLoad:
-    """What one radio has to carry: exchanges a second that its drones need, and that it can do by the model [1/s]."""
+    """The load of one radio: exchanges that its drones need, and that it can do by the model [1/s]."""
 
     dongle: str
     drones: tuple[str, ...]

@@ -188,7 +188,7 @@ class CrazyflieRobot:
 
     @property
     def localisation(self) -> str | None:
-        """What a Lighthouse deck says about its base stations; None from firmware that knows no Lighthouse."""
+        """A Lighthouse deck's report on its base stations; None from firmware that knows no Lighthouse."""
         return self._log.lighthouse
 
     async def take_pose(self, pose: Pose) -> None:

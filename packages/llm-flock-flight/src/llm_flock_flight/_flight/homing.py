@@ -22,7 +22,7 @@ STEPS, STEPS_EACH = 20, 4
 
 
 def homes_of(config: FlightConfig, starts: Points) -> Points:
-    """Where each drone returns to, shape (n, d) [units]: above its start by the flight file, or else where it stood."""
+    """The places of return, shape (n, d) [units]: above each start of the flight file, or else above where it stood."""
     homes = starts.copy()
     for robot, drone in enumerate(config.fleet.drones):
         if drone.start is not None:

@@ -215,7 +215,7 @@ def _in_step(config: FlightConfig, names: Sequence[str], states: Sequence[RobotS
 
 
 def radio_plan(config: FlightConfig) -> RadioPlan:
-    """What the radios of a flight have to carry; without loads where no drone is called by radio."""
+    """The loads of a flight's radios; empty if no drone is called by radio."""
     drones = [(drone.name, drone.uri) for drone in config.fleet.drones if drone.uri is not None]
     pose_hz = config.positions.pose_rate_hz if config.positions.outside else 0.0
     return plan_radios(drones, exchanges_of(round_s=config.safety.round_s, pose_hz=pose_hz))

@@ -21,7 +21,7 @@ def px4(main: int, sub: int = 0) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flavour:
-    """What differs between the autopilots.
+    """The differences between the autopilots.
 
     The mode `guided` follows set-points of a computer; from those that it `holds` in by itself after a lost stream it
     may be landed. `needs_stream`: set-points have to come before `guided` and all the time in it. `integers_as_bits`: a

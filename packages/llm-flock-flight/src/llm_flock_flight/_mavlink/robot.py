@@ -124,7 +124,7 @@ class MavlinkRobot:
         self._stream = SetPointStream(talk, self.system_id, frame, self._limits, self._may_stream, log.yaw)
 
     def checks(self) -> tuple[DriverCheck, ...]:
-        """What the autopilot does when this computer falls silent, by its parameters; and its own fence."""
+        """Checks of the autopilot's failsafes for a silent computer, and of its own fence."""
         return judge(self._flavour, self._log.parameters) if self._connected else ()
 
     def state(self) -> RobotState:

@@ -23,7 +23,7 @@ SAMPLES = 100  # packets by which the share that got through is judged
 
 
 class VehicleTelemetry:
-    """What one autopilot said last. All times are those of arrival on `time.monotonic` [s].
+    """The last values of one autopilot. All times are those of arrival on `time.monotonic` [s].
 
     `refusal` says why it cannot be driven; `ned` is (north, east, down) [m]; `yaw` is clockwise from north [rad].
     Heartbeats tell mode and arming from `certain_s` on: until then a confirmed command counts.

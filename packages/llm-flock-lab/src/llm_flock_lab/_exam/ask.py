@@ -107,7 +107,7 @@ class Examiner:
         self._retries = max_retries
 
     def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
-        """What a model sees at first ask, for each robot that is asked, without answers put into its mouth."""
+        """The first messages to a model, for each robot that is asked, without scripted answers."""
         if question.words is not None:
             yield mission_call(question.words).messages
             return

@@ -48,7 +48,7 @@ class Figures(BaseModel):
 
 
 class Row(BaseModel):
-    """What one model scored: a file of the leaderboard. Who teaches a model measures `taught`, and writes it there."""
+    """The scores of one model: a file of the leaderboard. Teachers of a model measure `taught` and enter it by hand."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

@@ -26,7 +26,7 @@ from llm_flock_lab._exam.questions import Question
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
-    """What is measured of one answer that could be read; None where it does not apply."""
+    """The marks of one answer that could be read; None where one does not apply."""
 
     flyable: bool  # clipped if need be
     error: float | None = None  # from the best answer [step limits]; of a plan, mean distance from the shape [spacings]
@@ -62,7 +62,7 @@ def meant(question: Question, mission: Mission) -> Mission:
 
 
 def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
-    """What is missing from answers that robots take, one of each that was asked, as a sentence; None if nothing is."""
+    """The further demand of a question that accepted answers fail, as a sentence; None if they meet all."""
     if question.section == "place":
         taken = [answer.slot for answer in answers if isinstance(answer, PlanAnswer)]
         return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."

@@ -269,7 +269,7 @@ def _row(results: Results, cell: ResultCell) -> str:
 
 
 def _rows_are(results: Results) -> str:
-    """What the rows are called by; with neither models nor conditions to tell apart, a row has its protocol's name."""
+    """The kind of the rows' names; with neither models nor conditions to tell apart, a row has its protocol's name."""
     parts = ("model" if len(results.models) > 1 else "", "condition" if results.conditions != ("",) else "")
     return " · ".join(filter(None, parts)) or "protocol"
 

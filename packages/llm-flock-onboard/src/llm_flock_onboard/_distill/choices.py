@@ -89,7 +89,7 @@ class ChoiceFigures:
 
 
 def right_letter(ways: Sequence[LetterWay], wish: Wish) -> Letter:
-    """What to answer: the way that the wish asks for where it is open, else the first.
+    """The right answer: the way that the wish asks for if it is open, else the first.
 
     To keep clear is to take the way with most room, the first of them; standing still is no way.
     """

@@ -50,7 +50,7 @@ def show_accusations(
 
 
 def _judge(record: RunRecord, keys: Path) -> Judge | None:
-    """Who judges the record's messages; None for a record of no swarm of this program."""
+    """The judge of the record's messages; None if the record is of no swarm of this program."""
     require("network", "inspect --keys")
     from llm_flock_swarm._network.accusations import Judge
     from llm_flock_swarm._network.config import SwarmConfig

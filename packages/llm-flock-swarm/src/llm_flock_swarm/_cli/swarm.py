@@ -316,7 +316,7 @@ def export_bag(
 def reach_router(
     *, router: Annotated[str, typer.Option(help="Endpoint of a swarm's router or peer to reach")] = ROUTER
 ) -> list[Finding]:
-    """What `llm-flock doctor` says of a swarm's endpoint: whether something listens there."""
+    """The line of `llm-flock doctor` about a swarm's endpoint: whether a process listens there."""
     host, colon, port = router.partition("/")[2].rpartition(":")
     name = f"router at {router}"
     if not colon or not port.isdigit() or not host or int(port) > 65535:

@@ -1,4 +1,4 @@
-"""What each member of a team may send, and how often."""
+"""Topics and rates that each member of a team may send."""
 
 from __future__ import annotations
 

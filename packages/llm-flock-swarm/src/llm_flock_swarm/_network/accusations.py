@@ -27,7 +27,7 @@ REMEMBERED = 4  # newest messages of each sender between two exchanges that may 
 
 
 def contexts(config: SwarmConfig) -> dict[str, str]:
-    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends."""
+    """Contexts that seals on protocol messages cover besides the topic: everything on which a verdict depends."""
     network, protocol, mission = config.network, config.protocol, config.mission
     about = (network.swarm, mission.n_robots, mission.dim, network.liars, protocol.gaps, protocol.verify)
     return {"say": hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest()}

@@ -266,7 +266,7 @@ async def launch_swarm(
 
 
 def _shared_by(config: SwarmConfig) -> Sequence[str]:
-    """What robots that ask providers would otherwise import by themselves, at their first question."""
+    """Modules that robots would otherwise import one by one, at their first question to a provider."""
     models = parse_models(config.model.model, config.mission.n_robots)
     hosted = any(parse_model(model).kind == "provider" for model in models)
     return ("genai_prices", "llm_flock.llm._client", "llm_flock.llm._hosted") if hosted else ()

@@ -39,7 +39,7 @@ def observer_of(
 
 @contextmanager
 def recording(config: SwarmConfig, record: Path | None, sink: RecordSink | None = None) -> Generator[RecordSink]:
-    """What writes the record of a swarm there, and to a sink, from its first entry on."""
+    """A writer of a swarm's record to a file, and to a sink, begun with the entry of the run."""
     with nullcontext(NullWriter()) if record is None else RecordWriter(record) as file:
         writer = file if sink is None else Tee(file, sink)
         writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))

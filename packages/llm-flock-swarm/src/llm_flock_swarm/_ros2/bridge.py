@@ -240,7 +240,7 @@ class Bridge:
 
 @asynccontextmanager
 async def showing(config: SwarmConfig) -> AsyncGenerator[Show | None]:
-    """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured."""
+    """A function that shows a swarm in ROS 2; None where no router is configured."""
     if config.ros2.router is None:
         yield None
         return

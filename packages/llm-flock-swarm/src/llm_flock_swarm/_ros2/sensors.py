@@ -102,12 +102,12 @@ class SensedBodies:
         return True
 
     def set_point(self, robot: int) -> Point | None:
-        """Where a body is to be [units]; None before its first pose."""
+        """The set-point of a body [units]; None before its first pose."""
         track = self._tracks.get(robot)
         return None if track is None else track.end
 
     def reading(self) -> WorldState | None:
-        """What the sensors see, as old as its oldest pose; None while a robot's pose is missing."""
+        """The sensors' reading, as old as its oldest pose; None while a robot's pose is missing."""
         if self.missing:
             return None
         tracks = [self._tracks[robot] for robot in range(self._n)]

@@ -75,7 +75,7 @@ class Authenticator(Verifier, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What a claim is about. A plan that comes back under another origin is another one: what was signed is void."""
+    """The plan that a claim is about. The same plan under another origin is another one: its signatures are void."""
 
     mission: MissionStamp
     plan: str
@@ -83,7 +83,7 @@ class Context:
 
     @property
     def proposer(self) -> int:
-        """Who has proposed the plan; NO_OWNER if it is not known."""
+        """The robot that proposed the plan; NO_OWNER if it is not known."""
         return NO_OWNER if self.origin is None else self.origin.proposer
 
 

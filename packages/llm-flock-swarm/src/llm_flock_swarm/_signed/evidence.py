@@ -133,7 +133,7 @@ class Evidence:
             self._keep(slot, entry, certificate)
 
     def _fit(self, message: Message, slot: int, certificate: Certificate | None, table: BidTable) -> BidEntry:
-        """What of an entry may be merged: all of it, that its version was freed, or nothing."""
+        """The part of an entry that may be merged: all of it, that its version was freed, or nothing."""
         entry = (message.table or ())[slot]
         owner = entry[2]
         if (slot, entry) in self._page.held:

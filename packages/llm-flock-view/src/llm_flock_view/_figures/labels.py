@@ -35,7 +35,7 @@ GAP = 1.0
 
 
 class Outlines(NamedTuple):
-    """What words had better not cross [points]: rings (middle and radius), shape (m, 3), and lines, shape (k, 2, 2)."""
+    """Lines to keep free of words [points]: rings (middle and radius), shape (m, 3), and lines, shape (k, 2, 2)."""
 
     rings: NDArray[np.float64]
     lines: NDArray[np.float64]

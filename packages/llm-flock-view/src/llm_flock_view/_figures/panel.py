@@ -137,7 +137,7 @@ class Panel:
     def _spread(
         self, axes: Axes, places: Points, positions: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], Sequence[Rectangle]]:
-        """Where discs are drawn [units], and the numbers of crowds [points], red where robots are too near in space."""
+        """The places of discs [units], and the numbers of crowds [points], red where robots are too near in space."""
         if not self.labelled:
             return places, ()
         points, safe = 72.0 / _dpi(axes), float(self.record.mission.mission["safe_distance"])
@@ -282,12 +282,12 @@ class Panel:
         )  # fmt: skip
 
     def _bounds(self, axes: Axes) -> Rectangle:
-        """Where words may stand [points]."""
+        """The area for words [points]."""
         (left, bottom), (right, top) = 72.0 / _dpi(axes) * axes.transAxes.transform([(0, 0), (1, 1)])
         return float(left), float(right), float(bottom), float(top)
 
     def _outlines(self, axes: Axes, state: State) -> Outlines:
-        """What words cross only where there is no other room: rings, ways, walls and obstacles [points]."""
+        """Lines that words cross only if there is no other room: rings, ways, walls and obstacles [points]."""
         points, mission = 72.0 / _dpi(axes), self.record.mission.mission
 
         def to_pixels(places: Any) -> NDArray[np.float64]:

@@ -72,7 +72,7 @@ class ChannelMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChannelKind:
-    """What a channel holds: the name and the JSON schema of its messages."""
+    """The name and the JSON schema of a channel's messages."""
 
     name: str
     schema: dict[str, Any]

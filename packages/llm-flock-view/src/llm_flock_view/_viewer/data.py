@@ -75,7 +75,7 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
 
 
 def about(run: Recording) -> dict[str, Any]:
-    """What a page needs before the first round; while there is none, why."""
+    """The data that a page needs before the first round; while there is none, the reason."""
     if not run.ready:
         return {"ready": False, "failure": run.failure}
     history = run.history

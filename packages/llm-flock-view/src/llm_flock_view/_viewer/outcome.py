@@ -91,7 +91,7 @@ def _formed_by_rows(run: RunHistory, first: int, last: int) -> int | None:
 
 
 def outcome(run: RunHistory, *, over: bool) -> dict[str, Any]:
-    """What the banner of a page says: see `mission_parts` and `diagnose`; `tone` is good, bad or open."""
+    """The banner of a page: see `mission_parts` and `diagnose`; `tone` is good, bad or open."""
     parts = mission_parts(run)
     last = parts[-1]
     found = diagnose(run) if over and last.formed is None else Diagnosis()
@@ -134,7 +134,7 @@ def _gaps(run: RunHistory) -> str:
 
 
 def _work(run: RunHistory) -> str:
-    """Who died, and who did the work."""
+    """The robots that died, and the share of models and geometry in the work."""
     work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
     return " · ".join(part for part in (deaths_text(run), work) if part)
 

@@ -27,7 +27,7 @@ FIGURES: tuple[tuple[str, str], ...] = (
 
 
 def run_row(run: Recording) -> dict[str, Any]:
-    """What the table shows of a run; a run that is not ready has its name and why."""
+    """The table's row of a run; a run that is not ready has its name and the reason."""
     row: dict[str, Any] = {
         "key": run.key,
         "title": one_line(run.title),

@@ -125,7 +125,7 @@ class SteeredRun:
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 
     def state(self) -> dict[str, Any]:
-        """What can be ordered of it now: why not, for the run and for each robot; and what was ordered so far."""
+        """The orders that it takes now, the reasons why others are refused, and the orders so far."""
         robots = range(self.config.mission.n_robots)
         return {
             "kind": "run",

@@ -82,7 +82,7 @@ class Autopilot:
 
     @property
     def on_ground(self) -> bool:
-        """What its land detector says."""
+        """The state of its land detector."""
         return not self.body.lifted
 
     def switch(self, mode: int) -> None:

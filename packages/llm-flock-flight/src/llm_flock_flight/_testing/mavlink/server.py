@@ -50,7 +50,7 @@ class AutopilotStandIn:
 
     @property
     def position(self) -> Position:
-        """Where the body is [m; world frame]."""
+        """The body's position [m; world frame]."""
         with self.lock:
             x, y, z = (a + b for a, b in zip(self._home, enu(self.autopilot.body.ned), strict=True))
         return (x, y, z)
