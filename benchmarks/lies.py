@@ -180,7 +180,7 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path, hard: bool) -> 
     from swarms import swarm_config
 
     from llm_flock_swarm._network.connection import load_keys, open_link
-    from llm_flock_swarm._network.swarm import launched
+    from llm_flock_swarm._network.swarm import launch_swarm
     from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack, unpack
 
     n = SWARM[liars]
@@ -193,7 +193,7 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path, hard: bool) -> 
     options = {"keys": str(keys), "liars": liars, "gather_s": 1.0, "start_positions": [*starts, *corners]}
     config = swarm_config(n, seed=seed, **options, **more)
     closest = math.inf
-    async with launched(config, absent=frozenset(members)) as swarm:
+    async with launch_swarm(config, absent=frozenset(members)) as swarm:
         found = {j: load_keys(swarm.config, j) for j in members}
         gang = Gang({j: key for j, key in found.items() if key is not None}, config.mission, seed)
         links = {j: open_link(swarm.config, j, listen="tcp/127.0.0.1:0") for j in members}

@@ -98,7 +98,7 @@ async def _look(
     """Note the age of the oldest position: since it came, and the time that its packet had waited."""
     while True:
         now = time.monotonic()
-        waited = {k: seconds for radio in radios for k, seconds in list(radio.waited_s.items())}
+        waited = {k: seconds for radio in radios for k, seconds in list(radio.last_wait_s.items())}
         oldest.append(max(now - team[k].state().stamp_s + waited.get(k, 0.0) for k in up))
         await asyncio.sleep(0.05)
 

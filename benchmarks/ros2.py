@@ -23,8 +23,8 @@ from typing import Any
 
 from llm_flock.members import WORLD
 from llm_flock.plan import Plan
+from llm_flock_swarm._network.access import REPORT_S
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import REPORT_S
 from llm_flock_swarm._network.swarm import free_port
 from llm_flock_swarm._network.wire import Body, RobotReport, WorldState, pack, unpack
 from llm_flock_swarm._ros2.types import POSE, from_cdr, type_hash

@@ -33,7 +33,7 @@ from llm_flock.simulate import start_positions
 from llm_flock_swarm._network.config import NetworkConfig, SwarmConfig
 from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.observer import Observer
-from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launched
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launch_swarm
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack
 from llm_flock_swarm._signed.certificates import Proofs, wrap
 from llm_flock_swarm._trust.keys import make_keys
@@ -76,7 +76,7 @@ def fly(
     n = config.mission.n_robots
 
     async def whole() -> Flight:
-        async with launched(config, absent=frozenset(range(n - absent, n))) as swarm:
+        async with launch_swarm(config, absent=frozenset(range(n - absent, n))) as swarm:
             used: dict[str, float] = {}
             task = asyncio.create_task(_when_begun(swarm, meanwhile, used))
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.observer import Observer
-from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launched
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launch_swarm
 
 
 def swarm_config(robots: int = 5, *, seed: int = 1, **options: Any) -> SwarmConfig:
@@ -29,7 +29,7 @@ def fly(
     pids: set[int] = set()
 
     async def all_of_it() -> SwarmResult:
-        async with launched(config, absent=absent) as swarm:
+        async with launch_swarm(config, absent=absent) as swarm:
             pids.update(swarm.pids.values())
             task = asyncio.create_task(_when_begun(swarm, meanwhile))
             stopped = await swarm.run(lambda o: task.done() and (until or formed)(o))

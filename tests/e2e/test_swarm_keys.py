@@ -10,9 +10,10 @@ from pathlib import Path
 from swarms import swarm_config
 
 from llm_flock.message import Message, encode
+from llm_flock_swarm._network.access import BURST_FACTOR
 from llm_flock_swarm._network.config import NetworkConfig, SwarmConfig
-from llm_flock_swarm._network.connection import SPARE, open_link
-from llm_flock_swarm._network.swarm import free_port, launched
+from llm_flock_swarm._network.connection import open_link
+from llm_flock_swarm._network.swarm import free_port, launch_swarm
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, pack
 from llm_flock_swarm._trust.keys import make_keys
 from llm_flock_swarm._zenoh import BURST_S
@@ -25,7 +26,7 @@ def saying(message: Message) -> bytes:
 
 async def fly(config: SwarmConfig) -> tuple[str, dict[str, int], list[bytes]]:
     heard: list[bytes] = []
-    async with launched(config, absent=frozenset({3})) as swarm:
+    async with launch_swarm(config, absent=frozenset({3})) as swarm:
         open_network = swarm.config.network.model_copy(update={"keys": None})
         stranger = open_link(swarm.config.model_copy(update={"network": open_network}), 2, listen="tcp/127.0.0.1:0")
         member = open_link(swarm.config, 3, listen="tcp/127.0.0.1:0")
@@ -103,5 +104,5 @@ def test_member_cannot_speak_or_live_for_others_nor_flood_them(tmp_path: Path) -
     assert heard.count((1, b"honest")) == 10 and (1, b"forged") not in heard
     assert alive == [(1, True)]
     # As many as at once, and as many as in that time.
-    assert heard.count((2, b"flood")) <= (BURST_S + lasted) * SPARE / config.network.gossip_s
+    assert heard.count((2, b"flood")) <= (BURST_S + lasted) * BURST_FACTOR / config.network.gossip_s
     assert refused["too_many"] > heard.count((2, b"flood")) > 0

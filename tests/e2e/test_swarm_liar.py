@@ -22,7 +22,7 @@ from llm_flock.message import UNSAID, Message, Provenance, decode, encode
 from llm_flock.plan import Plan
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import load_keys, open_link
-from llm_flock_swarm._network.swarm import SwarmResult, launched
+from llm_flock_swarm._network.swarm import SwarmResult, launch_swarm
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, WorldState, pack, unpack
 from llm_flock_swarm._signed.certificates import (
     Certificate,
@@ -126,7 +126,7 @@ class Liar:
 
 
 async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
-    async with launched(config, absent=frozenset({LIAR})) as swarm:
+    async with launch_swarm(config, absent=frozenset({LIAR})) as swarm:
         liar = Liar(swarm.config)
 
         async def lie() -> None:

@@ -61,7 +61,7 @@ def test_first_flight_of_one_drone_is_half_a_metre_to_middle() -> None:
     config = FlightConfig.model_validate(tomllib.loads(file))
     plan = asyncio.run(dry_run(config))
     assert not plan.faults and config.fleet.drones[0].start == (0.5, 0.0)
-    assert plan.steps[-1].targets[0] == pytest.approx((0.0, 0.0, 1.0), abs=1e-3)
+    assert plan.motions[-1].targets[0] == pytest.approx((0.0, 0.0, 1.0), abs=1e-3)
 
 
 def test_keys_and_word_are_those_of_the_command() -> None:

@@ -21,7 +21,7 @@ from llm_flock.extras import ExtraMissing
 from llm_flock.robots._base import Pose, PoseFrame, RobotError, RobotState
 from llm_flock.robots._point_mass import PointMass
 from llm_flock.runtime._ros2_config import Ros2Config
-from llm_flock_flight._crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_in_words
+from llm_flock_flight._crazyflie.telemetry import LIGHTHOUSE_LOG, lighthouse_text
 from llm_flock_flight._flight.positions import LOCALISATION, OUTSIDE, SENDER, checks_of, feeding, pose_source
 from llm_flock_flight._positions import PoseFeed, PoseGate
 from llm_flock_flight._positions.mocap import frame_of_bodies
@@ -256,7 +256,7 @@ def test_what_a_lighthouse_deck_tells_is_told_and_never_refused() -> None:
     ],
 )
 def test_lighthouse_variables_in_words(values: tuple[int, int, int], says: str) -> None:
-    assert lighthouse_in_words(dict(zip(LIGHTHOUSE_LOG, values, strict=True))) == says
+    assert lighthouse_text(dict(zip(LIGHTHOUSE_LOG, values, strict=True))) == says
 
 
 def test_rigid_bodies_of_a_motion_capture_become_a_frame() -> None:

@@ -27,7 +27,7 @@ from llm_flock_flight._crazyflie.radios import (
     wifi_over,
 )
 from llm_flock_flight._flight.preflight import radio_checks, radio_plan
-from llm_flock_flight._testing.crtp.radio import BEHIND_S, QUEUE, RELAXED_S, ModelledRadio
+from llm_flock_flight._testing.crtp.radio import MAX_LAG_S, QUEUE_LENGTH, SLOW_POLL_S, ModelledRadio
 
 ROOT = Path(__file__).parents[2]
 TRAFFIC = exchanges_of(round_s=3.0)
@@ -198,7 +198,7 @@ def test_modelled_radio_carries_what_it_can_and_shares_fairly() -> None:
     counts = [came[k, "down"] for k in range(20)]
     assert heavy.exchanges <= 2001 and heavy.dropped > 0 and max(counts) - min(counts) <= 2
     assert sum(counts) == pytest.approx(2000, rel=0.02)
-    assert max(heavy.waited_s.values()) > 0.5 > 0.02 > max(light.waited_s.values())
+    assert max(heavy.last_wait_s.values()) > 0.5 > 0.02 > max(light.last_wait_s.values())
 
 
 def test_a_lost_exchange_is_repeated_and_loses_nothing() -> None:
@@ -213,13 +213,13 @@ def test_a_drone_with_nothing_to_say_is_asked_less_often() -> None:
     assert radio.step(10.0021) == [(0, "up", b"x")]
     radio.step(11.0)
     asked = radio.exchanges
-    radio.step(11.0 + 100 * RELAXED_S)
+    radio.step(11.0 + 100 * SLOW_POLL_S)
     assert radio.exchanges - asked <= 101
 
 
 def test_packets_beyond_queue_are_dropped_stalls_not_made_up() -> None:
     radio = ModelledRadio(0.01)
-    for _ in range(QUEUE + 5):
+    for _ in range(QUEUE_LENGTH + 5):
         radio.put(0, "up", b"x", 10.0)
     assert radio.dropped == 5
-    assert len(radio.step(100.0)) <= BEHIND_S / 0.01 + 1
+    assert len(radio.step(100.0)) <= MAX_LAG_S / 0.01 + 1

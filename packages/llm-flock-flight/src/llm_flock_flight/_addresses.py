@@ -1,4 +1,4 @@
-"""One spelling for each address of a drone, by which two ways of writing the same are known to be the same."""
+"""One spelling for each address of a drone, so that two ways of writing the same address are equal."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _number(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _device(rest: str) -> str:
-    """The device of a line, whatever link in /dev it is called by."""
+    """The device of a line, with links in /dev resolved."""
     path, _, rate = rest.rpartition(":")
     device = path if path and rate.isdecimal() else rest
     try:

@@ -104,7 +104,7 @@ class Cascade:
             self.step(set_point(self.now + STEP_S), floor_m)
 
     def ask(self, set_point: Position, place: Position, velocity: Position) -> Position:
-        """What the controller asks of a body that something else moves, 100 times a second: acceleration [m/s^2]."""
+        """The acceleration commanded for a body that other code moves, 100 times a second [m/s^2]."""
         asked: list[float] = []
         for axis, target, here, speed in zip(self._axes, set_point, place, velocity, strict=True):
             axis.place, axis.speed = here, speed

@@ -42,7 +42,7 @@ class PhysicalBody(PointMass):
     index: int
 
     def position(self, now: float) -> Position:
-        """Where the body is [m]; in flight as of the last step of the world."""
+        """The body's position [m]; in flight as of the last step of the world."""
         self.advance(now)
         return self._place() if self.flying else PointMass.position(self, now)
 

@@ -35,7 +35,7 @@ def robot_of(drones, k=0, **options):
 class Stubborn(Parameter):
     """Stays 0, whatever it is set to."""
 
-    def packed(self):
+    def pack(self):
         return b"\0\0\0\0"
 
 

@@ -15,7 +15,7 @@ import pytest
 from flights import STARTS, STOCK, flight_config, yes
 
 from llm_flock.errors import InputError
-from llm_flock_flight._flight.claims import claimed, claims_folder
+from llm_flock_flight._flight.claims import claim_drones, claims_folder
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import build_fleet
 from llm_flock_flight._flight.flight import Flight
@@ -75,7 +75,7 @@ def test_second_flight_of_a_drone_is_refused_the_first_goes_on(skipped_waits: No
         "terminal), or give this flight other drones"
     ]
     assert not [*claims_folder().iterdir()], "all were given back"
-    with claimed(second):
+    with claim_drones(second):
         pass
 
 
@@ -112,14 +112,17 @@ def test_second_flight_of_a_drone_is_refused_the_first_goes_on(skipped_waits: No
     ],
 )
 def test_which_drones_are_the_same(robot: str, first: list[str], second: list[str], refused: bool) -> None:
-    with claimed(config_of(first, robot)):
+    with claim_drones(config_of(first, robot)):
         if refused:
-            with pytest.raises(InputError, match="another flight on this computer"), claimed(config_of(second, robot)):
+            with (
+                pytest.raises(InputError, match="another flight on this computer"),
+                claim_drones(config_of(second, robot)),
+            ):
                 pass
         else:
-            with claimed(config_of(second, robot)):
+            with claim_drones(config_of(second, robot)):
                 pass
-    with claimed(config_of(second, robot)):
+    with claim_drones(config_of(second, robot)):
         pass
 
 
@@ -130,10 +133,10 @@ def test_a_host_by_its_name_is_the_one_by_its_number(monkeypatch: pytest.MonkeyP
         return [(socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("192.0.2.7", 0))]
 
     monkeypatch.setattr(socket, "getaddrinfo", resolve)
-    with claimed(config_of(["udpout://Drone1.lan:14550", *OTHERS], "mavlink")):
-        with pytest.raises(InputError), claimed(config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")):
+    with claim_drones(config_of(["udpout://Drone1.lan:14550", *OTHERS], "mavlink")):
+        with pytest.raises(InputError), claim_drones(config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")):
             pass
-        with claimed(config_of(["udpout://drone2.lan:14550", *LISTEN[1:]], "mavlink")):
+        with claim_drones(config_of(["udpout://drone2.lan:14550", *LISTEN[1:]], "mavlink")):
             pass
 
 
@@ -141,9 +144,9 @@ def test_a_claim_ends_with_the_last_process_that_keeps_it() -> None:
     """The flight's process is killed; its deadman still lands the drones, and then they are free."""
     config = config_of(RADIOS)
     code = (
-        "import subprocess, sys; from llm_flock_flight._flight.claims import claimed; "
+        "import subprocess, sys; from llm_flock_flight._flight.claims import claim_drones; "
         "from llm_flock_flight._flight.config import FlightConfig; "
-        "claims = claimed(FlightConfig.model_validate_json(sys.stdin.read())); handles = claims.__enter__(); "
+        "claims = claim_drones(FlightConfig.model_validate_json(sys.stdin.read())); handles = claims.__enter__(); "
         "child = subprocess.Popen(['sleep', '60'], pass_fds=tuple(handles)); print(child.pid, flush=True); child.wait()"
     )
     with subprocess.Popen(
@@ -154,17 +157,17 @@ def test_a_claim_ends_with_the_last_process_that_keeps_it() -> None:
         process.stdin.close()
         deadman = int(process.stdout.readline())
         try:
-            with pytest.raises(InputError), claimed(config):
+            with pytest.raises(InputError), claim_drones(config):
                 pass
             process.kill()
             process.wait()
-            with pytest.raises(InputError), claimed(config):
+            with pytest.raises(InputError), claim_drones(config):
                 pass
         finally:
             os.kill(deadman, signal.SIGKILL)
         for _ in range(100):
             try:
-                with claimed(config):
+                with claim_drones(config):
                     break
             except InputError:
                 process.stdout.read()  # until the last one that has it is gone
@@ -174,6 +177,6 @@ def test_a_claim_ends_with_the_last_process_that_keeps_it() -> None:
 
 def test_without_a_folder_there_is_no_claim_but_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "file").touch()
-    with claimed(config_of(RADIOS), tmp_path / "file") as handles:
+    with claim_drones(config_of(RADIOS), tmp_path / "file") as handles:
         assert not handles
     assert "d0: another flight of it would not be noticed" in caplog.text

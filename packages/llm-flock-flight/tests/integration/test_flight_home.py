@@ -97,8 +97,8 @@ def test_before_a_flight_has_begun_there_is_no_order() -> None:
 
 def test_a_dry_run_checks_the_way_home() -> None:
     there, back = (asyncio.run(dry_run(flight_config(at_end=end))) for end in ("land", "return"))
-    assert not back.faults and back.result.formed and len(back.steps) > len(there.steps)
-    for place, start in zip(back.steps[-1].targets, STARTS, strict=True):
+    assert not back.faults and back.result.formed and len(back.motions) > len(there.motions)
+    for place, start in zip(back.motions[-1].targets, STARTS, strict=True):
         assert math.dist(place[:2], start) <= 0.05
     assert len(back.landing) == 1
 

@@ -302,7 +302,7 @@ def test_hostile_bytes_never_leave_the_driver():
         peer = vehicle.socket.getsockname()  # as if the vehicle itself had sent them
         for k in range(3000):
             for message in robot._port._codec.datagram(next(packets)):
-                robot._port._came([message], ("127.0.0.1", peer[1]))
+                robot._port._on_messages([message], ("127.0.0.1", peer[1]))
             if k % 100 == 0:
                 vehicle.socket.sendto(rng.randbytes(500), ("127.0.0.1", robot._port._address.port))
                 await asyncio.sleep(0)

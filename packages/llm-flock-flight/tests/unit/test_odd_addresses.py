@@ -10,7 +10,8 @@ import pytest
 from llm_flock.errors import InputError
 from llm_flock_flight._cli.stand_ins import stand_ins
 from llm_flock_flight._crazyflie.radios import address_of
-from llm_flock_flight._mavlink.port import open_udp, parse_uri
+from llm_flock_flight._mavlink.address import parse_uri
+from llm_flock_flight._mavlink.udp_line import open_udp
 from llm_flock_flight._positions.udp import UdpPoses
 
 

@@ -194,7 +194,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         return self._trial.bodies.positions.ravel().copy()
 
     def _advance(self) -> None:
-        """Begin the next round: who asks for a plan, and, where nobody does, who asks for a step."""
+        """Begin the next round: find the robots that ask for a plan or, if none does, for a step."""
         trial = self._trial
         assert trial is not None
         self._plans, self._steps = trial.plan_questions(trial.round + 1), {}
@@ -341,7 +341,7 @@ class RememberedReadings(Readings):
 
 
 def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedReadings]:
-    """A trial of simulated bodies whose questions somebody else answers; its start is recorded."""
+    """A trial of simulated bodies whose questions the caller answers; its start is recorded."""
     given, rules = config.trial, config.protocol.rules()
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)

@@ -24,7 +24,7 @@ from llm_flock_lab._report.gallery import find_causes, gallery, worst
 from llm_flock_lab._report.page import inline_svg, write_report
 from llm_flock_lab._report.results import OUTCOMES, Results
 from llm_flock_lab._report.sheets import facts, interval, success_sheet
-from llm_flock_view._figures.charts import folded, shortened
+from llm_flock_view._figures.charts import fold, shorten
 
 
 @pytest.fixture(scope="module")
@@ -136,9 +136,9 @@ def test_every_axis_of_every_figure_has_its_name_and_its_numbers(tmp_path: Path)
 
 
 def test_long_names_keep_what_tells_them_apart() -> None:
-    one, other = (folded(f"openai:{'very-long-' * 9}{end} · loss 0.1", 26) for end in ("one", "two"))
+    one, other = (fold(f"openai:{'very-long-' * 9}{end} · loss 0.1", 26) for end in ("one", "two"))
     assert one != other and max(map(len, one.split("\n"))) <= 26 and one.endswith("e · loss 0.1")
-    assert len(shortened("x" * 99, 44)) == 44 and shortened("x" * 44, 44) == "x" * 44
+    assert len(shorten("x" * 99, 44)) == 44 and shorten("x" * 44, 44) == "x" * 44
 
 
 def test_a_team_without_a_plan_is_the_worst_of_no_other_end(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from gguf_files import MODEL, gguf, write_model
 
 from llm_flock_onboard._local import requantize
 from llm_flock_onboard._local.gguf import read_header
-from llm_flock_onboard._local.requantize import F32, Q4_1, Q8_0, cache_folder, q8_from_q4, requantized
+from llm_flock_onboard._local.requantize import F32, Q4_1, Q8_0, cache_folder, q8_from_q4, requantize_file
 from llm_flock_onboard._local.weights import Weights
 
 SIZES = {"norm": (32,), "matrix": (64, 3), "table": (32, 2)}
@@ -75,7 +75,7 @@ def test_the_numbers_stay_what_they_were():
 def test_a_file_is_made_once_and_the_rest_of_it_stays(tmp_path, cache):
     source, data = write_small(tmp_path / "m.gguf")
     head = read_header(source)
-    target = requantized(source, head, DIGEST)
+    target = requantize_file(source, head, DIGEST)
     assert target == cache / "m-as-Q8_0-0123456789abcdef.gguf" and [target] == list(cache.iterdir())
     new = read_header(target)
     assert new.metadata == head.metadata and new.data_begin == head.data_begin
@@ -88,15 +88,15 @@ def test_a_file_is_made_once_and_the_rest_of_it_stays(tmp_path, cache):
     matrix = q8_from_q4(np.frombuffer(data["matrix"], np.uint8).reshape(-1, 20)).tobytes()
     assert parts["matrix"].startswith(matrix)
     made = target.stat().st_mtime_ns
-    assert requantized(source, head, DIGEST) == target and target.stat().st_mtime_ns == made
+    assert requantize_file(source, head, DIGEST) == target and target.stat().st_mtime_ns == made
     target.write_bytes(whole[:-1])
-    assert requantized(source, head, DIGEST).read_bytes() == whole, "what somebody cut short is made again"
+    assert requantize_file(source, head, DIGEST).read_bytes() == whole, "what somebody cut short is made again"
 
 
 def test_what_cannot_be_kept_is_read_as_it_is(tmp_path, monkeypatch, caplog, cache):
     source, _ = write_small(tmp_path / "m.gguf")
     cache.parent.write_text("no folder")
-    assert requantized(source, read_header(source), DIGEST) == source
+    assert requantize_file(source, read_header(source), DIGEST) == source
     assert "m.gguf is read as it is, slowly" in caplog.text
 
     def full(*_):
@@ -104,16 +104,16 @@ def test_what_cannot_be_kept_is_read_as_it_is(tmp_path, monkeypatch, caplog, cac
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "full"))
     monkeypatch.setattr(requantize, "_parts", full)
-    assert requantized(source, read_header(source), DIGEST) == source
+    assert requantize_file(source, read_header(source), DIGEST) == source
     assert list((tmp_path / "full" / "llm-flock").iterdir()) == [], "nothing half done stays behind"
 
 
 def test_files_without_the_slow_format_or_with_another_stay(tmp_path, cache):
     plain = write_model(tmp_path / "plain.gguf")
-    assert requantized(plain, read_header(plain), DIGEST) == plain and not cache.exists()
+    assert requantize_file(plain, read_header(plain), DIGEST) == plain and not cache.exists()
     strange = tmp_path / "strange.gguf"
     strange.write_bytes(gguf(MODEL, {"a": (32,), "b": (32,)}, places={"a": (Q4_1, 0), "b": (14, 32)}))
-    assert requantized(strange, read_header(strange), DIGEST) == strange and not cache.exists()
+    assert requantize_file(strange, read_header(strange), DIGEST) == strange and not cache.exists()
 
 
 def test_only_packaged_weights_are_requantized_both_recorded(tmp_path, cache):

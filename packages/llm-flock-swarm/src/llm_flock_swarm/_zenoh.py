@@ -52,9 +52,9 @@ def settings(
 
 
 def access_control(allowed: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """Lets members send under their own keys only, by the names in their certificates; everybody may listen.
+    """Lets members send under their own keys only, by the names in their certificates; all may listen.
 
-    What others send is dropped as it comes in, before anything of this program looks at it.
+    Other messages are dropped on arrival, before this program reads them.
     """
     to_all: list[dict[str, Any]] = [
         {
@@ -177,7 +177,7 @@ class ZenohLink:
 
     A payload is dropped where a receiver does not keep up, or where its topic brings more than `rates` allow: messages
     a second under one topic, by kind, counted as `too_many` before a signature is checked. The seal of a kind with a
-    context covers it too. While a handler runs in `loop`, `at_hand` is the message as it came, sealed.
+    context covers it too. While a handler runs in `loop`, `at_hand` is its sealed message.
     """
 
     def __init__(

@@ -14,7 +14,8 @@ import pytest
 import zenoh
 
 from llm_flock.errors import InputError
-from llm_flock_swarm._trust.keys import make_keys, tls_config
+from llm_flock_swarm._trust.keys import make_keys
+from llm_flock_swarm._trust.tls import tls_config
 
 
 @pytest.fixture(scope="module")

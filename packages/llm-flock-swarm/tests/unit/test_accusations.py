@@ -184,7 +184,7 @@ def test_the_public_keys_are_enough_to_check_a_record(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     make_keys(tmp_path / "team", N)
-    liar = load_keyring(tmp_path / "team", LIAR).of_flight(CONFIG.network.swarm)
+    liar = load_keyring(tmp_path / "team", LIAR).for_flight(CONFIG.network.swarm)
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     payload = pack(BeaconedMessage(beacon=beacon, message=said(1)))
     proof = Envelope(liar, 1, max_payload=MAX_PROOF_BYTES).seal(payload, JUDGE.topic(LIAR))

@@ -15,7 +15,8 @@ from llm_flock.errors import InputError
 from llm_flock.members import member_name, members
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import load_keys
-from llm_flock_swarm._trust.keys import Keyring, load_keyring, load_public_keys, make_keys, next_session
+from llm_flock_swarm._trust.keys import Keyring, load_keyring, load_public_keys, make_keys
+from llm_flock_swarm._trust.session import next_session
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +100,7 @@ def test_damaged_keys_are_refused_by_name(folder: Path, tmp_path: Path) -> None:
         "short": json.dumps({**team, "swarm": "00"}).encode(),
         "fewer": json.dumps({**team, "robots": 1}).encode(),
         "more": json.dumps({**team, "robots": 9}).encode(),
+        "two": json.dumps({**team, "robots": 2}).encode(),
         "endless": json.dumps({**team, "robots": 10**9}).encode(),
         "infinite": json.dumps({**team, "robots": 1}).replace(": 1,", ": 1e999,").encode(),
         "deep": b"[" * 100_000,
@@ -134,6 +136,8 @@ def test_sessions_rise_even_where_the_clock_goes_back(folder: Path) -> None:
     (folder / "robot-1" / "session").write_text("many")
     with pytest.raises(InputError, match="session"):
         next_session(folder, 1, 501.0)
+    with pytest.raises(InputError, match=r"session.*No such file"):
+        next_session(folder, 7, 501.0)
 
 
 def test_members_have_names() -> None:
@@ -151,12 +155,12 @@ def test_the_command_makes_keys_and_refuses_to_write_over(tmp_path: Path) -> Non
 def test_a_signature_of_one_flight_is_none_in_another(folder: Path) -> None:
     """Claims, heartbeats and words of an earlier flight of the team would otherwise count in the next one."""
     keys, other = load_keyring(folder, 1), load_keyring(folder, 2)
-    signature = keys.of_flight("monday").sign(b"a place is free")
-    assert other.of_flight("monday").check(1, b"a place is free", signature)
+    signature = keys.for_flight("monday").sign(b"a place is free")
+    assert other.for_flight("monday").check(1, b"a place is free", signature)
     for name in ("tuesday", "monda", "mondaya", ""):
-        assert not other.of_flight(name).check(1, b"a place is free", signature), name
+        assert not other.for_flight(name).check(1, b"a place is free", signature), name
     assert not other.check(1, b"a place is free", signature)
-    assert load_public_keys(folder).of_flight("monday").check(1, b"a place is free", signature)
+    assert load_public_keys(folder).for_flight("monday").check(1, b"a place is free", signature)
 
 
 def test_a_swarm_signs_for_its_own_name_only(folder: Path) -> None:

@@ -331,6 +331,6 @@ def test_swarm_told_to_fly_on_does_not_end_once_formed(stops: bool, monkeypatch:
         def result(self, stopped: str) -> str:
             return stopped
 
-    monkeypatch.setattr(swarm, "launched", lambda *_, **__: Launched())
+    monkeypatch.setattr(swarm, "launch_swarm", lambda *_, **__: Launched())
     config = swarm_config(3, stop_when_formed=stops)
     assert asyncio.run(swarm.run_swarm(config)) == ("formed" if stops else "time")

@@ -16,7 +16,7 @@ from llm_flock.errors import InputError
 from llm_flock.record._reader import RunRecord, read_record
 from llm_flock.record._scene import PALETTE
 from llm_flock_view._figures import animation
-from llm_flock_view._figures.animation import HOLD_S, KEY_INCHES, STEPS_A_ROUND, animate, eased, frames, gif
+from llm_flock_view._figures.animation import HOLD_S, KEY_INCHES, STEPS_A_ROUND, animate, ease, frames, gif
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_same_record_same_file(record: RunRecord, animated: Path, tmp_path: Path
 
 
 def test_robots_fly_from_rest_to_rest() -> None:
-    shares = [eased(k / 100) for k in range(101)]
+    shares = [ease(k / 100) for k in range(101)]
     assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
     assert shares[1] < 0.01 * 0.1 and 1.0 - shares[99] < 0.01 * 0.1
 

@@ -28,7 +28,7 @@ from llm_flock.record._writer import RecordWriter
 from llm_flock_view._foxglove import channels
 from llm_flock_view._foxglove.channels import (
     ARENA,
-    TRAIL,
+    MAX_TRAIL_ROUNDS,
     TRAILS,
     ChannelMessage,
     ChannelWriter,
@@ -95,7 +95,7 @@ def test_every_message_fits_the_schema_of_its_channel(dim: int) -> None:
 
 
 def test_poses_are_the_positions_and_trails_end_at_them() -> None:
-    run = FakeRun(n=5, rounds=TRAIL + 4)
+    run = FakeRun(n=5, rounds=MAX_TRAIL_ROUNDS + 4)
     sink = drawn(run)
     states = sink.of("/state")
     for robot in range(5):
@@ -105,7 +105,7 @@ def test_poses_are_the_positions_and_trails_end_at_them() -> None:
             at = pose["pose"]["position"]
             assert (at["x"], at["y"]) == pytest.approx(tuple(state["positions"][robot]), abs=1e-3)
     lines = sink.of(TRAILS)[-1]["entities"][0]["lines"]
-    assert [len(line["points"]) for line in lines] == [TRAIL] * 5
+    assert [len(line["points"]) for line in lines] == [MAX_TRAIL_ROUNDS] * 5
     last = [[line["points"][-1]["x"], line["points"][-1]["y"]] for line in lines]
     assert np.allclose(last, states[-1]["positions"], atol=1e-3)
 

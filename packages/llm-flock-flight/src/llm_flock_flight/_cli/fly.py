@@ -207,7 +207,7 @@ def _dry_run(settings: FlightConfig, as_json: bool) -> None:
             say(f"error: {fault}", error=True)
         if not plan.result.formed:
             say("warning: the formation is not formed", error=True)
-        count = sum(len(step.targets) for step in plan.steps)
+        count = sum(len(motion.targets) for motion in plan.motions)
         say(f"{count} set-points, {plan.air_s:.0f} s in the air and more while models think, {len(plan.faults)} faults")
     if plan.faults:
         raise typer.Exit(EXIT_FAILED)
@@ -256,10 +256,10 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
         rising.add_row(str(1 + robot // group), escape(drone.name), spot, f"{settings.world.altitude_m:g}")
     way = Table("round", "drone", r"set-point \[m]", r"peak \[m/s]", r"nearest \[m]", "check", title="set-points")
     way.title_justify = "left"
-    for step in plan.steps:
-        number, nearest = str(step.round), f"{step.separation_m:.3f}"
-        check = "[bold red]FAULT[/]" if step.faults else "[green]ok[/]"
-        for name, (x, y, z), peak in zip(names, step.targets, step.peaks_m_s, strict=True):
+    for motion in plan.motions:
+        number, nearest = str(motion.round), f"{motion.separation_m:.3f}"
+        check = "[bold red]FAULT[/]" if motion.faults else "[green]ok[/]"
+        for name, (x, y, z), peak in zip(names, motion.targets, motion.peaks_m_s, strict=True):
             way.add_row(number, escape(name), f"{x:.3f}, {y:.3f}, {z:.3f}", f"{peak:.2f}", nearest, check)
             number = nearest = check = ""
     down = Table("group", "drone", r"spot x, y \[m]", r"by way of \[m]", title="landing", title_justify="left")
@@ -271,7 +271,7 @@ def _plan_tables(settings: FlightConfig, plan: DryRun) -> list[Table]:
 
 
 def _radio_tables(settings: FlightConfig) -> list[Table]:
-    """What each radio has to carry; no table where no drone is called by radio."""
+    """The load of each radio; no table if no drone is called by radio."""
     from llm_flock_flight._flight.preflight import radio_plan
 
     table = Table(
@@ -298,13 +298,13 @@ def _plan(plan: DryRun) -> dict[str, Any]:
         "drones": [drone.model_dump() for drone in plan.drones],
         "rounds": [
             {
-                "round": step.round,
-                "targets_m": step.targets,
-                "peaks_m_s": step.peaks_m_s,
-                "separation_m": step.separation_m if step.separation_m < float("inf") else None,
-                "faults": step.faults,
+                "round": motion.round,
+                "targets_m": motion.targets,
+                "peaks_m_s": motion.peaks_m_s,
+                "separation_m": motion.separation_m if motion.separation_m < float("inf") else None,
+                "faults": motion.faults,
             }
-            for step in plan.steps
+            for motion in plan.motions
         ],
         "landing": [[{"robot": d.robot, "spot_m": d.spot} for d in group] for group in plan.landing],
         "formed": plan.result.formed,
@@ -336,7 +336,7 @@ def reach_drones(
         bool, typer.Option("--drones/--no-drones", help="Look for Crazyflies by radio, cable and UDP (a second)")
     ] = True,
 ) -> list[Finding]:
-    """What `llm-flock doctor` says of Crazyflies that answer."""
+    """The line of `llm-flock doctor` about Crazyflies that answer."""
     if not drones:
         return []
     if EXTRAS["crazyflie"].missing:

@@ -13,14 +13,9 @@ from typing import TYPE_CHECKING, Self
 if TYPE_CHECKING:
     from llm_flock_flight._flight.flight import Flight
 
-LAND_KEYS = frozenset("lL ")
-"""Keys that land all drones: l, or the space bar."""
-
-RETURN_KEYS = frozenset("rR")
-"""Keys that let all drones return to their starts."""
-
-CUT_KEYS = frozenset("xX")
-"""Keys that cut all motors."""
+LAND_KEYS = frozenset("lL ")  # keys that land all drones: l, or the space bar
+RETURN_KEYS = frozenset("rR")  # keys that let all drones return to their starts
+CUT_KEYS = frozenset("xX")  # keys that cut all motors
 
 
 async def ask(question: str) -> str:
@@ -65,7 +60,7 @@ class Keyboard(contextlib.ExitStack):
         assert task is not None
         self._task = task
         for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._signalled)
+            loop.add_signal_handler(number, self._on_signal)
             self.callback(loop.remove_signal_handler, number)
         if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # as nohup has it
             loop.add_signal_handler(signal.SIGHUP, self._land_or_end)
@@ -92,15 +87,15 @@ class Keyboard(contextlib.ExitStack):
         now[0] &= ~termios.IXON  # Ctrl-S
         now[6][termios.VSUSP] = b"\0"  # Ctrl-Z
         termios.tcsetattr(number, termios.TCSANOW, now)
-        loop.add_reader(number, self._pressed)
+        loop.add_reader(number, self._on_keys)
         self.callback(loop.remove_reader, number)
 
-    def _pressed(self) -> None:
+    def _on_keys(self) -> None:
         try:
             typed = os.read(sys.stdin.fileno(), 64)
         except OSError:
             typed = b""
-        if not typed:  # the terminal is closed, and would be ready to be read for ever
+        if not typed:  # the terminal is closed, and would stay ready to be read
             asyncio.get_running_loop().remove_reader(sys.stdin.fileno())
             self._flight.abort()
         for key in typed.decode(errors="ignore"):
@@ -111,7 +106,7 @@ class Keyboard(contextlib.ExitStack):
             elif key in RETURN_KEYS:
                 self._flight.return_home()
 
-    def _signalled(self) -> None:
+    def _on_signal(self) -> None:
         self._signals += 1
         if self._signals > 1:
             self._flight.emergency()

@@ -18,11 +18,8 @@ if TYPE_CHECKING:
 
     Drones: TypeAlias = crtp.StandIns | mavlink.AutopilotStandIns
 
-LAST_PORT = 65_535
-"""Highest UDP port."""
-
-MAX_VEHICLES = 254
-"""Most stand-in autopilots: MAVLink's system ids are 1 to 254, and 255 is ours."""
+LAST_PORT = 65_535  # highest UDP port
+MAX_VEHICLES = 254  # most stand-in autopilots: MAVLink's system ids are 1 to 254, and 255 is ours
 
 
 def stand_ins(

@@ -2,7 +2,7 @@
 
 Numbers: `ControllerType` in `src/modules/interface/controller/controller.h` and `StateEstimatorType` in
 `src/modules/interface/estimator/estimator.h` of the firmware. Mellinger's, Brescianini's and Lee's controllers add the
-set-point's velocity to what they ask for; PID and INDI ask for a velocity by the distance to the set-point alone, so at
+set-point's velocity to their command; PID and INDI ask for a velocity by the distance to the set-point alone, so at
 a steady speed they are behind by speed over gain.
 """
 
@@ -57,7 +57,7 @@ def number_of(table: Mapping[int, FirmwareController | str], name: str) -> int:
 
 
 def equipment(values: Mapping[str, float], unwatched: tuple[str, ...], complaints: tuple[str, ...]) -> Equipment:
-    """What the values of `READ` say; those that the firmware does not have are missing."""
+    """The equipment by the values of `READ`, of which those that the firmware lacks are missing."""
     wrong = list(complaints)
     name = lag_s = most = None
     if CONTROLLER in values:

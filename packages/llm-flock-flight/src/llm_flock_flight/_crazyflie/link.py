@@ -1,7 +1,7 @@
 """One link to one Crazyflie: the only place that knows cflib, its threads and its traps.
 
 - cflib opens a link with callbacks and without a time limit: over UDP it resends nothing, so one lost packet blocks it
-  for ever. Here packets are resent, and an attempt that stays silent for a while is given up.
+  without end. Here packets are resent, and an attempt that stays silent for a while is given up.
 - Its first two packets, for the version of the protocol, are not sent again even so: done here.
 - cflib's `close_link` first sends a set-point without thrust. In flight it would take the drone from its high-level
   commander and drop it, so it is not sent.
@@ -56,7 +56,7 @@ def host_and_port(uri: str) -> tuple[str, int] | None:
 
 
 def default_folder() -> Path:
-    """Where drones' tables are kept, as fetching them takes long: in this user's cache (XDG base directories)."""
+    """The folder of drones' tables, which take long to fetch: in this user's cache (XDG base directories)."""
     given = os.environ.get("XDG_CACHE_HOME", "")
     base = Path(given) if given.startswith("/") else Path.home() / ".cache"
     return base / "llm-flock" / "crazyflie"
@@ -144,7 +144,7 @@ class CrazyflieLink:
 
     @property
     def why_closed(self) -> str:
-        """Why nothing can be sent, in words."""
+        """The reason why nothing can be sent."""
         return f"the link is lost: {self.lost}" if self.lost else "is not connected"
 
     def silent_s(self, now: float) -> float:
@@ -207,8 +207,8 @@ class CrazyflieLink:
         cf.connection_failed.add_callback(self._lose)
         cf.packet_received.add_callback(self._hear)
         cf.link_statistics.link_quality_updated.add_callback(self._rate)
-        cf.add_port_callback(HIGH_LEVEL_PORT, self._answered)
-        cf.add_port_callback(PARAMETER_PORT, self._told)
+        cf.add_port_callback(HIGH_LEVEL_PORT, self._on_answer)
+        cf.add_port_callback(PARAMETER_PORT, self._on_parameter)
         await in_thread(lambda: cf.open_link(self._uri), end - time.monotonic())
         asked_s = time.monotonic()
         while not ready.is_set():
@@ -240,7 +240,7 @@ class CrazyflieLink:
         Raises Unusable without one of `needed`, and RobotError as `send`.
         """
 
-        def came(_stamp: int, data: dict[str, float], _block: object) -> None:
+        def on_data(_stamp: int, data: dict[str, float], _block: object) -> None:
             take(data, time.monotonic())
 
         table = self.cf.log.toc
@@ -254,7 +254,7 @@ class CrazyflieLink:
         for variable, kind in variables.items():
             if variable not in missing:
                 block.add_variable(variable, kind)
-        block.data_received_cb.add_callback(came)
+        block.data_received_cb.add_callback(on_data)
         self.cf.log.add_config(block)
         try:
             await in_thread(block.start, SEND_S)
@@ -328,7 +328,7 @@ class CrazyflieLink:
         if link is not None:
             link.close()
 
-    def _told(self, packet: Any) -> None:
+    def _on_parameter(self, packet: Any) -> None:
         self._call(self._pass_on, packet.channel, bytes(packet.data))
 
     def _pass_on(self, channel: int, data: bytes) -> None:
@@ -341,7 +341,7 @@ class CrazyflieLink:
     def _rate(self, percent: float) -> None:
         self.quality = min(1.0, max(0.0, percent / 100.0))
 
-    def _answered(self, packet: Any) -> None:
+    def _on_answer(self, packet: Any) -> None:
         data = bytes(packet.data)
         if len(data) >= 4:
             self._call(self._settle, data[0], data[3])

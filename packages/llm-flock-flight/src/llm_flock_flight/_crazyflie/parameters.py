@@ -30,7 +30,7 @@ Send: TypeAlias = Callable[[int, int, bytes], Awaitable[None]]
 
 
 class FirmwareParameters:
-    """Those of one drone, over an open link. `hear` gets every packet of `PORT`, in the event loop."""
+    """The parameters of one drone, over an open link. `hear` gets every packet of `PORT`, in the event loop."""
 
     def __init__(self, name: str, table: Any, send: Send) -> None:
         self._name = name
@@ -45,7 +45,7 @@ class FirmwareParameters:
                 waiting.set_result(data[2:])
 
     def known(self, names: Iterable[str]) -> list[str]:
-        """Those of the names that the firmware has."""
+        """The names that the firmware knows."""
         return [name for name in names if self._element(name) is not None]
 
     def _element(self, name: str) -> Any:
@@ -59,7 +59,7 @@ class FirmwareParameters:
         return float(struct.unpack(element.pytype, data[1:])[0])
 
     async def write(self, values: Mapping[str, float], until_s: float) -> tuple[str, ...]:
-        """Set parameters or raise, and read each back; returns those that have another value, in words."""
+        """Set parameters or raise, and read each back; returns those that have another value, as text."""
         differ: list[str] = []
         for name, value in values.items():
             element = self._element(name)

@@ -1,4 +1,4 @@
-"""What each Crazyradio has to carry, and whether it can: a pure function of the drones' addresses and their traffic.
+"""The load and the capacity of each Crazyradio: a pure function of the drones' addresses and their traffic.
 
 The unit is the exchange: the radio sends one packet to one drone, and the acknowledgement brings back at most one.
 cflib 0.1.34 hands a packet to the radio over USB and reads the answer before the next one, and sets address, channel
@@ -7,8 +7,8 @@ and data rate by USB requests of their own whenever they differ from those of th
 - an exchange at 2 Mbit/s, two USB transfers: about 0.7 ms (measured by a user: bitcraze/crazyradio2-firmware, issue 9);
 - one such request: about 1 ms (Bitcraze's wiki, "Usb and Radio protocol of the Crazyradio dongle").
 
-So a radio with several drones on one channel does about 590 exchanges a second, and on several channels 370. What
-Bitcraze's people say is of that size: at least 500 a second (bitcraze/crazyflie-lib-python, issue 258), "400ish" (issue
+So a radio with several drones on one channel does about 590 exchanges a second, and on several channels 370. Bitcraze's
+own numbers are similar: at least 500 a second (bitcraze/crazyflie-lib-python, issue 258), "400ish" (issue
 467). The user above counted 300, with another library. It is a model for planning: measure your radios.
 """
 
@@ -47,14 +47,14 @@ WIFI_HALF_MHZ, RADIO_HALF_MHZ = 11, 1
 """Half of the width of a Wi-Fi channel of 20 MHz with its edges, and of a Crazyradio channel at 2 Mbit/s."""
 
 LAST_IN_BAND = 83
-"""Channels beyond are above 2.4835 GHz, where few countries let anybody send without a licence."""
+"""Channels beyond are above 2.4835 GHz, where few countries allow sending without a licence."""
 
 LAST_CHANNEL = 125
 
 
 @dataclass(frozen=True, slots=True)
 class RadioAddress:
-    """Where a drone is to be called: `radio://DONGLE/CHANNEL/RATE/ADDRESS`."""
+    """A drone's radio address: `radio://DONGLE/CHANNEL/RATE/ADDRESS`."""
 
     dongle: str
     channel: int
@@ -64,7 +64,7 @@ class RadioAddress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RadioLoad:
-    """What one radio has to carry: exchanges a second that its drones need, and that it can do by the model [1/s]."""
+    """The load of one radio: exchanges that its drones need, and that it can do by the model [1/s]."""
 
     dongle: str
     drones: tuple[str, ...]
@@ -171,34 +171,34 @@ def _load(dongle: str, served: Mapping[str, RadioAddress], each_hz: float) -> Ra
 
 
 def _warnings(loads: Sequence[RadioLoad], each_hz: float) -> list[str]:
-    said: list[str] = []
+    notes: list[str] = []
     for load in loads:
         if load.share > MAX_SHARE:
             drones = sum(len(other.drones) for other in loads)
             enough = radios_for(drones, each_hz)
             advice = f"; {enough} radios would carry {drones} drones" if enough > len(loads) else ""
-            said.append(
+            notes.append(
                 f"radio {load.dongle} needs {load.share:.0%} of what it can do (at most {MAX_SHARE:.0%}){advice}"
             )
         if len(load.channels) > 1:
-            said.append(
+            notes.append(
                 f"radio {load.dongle} serves channels {', '.join(map(str, load.channels))}: it retunes for each packet,"
                 f" which costs about {1000 * SETTING_S:g} ms; give all its drones one channel"
             )
         for channel in load.channels:
             if (wifi := wifi_over(channel)) is not None:
-                said.append(
+                notes.append(
                     f"channel {channel} lies in Wi-Fi channel {wifi}; those from 75 to {LAST_IN_BAND} lie in none"
                 )
             if channel > LAST_IN_BAND:
-                said.append(f"channel {channel} is above 2.4835 GHz, where sending needs a licence in most countries")
+                notes.append(f"channel {channel} is above 2.4835 GHz, where sending needs a licence in most countries")
     for one, two in combinations(loads, 2):
         near = [(a, b) for a in one.channels for b in two.channels if abs(a - b) < 2 * RADIO_HALF_MHZ]
         for a, b in near:
-            said.append(
+            notes.append(
                 f"radios {one.dongle} and {two.dongle} share the air of channels {a} and {b}: leave 2 between them"
             )
-    return said
+    return notes
 
 
 def wifi_over(channel: int) -> int | None:

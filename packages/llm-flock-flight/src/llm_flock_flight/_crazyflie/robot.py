@@ -140,7 +140,7 @@ class CrazyflieRobot:
             if time.monotonic() >= until:
                 raise RobotError(self.name, "connected, but sends no position")
             await asyncio.sleep(0.005)
-        # One that was told to take off may be about to, whatever it says.
+        # A drone that was told to take off may be about to, even if it does not report flying.
         if not log.info & FLYING and not self._aloft:
             self._equipment = await self._prepare(until, missing)
         elif not self._connected:
@@ -188,7 +188,7 @@ class CrazyflieRobot:
 
     @property
     def localisation(self) -> str | None:
-        """What a Lighthouse deck says about its base stations; None from firmware that knows no Lighthouse."""
+        """A Lighthouse deck's report on its base stations; None from firmware that knows no Lighthouse."""
         return self._log.lighthouse
 
     async def take_pose(self, pose: Pose) -> None:
@@ -319,8 +319,8 @@ class CrazyflieRobot:
             if answer == REFUSED and (number == LAND or (number == TAKE_OFF and attempt)):
                 return
             if answer is not None:
-                said = says(self._log.info)
-                raise _Refused(self.name, f"refused {what} (answer {answer}); its supervisor says: {said}")
+                supervisor = says(self._log.info)
+                raise _Refused(self.name, f"refused {what} (answer {answer}); its supervisor says: {supervisor}")
         raise RobotError(self.name, f"did not confirm {what}, sent {ATTEMPTS} times")
 
     async def _until(self, condition: Callable[[], bool], timeout_s: float) -> bool:

@@ -1,4 +1,4 @@
-"""What a Crazyflie logs: the variables, the newest values, and what its supervisor says."""
+"""Logs of a Crazyflie: the variables, the newest values, and the state of its supervisor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NEEDED = frozenset({"stateEstimate.x", "stateEstimate.y", "stateEstimate.z", "su
 """Those without which no flight is possible. The rest is watched where the firmware logs it."""
 
 UNWATCHED: Mapping[str, str] = MappingProxyType({"pm.vbat": "its battery", "kalman.varPX": "its estimator's variance"})
-"""What is not watched if a variable is missing, in words."""
+"""The measurement that is lost if a variable is missing."""
 
 VARIANCE_LOG: Mapping[str, str] = MappingProxyType(
     {"kalman.varPX": "float", "kalman.varPY": "float", "kalman.varPZ": "float"}
@@ -54,7 +54,7 @@ _NAMES = {
 
 
 def fault_of(info: int) -> str | None:
-    """Why a drone cannot fly, in words; None if it can."""
+    """The reason why a drone cannot fly; None if it can."""
     wrong = [name for bit, name in _NAMES.items() if info & bit & (TUMBLED | LOCKED | CRASHED)]
     if not wrong and not info & (CAN_ARM | ARMED):
         wrong = ["cannot be armed: its self-test or its sensors' calibration is not passed"]
@@ -62,7 +62,7 @@ def fault_of(info: int) -> str | None:
 
 
 def says(info: int) -> str:
-    """The supervisor's state, in words."""
+    """The supervisor's state as text."""
     return ", ".join(name for bit, name in _NAMES.items() if info & bit) or "not ready"
 
 
@@ -108,7 +108,7 @@ class Telemetry:
         self._variance_stamp_s = now
 
     def take_lighthouse(self, data: Mapping[str, float], now: float) -> None:
-        self.lighthouse = lighthouse_in_words(data)
+        self.lighthouse = lighthouse_text(data)
 
     def settled(self, now: float) -> bool:
         """Whether the estimator has converged, by recent samples; True where the firmware does not log its variance."""
@@ -120,14 +120,14 @@ class Telemetry:
         return all(max(axis) - min(axis) < SETTLED_RANGE for axis in zip(*samples, strict=True))
 
 
-def lighthouse_in_words(values: Mapping[str, float]) -> str:
-    """What is seen, by a packet of `LIGHTHOUSE_LOG`."""
+def lighthouse_text(values: Mapping[str, float]) -> str:
+    """The state of the Lighthouse as text, by a packet of `LIGHTHOUSE_LOG`."""
     status = int(values["lighthouse.status"])
     if status == 0:
         return f"Lighthouse: {STATUS[0]}"
     received, active = (_stations(int(values[f"lighthouse.{name}"])) for name in ("bsReceive", "bsActive"))
-    said = STATUS[status] if status < len(STATUS) else f"status {status}"
-    return f"Lighthouse: {said}; receives {received}, uses {active}"
+    state = STATUS[status] if status < len(STATUS) else f"status {status}"
+    return f"Lighthouse: {state}; receives {received}, uses {active}"
 
 
 def _stations(bits: int) -> str:

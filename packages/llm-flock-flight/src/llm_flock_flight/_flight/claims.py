@@ -1,4 +1,4 @@
-"""Claims on drones: no two flights of one user on one computer fly the same drone, whatever process they run in.
+"""Claims on drones: no two flights of one user on one computer fly the same drone, in any process.
 
 Nothing else keeps a second flight away: a Crazyflie obeys every radio that knows its address. A claim is a locked file,
 which the system gives back when the flight's process and its deadman have ended.
@@ -31,15 +31,15 @@ def claims_folder() -> Path:
 
 
 def identity(drone: DroneConfig, *, shared: bool) -> str | None:
-    """What tells a drone from all others on this computer, however its address is written; None without an address."""
+    """The identity of a drone on this computer, the same for all spellings of its address; None without an address."""
     if drone.uri is None:
         return None
-    address = one_spelling(drone.uri, _resolved)
+    address = one_spelling(drone.uri, _resolve)
     return f"{address} {drone.system_id or 1}" if shared else address
 
 
-def _resolved(host: str) -> str:
-    """The address of a host that has a name; the name itself where nobody knows it."""
+def _resolve(host: str) -> str:
+    """The address of a host by its name; the name itself if it cannot be resolved."""
     try:
         return str(socket.getaddrinfo(host, None, socket.AF_INET)[0][4][0])
     except (OSError, UnicodeError):
@@ -47,7 +47,7 @@ def _resolved(host: str) -> str:
 
 
 @contextmanager
-def claimed(config: FlightConfig, folder: Path | None = None) -> Generator[Sequence[int]]:
+def claim_drones(config: FlightConfig, folder: Path | None = None) -> Generator[Sequence[int]]:
     """Claim all drones of a flight, or raise InputError, and give them back; yields the handles of the locked files.
 
     A process that inherits the handles keeps the drones claimed. Drones simulated in this process need no claim, and

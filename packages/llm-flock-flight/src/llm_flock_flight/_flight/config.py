@@ -243,7 +243,7 @@ def _check_starts(config: FlightConfig) -> None:
 
 
 def wrong_place(config: FlightConfig, x_m: float, y_m: float) -> str | None:
-    """Why no drone may fly above a place on the floor, in words; None where it may."""
+    """The reason why no drone may fly above a place on the floor; None if one may."""
     mission, place = config.mission, config.frame.to_mission((x_m, y_m, config.world.altitude_m))
     slack = ROUNDING_M / config.world.scale_m
     low, high = mission.arena
@@ -256,6 +256,6 @@ def wrong_place(config: FlightConfig, x_m: float, y_m: float) -> str | None:
 
 
 def good_place(config: FlightConfig) -> str:
-    """What `wrong_place` asks for, in words."""
+    """The places that `wrong_place` accepts, as text."""
     clear = f", at least {config.safe_distance_m / 2:.3g} m from its obstacles" if config.mission.obstacles else ""
     return f"in the mission's arena{clear}"

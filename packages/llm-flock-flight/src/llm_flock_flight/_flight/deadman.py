@@ -115,7 +115,7 @@ def take_over(config: FlightConfig, aloft: Sequence[int], parent: int) -> dict[s
 
 
 def _say_while_heard(text: str) -> None:
-    """Tell it the terminal. It may have gone with the flight process: then, and from then on, nobody is told."""
+    """Write to the terminal. It may have closed with the flight process; from then on nothing is written."""
     try:
         sys.stderr.write(f"deadman: {text}\n")
         sys.stderr.flush()

@@ -24,7 +24,7 @@ LOADED = 3.2 / 3.7
 """Share of its voltage at rest that a battery keeps while motors run: Crazyswarm2's limits are for a drone at rest."""
 
 
-def _loaded(critical_v: float | None, least_v: float) -> float | None:
+def _voltage_under_load(critical_v: float | None, least_v: float) -> float | None:
     """The voltage at which a drone lands, by its critical voltage at rest and the flight file's own limit [V]."""
     return None if critical_v is None else max(LOADED * critical_v, least_v)
 
@@ -44,7 +44,7 @@ def with_drones(config: FlightConfig) -> FlightConfig:
                 "start": drone.home,
                 "parameters": drone.parameters,
                 "ready_battery_v": drone.battery.voltage_warning,
-                "low_battery_v": _loaded(drone.battery.voltage_critical, config.safety.low_battery_v),
+                "low_battery_v": _voltage_under_load(drone.battery.voltage_critical, config.safety.low_battery_v),
             }
             for drone in read_crazyflies(Path(config.fleet.crazyflies))
         ]
@@ -68,6 +68,12 @@ def build_fleet(config: FlightConfig) -> Sequence[Robot]:
     if count != len(wanted):
         raise InputError("robot", config.fleet.robot, f"{DRIVER}, {len(wanted)} here (not {count})")
     return robots
+
+
+def check_driver(config: FlightConfig) -> None:
+    """Raise InputError for an unknown driver, or for addresses that it refuses; opens no connection."""
+    if driver_of(config.fleet.robot) in (crazyflie, mavlink):
+        build_fleet(config)
 
 
 def start_of(config: FlightConfig, drone: DroneConfig) -> Position:

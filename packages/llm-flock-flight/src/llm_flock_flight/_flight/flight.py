@@ -1,4 +1,4 @@
-"""One flight: connect, preflight, take off, flock, land; whatever goes wrong, land safely from there."""
+"""One flight: connect, preflight, take off, flock, land. After any fault, the drones land from where they are."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from llm_flock.runtime import (
     open_outputs,
     warn_of_mission,
 )
-from llm_flock_flight._flight.claims import claimed
+from llm_flock_flight._flight.claims import claim_drones
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.heartbeat import HeartbeatSender
 from llm_flock_flight._flight.homing import fly_home, homes_of
@@ -42,19 +42,13 @@ from llm_flock_flight._positions import PoseFeed
 
 logger = logging.getLogger(__name__)
 
-TAKING_OFF = "taking off"
-"""Name of the stage from which on the operator may end the flight."""
-
-RETURN = "return"
-"""How a flight ended whose operator let all drones return."""
-
-FLYING = "flying"
-"""Name of the stage from take-off until the drones return or land."""
+TAKING_OFF = "taking off"  # name of the stage from which on the operator may end the flight
+RETURN = "return"  # how a flight ended whose operator let all drones return
+FLYING = "flying"  # name of the stage from take-off until the drones return or land
 
 NEVER_UP = "never took off"
 CUT = "motors cut"
-SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})
-"""Ends after which a drone needs no attention."""
+SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})  # ends after which a drone needs no attention
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,8 +111,8 @@ class Flight:
 
     def emergency(self) -> bool:
         """Cut all motors, wherever the drones are; returns False if the flight has not begun."""
-        everybody = frozenset(range(len(self._robots)))
-        return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=everybody))
+        all_robots = frozenset(range(len(self._robots)))
+        return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=all_robots))
 
     def _enter(self, stage: str) -> None:
         self._stage = stage
@@ -136,7 +130,7 @@ class Flight:
         A record that breaks off ends no flight. Raises InputError or FlockError, and nothing has taken off; or
         FlockError when answers can be written no more, and all drones were landed.
         """
-        with claimed(self._config) as claims:
+        with claim_drones(self._config) as claims:
             return await self._run(confirm, claims)
 
     async def _run(self, confirm: Callable[[PreflightReport], Awaitable[bool]], claims: Sequence[int]) -> FlightResult:

@@ -19,11 +19,8 @@ from llm_flock_flight._flight.config import FlightConfig
 
 logger = logging.getLogger(__name__)
 
-READY_S = 60.0
-"""Longest start of the deadman, which first imports everything that it may need [s]."""
-
-FAREWELL_S = 5.0
-"""Longest wait for the deadman to end after the farewell [s]."""
+READY_S = 60.0  # longest start of the deadman, which first imports everything that it may need [s]
+FAREWELL_S = 5.0  # longest wait for the deadman to end after the farewell [s]
 
 
 class NoDeadman(FlockError):
@@ -105,7 +102,7 @@ class HeartbeatSender:
                 os.write(process.stdin.fileno(), heartbeat.model_dump_json().encode() + b"\n")
         except BrokenPipeError:
             if not self._missed:
-                logger.warning("the deadman process is gone: nobody would land the drones if this process died now")
+                logger.warning("the deadman process is gone: nothing would land the drones if this process died now")
             self._missed = True
 
     async def __aexit__(self, kind: object, error: BaseException | None, trace: object) -> None:

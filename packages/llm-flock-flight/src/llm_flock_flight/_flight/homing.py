@@ -1,7 +1,7 @@
 """The way home: all drones fly in step to above their own starts, under the shield, before they are landed there.
 
-No model is asked, and no plan is agreed on: everybody's goal is fixed. Each drone flies towards its own, gives way and
-asks for a way as in a mission, by what it senses and by the courses that robots in radio range told in the step before.
+No model is asked, and no plan is agreed on: each drone has a fixed goal. It flies towards it, gives way and asks for a
+way as in a mission, by its sensors and by the courses that robots in radio range sent in the last step.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STEPS, STEPS_EACH = 20, 4
 
 
 def homes_of(config: FlightConfig, starts: Points) -> Points:
-    """Where each drone returns to, shape (n, d) [units]: above its start by the flight file, or else where it stood."""
+    """The places of return, shape (n, d) [units]: above each start of the flight file, or else above where it stood."""
     homes = starts.copy()
     for robot, drone in enumerate(config.fleet.drones):
         if drone.start is not None:
@@ -32,9 +32,9 @@ def homes_of(config: FlightConfig, starts: Points) -> Points:
 
 
 class WayHome:
-    """Joint steps of a team from wherever it is to `homes`, shape (n, d) [units]; home is within `near` of it [units].
+    """Joint steps of a team from any places to `homes`, shape (n, d) [units]; home is within `near` of it [units].
 
-    Where homes are nearer to each other than the safe distance, not everybody gets there.
+    Where homes are nearer to each other than the safe distance, some drones do not get there.
     """
 
     def __init__(self, mission: Mission, homes: Points, near: float) -> None:
@@ -50,18 +50,18 @@ class WayHome:
         ]
 
     def most_steps(self, places: Points) -> int:
-        """After this many steps whoever is not at home is landed where it is."""
+        """Number of steps after which drones that are not at home land where they are."""
         longest = float(np.linalg.norm(places - np.array(self._homes), axis=1).max())
         return STEPS + STEPS_EACH * (math.ceil(longest / self._mission.max_step) + len(self._homes))
 
     def step(self, team: Readings) -> Points:
         """How each drone moves next, shape (n, d) [units]."""
-        told = {robot: mind.course for robot, mind in enumerate(self._safety)}
+        last_courses = {robot: mind.course for robot, mind in enumerate(self._safety)}
         after: list[Point] = []
         for robot, (mind, home) in enumerate(zip(self._safety, self._homes, strict=True)):
             seen = team.sense(robot)
             here = seen.position
-            courses = {j: course for j in team.in_radio_range[robot] if (course := told[j]) is not None}
+            courses = {j: course for j in team.in_radio_range[robot] if (course := last_courses[j]) is not None}
             leg = leg_to(self._mission, here, home)
             share = min(1.0, self._mission.max_step / max(math.dist(here, leg.stop), 1e-12))
             wish = leg.stop if share == 1.0 else tuple(x + share * (y - x) for x, y in zip(here, leg.stop, strict=True))

@@ -1,4 +1,4 @@
-"""How far a team is behind its set-points, and how far each drone is from where it should be then.
+"""The lag of a team behind its set-points, and the distance of each drone from its set-point of that time.
 
 A controller without feed-forward follows a moving set-point at a distance. Drones that lag alike are still in step:
 each is where its own set-point was some time ago, the same time for all, and then the set-points were apart. So the

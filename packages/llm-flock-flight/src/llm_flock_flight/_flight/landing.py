@@ -1,4 +1,4 @@
-"""Landing: where and when each drone lands, so that none lands on or under another."""
+"""Landing: chooses spots and an order so that no drone lands on or under another."""
 
 from __future__ import annotations
 
@@ -15,45 +15,19 @@ from llm_flock_flight._flight.log import FlightLog
 from llm_flock_flight._flight.setpoints import SetPointCheck
 from llm_flock_flight._flight.team import SEND_S, FlyingTeam
 
-MARGIN_S = 3.0
-"""Wait this much longer than the duration of a landing for a drone to report its motors off [s]: a Crazyflie does so
-two seconds late (docs/reference/firmware.md)."""
-
-LANDED = "landed"
-"""End of a drone that landed."""
-
-STOPPED = "motors stopped, not seen to land"
-"""End of a drone that did not report its landing in time, but confirmed that its motors were cut."""
-
-FELL = "its motors stopped in the air"
-"""End of a drone whose supervisor stopped its motors in flight: it lies somewhere."""
-
-TOLD = "told to land, not confirmed"
-"""End of a drone that accepted the command to land, then fell silent."""
-
-LOST = "out of reach"
-"""End of a drone that accepted no command any more: it hovers at its last set-point."""
-
-TAKEN = "flown by a pilot, or by its own failsafe"
-"""End of a drone that was taken over: it is neither called down nor cut."""
-
-LOOK_S = 0.05
-"""Time between two checks of a sinking drone [s]."""
-
-SINKS_M, SINKS_S = 0.1, 1.5
-"""A drone that still comes down by this much [m] in this time [s] is on its way, at a speed of its own."""
-
-AGAIN_S = 0.5
-"""Time between two calls of a drone that is out of reach [s]."""
-
-CONNECT_S = 3.0
-"""Longest wait for one connection to a drone out of reach; the deadman's first [s]."""
-
-CALL_S = 0.5
-"""Time between two calls of the deadman to drones that do not answer [s]."""
-
-RINGS, SPOTS = 12, 24
-"""Number of rings on which a free spot is searched, and of directions on each."""
+MARGIN_S = 3.0  # wait beyond a landing's duration for stopped motors [s]; see docs/reference/firmware.md
+LANDED = "landed"  # end of a drone that landed
+STOPPED = "motors stopped, not seen to land"  # it did not report its landing in time, but its motors were cut
+FELL = "its motors stopped in the air"  # its supervisor stopped its motors: it lies somewhere
+TOLD = "told to land, not confirmed"  # end of a drone that accepted the command to land, then fell silent
+LOST = "out of reach"  # end of a drone that accepted no command any more: it hovers at its last set-point
+TAKEN = "flown by a pilot, or by its own failsafe"  # it was taken over: it is neither called down nor cut
+LOOK_S = 0.05  # time between two checks of a sinking drone [s]
+SINKS_M, SINKS_S = 0.1, 1.5  # a drone that comes down by this much [m] in this time [s] is still landing
+AGAIN_S = 0.5  # time between two calls of a drone that is out of reach [s]
+CONNECT_S = 3.0  # longest wait for one connection to a drone out of reach; the deadman's first [s]
+CALL_S = 0.5  # time between two calls of the deadman to drones that do not answer [s]
+RINGS, SPOTS = 12, 24  # number of rings on which a free spot is searched, and of directions on each
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -212,7 +186,7 @@ class Landing:
             raise RobotError(body.name, f"was told to land, and is still {above:.1f} m high")
 
     def _taken(self, robot: int, error: TakenOver) -> None:
-        """Leave a drone to whoever flies it."""
+        """Leave a drone to the pilot or failsafe that flies it."""
         self._log.note("unreachable", robot, reason=str(error))
         self._team.aloft.discard(robot)
         self.ends[robot] = TAKEN

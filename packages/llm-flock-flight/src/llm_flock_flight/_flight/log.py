@@ -14,8 +14,7 @@ from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.lag import Tracking
 from llm_flock_flight._flight.setpoints import scale_heights
 
-SAMPLE_S = 0.1
-"""Time between two samples in the record [s]."""
+SAMPLE_S = 0.1  # time between two samples in the record [s]
 
 
 class FlightLog:

@@ -1,6 +1,6 @@
 """Monitors of a flight: compare every drone's state with its command and the limits. Reads no clock and no robot.
 
-Every trouble ends the flight. A drone is landed wherever that is safer than a fall: everywhere but far outside the
+Every trouble ends the flight. A drone is landed if that is safer than a fall: everywhere but far outside the
 geofence.
 """
 
@@ -94,7 +94,7 @@ class Monitors:
 
         if state.taken_over is not None:
             report(TroubleKind.REFUSED, state.taken_over)
-            return found  # whoever flies it answers for it: nothing more is asked of it, and its motors are not cut
+            return found  # its pilot answers for it: nothing more is asked of it, and its motors are not cut
         old = now - state.stamp_s > safety.stall_s
         if state.link_lost:
             report(TroubleKind.LINK_LOST, "its link is lost")

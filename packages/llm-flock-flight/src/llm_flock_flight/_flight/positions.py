@@ -21,20 +21,11 @@ from llm_flock_flight._positions import PoseFeed, PoseGate, TakesPoses
 from llm_flock_flight._positions.mocap import MocapPoses
 from llm_flock_flight._positions.udp import UdpPoses
 
-OUTSIDE = "position from outside"
-"""Name of the preflight check of a drone's pose."""
-
-SENDER = "one sender of positions"
-"""Name of the preflight check that nobody else sends poses."""
-
-LISTEN_S = 1.0
-"""Listen at least this long before a preflight with poses is passed [s]: a second sender is heard in this time."""
-
-MAX_LISTEN_S = 2.0
-"""And no longer than this, for a pose that repeats itself to be told from one that stands [s]."""
-
-LOCALISATION = "localisation"
-"""Name of the preflight line that says what a drone's own localisation tells."""
+OUTSIDE = "position from outside"  # name of the preflight check of a drone's pose
+SENDER = "one sender of positions"  # name of the preflight check that no second sender sends poses
+LISTEN_S = 1.0  # shortest time to listen for a second sender of poses before a preflight is passed [s]
+MAX_LISTEN_S = 2.0  # longest time to tell a repeated pose from a standing drone [s]
+LOCALISATION = "localisation"  # name of the preflight line with a drone's own localisation
 
 
 @runtime_checkable
@@ -43,7 +34,7 @@ class TellsLocalisation(Protocol):
 
     @property
     def localisation(self) -> str | None:
-        """What is seen, in words; None if the robot does not tell."""
+        """The state of its localisation as text; None if the robot does not know it."""
         ...
 
 

@@ -12,17 +12,10 @@ from llm_flock.robots import Equipment, Robot, RobotError, RobotState, SelfCheck
 from llm_flock_flight._crazyflie.radios import MAX_SHARE, RadioPlan, exchanges_of, plan_radios
 from llm_flock_flight._flight.config import ON_FLOOR_M, FlightConfig, good_place, wrong_place
 
-SETTLE_S = 3.0
-"""Longest time from the connections until all checks pass: batteries are read, links rated [s]."""
-
-CONVERGE_S = 10.0
-"""The same where an estimator converges, after a reset say, or a drone that has landed still says that it flies [s]."""
-
-SLOW = ("estimator", "on the floor")
-"""Checks for which that time is given."""
-
-LOOK_S = 0.05
-"""Time between two checks [s]."""
+SETTLE_S = 3.0  # longest time from the connections until all checks pass: batteries are read, links rated [s]
+CONVERGE_S = 10.0  # the same where an estimator converges, or a landed drone still reports that it flies [s]
+SLOW = ("estimator", "on the floor")  # checks for which that time is given
+LOOK_S = 0.05  # time between two checks [s]
 
 CHECKS = (
     "ready",
@@ -37,11 +30,8 @@ CHECKS = (
 )
 """Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
 
-RADIO = "radio"
-"""Name of the line of a radio."""
-
-NAMES = ("connected", *CHECKS, "apart", "in step")
-"""Names of all checks, in order."""
+RADIO = "radio"  # name of the line of a radio
+NAMES = ("connected", *CHECKS, "apart", "in step")  # names of all checks, in order
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,8 +147,8 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
 
     age = now - state.stamp_s
     fresh = age <= safety.stall_s
-    said = f"{age:.1f} s old" if not fresh else "converged" if state.settled else "not converged"
-    yield state.settled and fresh, said, "a fresh estimate of a converged estimator"
+    detail = f"{age:.1f} s old" if not fresh else "converged" if state.settled else "not converged"
+    yield state.settled and fresh, detail, "a fresh estimate of a converged estimator"
 
     x, y, z = state.position
     above = z - world.floor_m
@@ -172,8 +162,8 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
         off, most = math.dist(start[:2], (x, y)), safety.start_tolerance_m
         yield off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
 
-    wrong, said = wrong_place(config, x, y), f"{x:.2f}, {y:.2f} m"
-    yield wrong is None, said if wrong is None else f"{said}: {wrong}", good_place(config)
+    wrong, detail = wrong_place(config, x, y), f"{x:.2f}, {y:.2f} m"
+    yield wrong is None, detail if wrong is None else f"{detail}: {wrong}", good_place(config)
 
     yield True, f"not {', '.join(equipment.unwatched)}" if equipment.unwatched else "all", ""
 
@@ -206,26 +196,26 @@ def _apart(config: FlightConfig, names: Sequence[str], states: Sequence[RobotSta
         if start is not None and starts[j] is None
     ]
     nearest, who = min(pairs, default=(math.inf, ""))
-    said = f"{nearest:.2f} m" if pairs else "alone"
-    return Check("apart", "team", nearest >= least, said, f"at least {least:g} m between {who}")
+    detail = f"{nearest:.2f} m" if pairs else "alone"
+    return Check("apart", "team", nearest >= least, detail, f"at least {least:g} m between {who}")
 
 
 def _in_step(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState]) -> Check:
     """Drones that lag alike stay as far apart as their set-points; one that lags less gains on another."""
-    told = zip(states, names, strict=True)
-    lags = [(lag_s, name) for state, name in told if (lag_s := state.equipment.lag_s) is not None]
+    named_states = zip(states, names, strict=True)
+    lags = [(lag_s, name) for state, name in named_states if (lag_s := state.equipment.lag_s) is not None]
     if not lags:
         return Check("in step", "team", True, "not told")
     (least, first), (longest, last) = min(lags), max(lags)
     gap_m, most = config.fastest_m_s * (longest - least), config.safety.tracking_m
-    said = "yes" if longest == least else f"{first} is {gap_m:.2f} m ahead of {last}, at {config.fastest_m_s:.2f} m/s"
+    detail = "yes" if longest == least else f"{first} is {gap_m:.2f} m ahead of {last}, at {config.fastest_m_s:.2f} m/s"
     return Check(
-        "in step", "team", gap_m <= most, said, f"at most tracking_m, {most:g} m: the same controller and gains"
+        "in step", "team", gap_m <= most, detail, f"at most tracking_m, {most:g} m: the same controller and gains"
     )
 
 
 def radio_plan(config: FlightConfig) -> RadioPlan:
-    """What the radios of a flight have to carry; without loads where no drone is called by radio."""
+    """The loads of a flight's radios; empty if no drone is called by radio."""
     drones = [(drone.name, drone.uri) for drone in config.fleet.drones if drone.uri is not None]
     pose_hz = config.positions.pose_rate_hz if config.positions.outside else 0.0
     return plan_radios(drones, exchanges_of(round_s=config.safety.round_s, pose_hz=pose_hz))

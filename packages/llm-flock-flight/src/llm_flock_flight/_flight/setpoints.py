@@ -1,4 +1,4 @@
-"""Set-points: where each drone should be at any time, and the checks of every command before it is sent."""
+"""Set-points: the intended position of each drone at any time, and the checks of every command before it is sent."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from llm_flock.arrays import Points
 from llm_flock.robots import PEAK_SPEED, Position, Segment
 from llm_flock_flight._flight.config import FlightConfig
 
-SLACK_M = 1e-4
-"""Set-points may be nearer than planned by this: a generous bound of the shield's rounding [m]."""
+SLACK_M = 1e-4  # set-points may be nearer than planned by this: a generous bound of the shield's rounding [m]
 
 
 def resting(position: Position) -> Segment:
@@ -45,7 +44,7 @@ class SetPointCheck:
         )
 
     def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
-        """The limits that a joint motion from rest to rest would break, in words; empty if it may be flown [m, s]."""
+        """The limits that a joint motion from rest to rest would break; empty if it may be flown [m, s]."""
         found: list[str] = []
         for robot, (start, end) in enumerate(zip(before, after, strict=True)):
             found += self._one(robot, start, end, duration_s)

@@ -1,4 +1,4 @@
-"""Supervises a flight: interrupts what is going on as soon as something is wrong, and cuts motors."""
+"""Supervises a flight: interrupts it at the first trouble, and cuts motors."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from llm_flock_flight._flight.team import FlyingTeam
 
 T = TypeVar("T")
 
-LATE_S = 0.25
-"""After a pause of this length this process is behind with reading what has arrived [s]."""
+LATE_S = 0.25  # after a pause of this length this process is behind with reading what has arrived [s]
 
 
 class FlightEnded(Exception):

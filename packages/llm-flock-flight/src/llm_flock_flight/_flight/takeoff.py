@@ -11,14 +11,9 @@ from llm_flock_flight._flight.lag import distance_m
 from llm_flock_flight._flight.log import FlightLog
 from llm_flock_flight._flight.team import CLIPPED_M, FlyingTeam, answering
 
-MARGIN_S = 3.0
-"""Wait this much longer than the duration of a take-off for a drone to reach its altitude [s]."""
-
-LOOK_S = 0.05
-"""Time between two checks of a rising drone [s]."""
-
-ARM_S = 6.0
-"""Longest wait for a drone to arm [s]: longer than the waits within a driver, whose own errors say more."""
+MARGIN_S = 3.0  # wait this much longer than the duration of a take-off for a drone to reach its altitude [s]
+LOOK_S = 0.05  # time between two checks of a rising drone [s]
+ARM_S = 6.0  # longest wait for a drone to arm [s]: longer than the waits within a driver, whose own errors say more
 
 
 class TakeOffFailed(Exception):
@@ -31,7 +26,7 @@ async def take_off(config: FlightConfig, team: FlyingTeam, log: FlightLog) -> No
     for first in robots[::size]:
         group = robots[first : first + size]
         results = await asyncio.gather(*(_lift(config, team, log, robot) for robot in group), return_exceptions=True)
-        for result in results:  # the whole group has ended by now, so whoever is up can be landed
+        for result in results:  # the whole group has ended, so drones in the air can be landed
             if result is not None:
                 raise result
 

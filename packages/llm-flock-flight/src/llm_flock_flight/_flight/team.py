@@ -49,10 +49,10 @@ async def answering(robot: Robot, what: str, within_s: float) -> AsyncGenerator[
 class FlyingTeam:
     """The bodies of a flight: connected drones, by id of the mission's robots.
 
-    Agents read set-points (`readings`), not measurements: a drone begins each motion at its last set-point, whatever
+    Agents read set-points (`readings`), not measurements: a drone begins each motion at its last set-point, not at
     its estimate, so the shield's guarantee holds for set-points at every moment. Drones follow some time later, the
     same time for all, each within the tracking error of its own set-point then. `airborne` are those that were not told
-    to land, `aloft` also those on the way down. Whoever holds `in_motion` keeps the next joint motion from beginning.
+    to land, `aloft` also those on the way down. While `in_motion` is held, no joint motion begins.
     """
 
     def __init__(self, config: FlightConfig, robots: Sequence[Robot], log: FlightLog) -> None:

@@ -1,4 +1,4 @@
-"""What an autopilot does by itself when this computer falls silent: its parameters, judged before a flight."""
+"""An autopilot's own failsafes for a silent computer: judges its parameters before a flight."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""MAVLink's bytes: the only place that knows pymavlink. What comes in may be anything, and never raises."""
+"""Encodes and decodes MAVLink: the only place that knows pymavlink. Input may be anything, and never raises."""
 
 from __future__ import annotations
 
@@ -9,23 +9,12 @@ from typing import Any
 from llm_flock.extras import require
 from llm_flock.printable import one_line
 
-GROUND_STATION = 255
-"""System id of a ground station: the one whose heartbeats ArduPilot's failsafe waits for, unless told otherwise."""
-
-COMPONENT = 190
-"""Component id of ground station software (MAV_COMP_ID_MISSIONPLANNER)."""
-
-AUTOPILOT = 1
-"""Component id of an autopilot (MAV_COMP_ID_AUTOPILOT1)."""
-
-LARGEST = 4096
-"""Longest piece of bytes that is looked at in one go."""
-
-HEARTBEAT = 0
-"""Message id."""
-
-INTEGERS = {1: "<B3x", 2: "<b3x", 3: "<H2x", 4: "<h2x", 5: "<I", 6: "<i"}
-"""Layout of the integers that PX4 puts into the float of a parameter, by MAV_PARAM_TYPE."""
+GROUND_STATION = 255  # system id whose heartbeats ArduPilot's failsafe awaits, unless told otherwise
+COMPONENT = 190  # component id of ground station software (MAV_COMP_ID_MISSIONPLANNER)
+AUTOPILOT = 1  # component id of an autopilot (MAV_COMP_ID_AUTOPILOT1)
+MAX_BYTES = 4096  # most bytes that are parsed at once
+HEARTBEAT = 0  # message id
+INTEGERS = {1: "<B3x", 2: "<b3x", 3: "<H2x", 4: "<h2x", 5: "<I", 6: "<i"}  # by MAV_PARAM_TYPE, as PX4 packs them
 
 
 def dialect() -> Any:
@@ -36,7 +25,7 @@ def dialect() -> Any:
 
 def introduces(data: bytes) -> bool:
     """Whether there is a heartbeat among the packets of a datagram, by their headers: cheap, and nothing is checked."""
-    at, size = 0, min(len(data), LARGEST)
+    at, size = 0, min(len(data), MAX_BYTES)
     while at + 6 <= size:
         if data[at] == 0xFD and at + 10 <= size:
             number, length = int.from_bytes(data[at + 7 : at + 10], "little"), 12 + 13 * (data[at + 2] & 1)
@@ -51,7 +40,7 @@ def introduces(data: bytes) -> bool:
 
 
 class Codec:
-    """Writes packets of one sender, and reads packets of anybody."""
+    """Writes packets of one sender, and reads packets of all senders."""
 
     def __init__(self, system_id: int = GROUND_STATION, component: int = COMPONENT) -> None:
         self._dialect = dialect()
@@ -83,7 +72,7 @@ class Codec:
 
     def _read(self, reader: Any, data: bytes) -> list[Any]:
         try:
-            found: list[Any] = reader.parse_buffer(data[:LARGEST]) or []
+            found: list[Any] = reader.parse_buffer(data[:MAX_BYTES]) or []
             return [message for message in found if message.get_type() != "BAD_DATA"]
         except Exception:  # noqa: BLE001  # the library raises several kinds, and bytes of a stranger end no flight
             self._reader = None
@@ -91,7 +80,7 @@ class Codec:
 
 
 def result_name(result: int) -> str:
-    """What an autopilot answers to a command (MAV_RESULT), in words."""
+    """An autopilot's answer to a command (MAV_RESULT) as text."""
     names = {
         0: "accepted",
         1: "temporarily rejected",

@@ -1,4 +1,4 @@
-"""The first words with an autopilot: who it is, what it has to send, and where its local frame lies."""
+"""Introduces a vehicle: identifies its autopilot, asks for reports, and finds its local frame."""
 
 from __future__ import annotations
 
@@ -62,14 +62,14 @@ async def introduce(
 
 def refuse_a_second(talk: Conversation, port: Port, system_id: int) -> None:
     """Raise RobotError if two vehicles use this id; the second may be heard a heartbeat later than the first."""
-    if system_id in port.twice:
+    if system_id in port.duplicate_ids:
         raise RobotError(talk.name, f"two vehicles with system id {system_id} answer at {port.uri}")
 
 
 def _missing(log: VehicleTelemetry, port: Port, system_id: int, with_origin: bool) -> Iterator[str]:
-    """What has not come yet, in words, the first cause first."""
+    """Each missing report as text, the first cause first."""
     if not log.heartbeat_s or log.flavour is None:
-        others = ", ".join(str(number) for number in sorted(port.heard - {system_id}))
+        others = ", ".join(str(number) for number in sorted(port.heard_ids - {system_id}))
         yield f"no heartbeat of system {system_id}" + (f" (only of {others})" if others else "")
     if log.ned is None:
         yield "no position: its estimator has none, or does not send it;"

@@ -1,4 +1,4 @@
-"""Commands to one autopilot and its answers: sent again until confirmed, refused in its own words, or given up."""
+"""Commands to one autopilot and its answers: sent again until confirmed, refused with its reason, or given up."""
 
 from __future__ import annotations
 
@@ -12,11 +12,8 @@ from llm_flock_flight._mavlink.codec import result_name
 from llm_flock_flight._mavlink.port import Port
 from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
 
-ACCEPTED, TEMPORARILY, IN_PROGRESS = 0, 1, 5
-"""Answers (MAV_RESULT)."""
-
-ANSWER_S = 0.2
-"""Wait for an answer before a command is sent again [s]."""
+ACCEPTED, TEMPORARILY, IN_PROGRESS = 0, 1, 5  # answers (MAV_RESULT)
+ANSWER_S = 0.2  # wait for an answer before a command is sent again [s]
 
 LOOK_S = 0.01
 
@@ -66,10 +63,10 @@ class Conversation:
         *,
         anyway: bool = False,
     ) -> None:
-        """Send a command, `what` in words, until the autopilot accepts it; raises TakenOver or another RobotError.
+        """Send a command, described by `what`, until the autopilot accepts it; raises TakenOver or another RobotError.
 
         `done` sees whether the autopilot has done it: its answer may have been lost, and it may refuse the same command
-        again. What has to be sent `anyway` goes also to one that was taken over.
+        again. A command sent `anyway` goes also to a vehicle that was taken over.
         """
         answers = self._answers[command] = asyncio.Queue()
         end = time.monotonic() + timeout_s

@@ -1,4 +1,4 @@
-"""Flight modes of PX4 and of ArduPilot's copters: their numbers, their names, and who flies in them."""
+"""Flight modes of PX4 and of ArduPilot's copters: their numbers, their names, and the pilot in each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def px4(main: int, sub: int = 0) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Flavour:
-    """What differs between the autopilots.
+    """The differences between the autopilots.
 
     The mode `guided` follows set-points of a computer; from those that it `holds` in by itself after a lost stream it
     may be landed. `needs_stream`: set-points have to come before `guided` and all the time in it. `integers_as_bits`: a
@@ -38,7 +38,7 @@ class Flavour:
     integers_as_bits: bool
 
     def name_of(self, mode: int) -> str:
-        """A mode in words."""
+        """The name of a mode."""
         return self.names.get(mode, f"mode {mode}")
 
     def set_mode(self, mode: int) -> tuple[float, float, float]:

@@ -10,20 +10,11 @@ from llm_flock_flight._mavlink.codec import HEARTBEAT
 from llm_flock_flight._mavlink.conversation import Conversation
 from llm_flock_flight._mavlink.modes import Flavour
 
-ARM_DISARM, TAKEOFF, SET_MODE, TERMINATE, REQUEST_MESSAGE = 400, 22, 176, 185, 512
-"""Commands (MAV_CMD)."""
-
-FORCE = 21196.0
-"""Second parameter of ARM_DISARM that disarms in the air."""
-
-ORDER_S = 0.8
-"""Longest time to try one order [s]: callers of the driver wait one second for a command, three for arming."""
-
-STOP_S = 0.6
-"""Longest time to try each of the two commands of an emergency stop [s]."""
-
-AGAIN_S, NEWS_S = 0.2, 1.2
-"""A heartbeat is asked for this often, and awaited for this long: one that cannot be asked for comes once a second."""
+ARM_DISARM, TAKEOFF, SET_MODE, TERMINATE, REQUEST_MESSAGE = 400, 22, 176, 185, 512  # commands (MAV_CMD)
+FORCE = 21196.0  # second parameter of ARM_DISARM that disarms in the air
+ORDER_S = 0.8  # longest time to try one order [s]; callers wait one second for a command, three for arming
+STOP_S = 0.6  # longest time to try each of the two commands of an emergency stop [s]
+AGAIN_S, NEWS_S = 0.2, 1.2  # a heartbeat is asked for this often, and awaited for this long [s]
 
 logger = logging.getLogger(__name__)
 
@@ -49,7 +40,7 @@ async def disarm(talk: Conversation) -> None:
 
 
 def refuse_armed(talk: Conversation, flavour: Flavour) -> None:
-    """Raise TakenOver for a vehicle whose motors somebody else has started."""
+    """Raise TakenOver for a vehicle whose motors another pilot has started."""
     if talk.telemetry.armed:
         mode = flavour.name_of(talk.telemetry.mode)
         raise TakenOver(talk.name, f"is armed already, in mode {mode}, and not by this program")
@@ -63,14 +54,14 @@ async def refuse_armed_lately(talk: Conversation, flavour: Flavour) -> None:
     log, asked_s = talk.telemetry, time.monotonic()
     end = asked_s + NEWS_S
 
-    def told() -> bool:
+    def has_news() -> bool:
         return log.heartbeat_s >= max(asked_s, log.certain_s)
 
-    while not told():
+    while not has_news():
         if time.monotonic() >= end:
             raise RobotError(talk.name, f"sent no heartbeat in {NEWS_S:g} s: whether it is armed already is not known")
         talk.tell(REQUEST_MESSAGE, (float(HEARTBEAT),))
-        await talk.until(told, AGAIN_S)
+        await talk.until(has_news, AGAIN_S)
     refuse_armed(talk, flavour)
 
 
@@ -91,12 +82,12 @@ async def cut(talk: Conversation) -> bool:
     """Stop the motors in the air: disarm by force, and if that is refused terminate the flight."""
     log, began = talk.telemetry, time.monotonic()
 
-    def stopped() -> bool:
+    def has_stopped() -> bool:
         return not log.armed and log.heartbeat_s > began
 
     for command, parameters in ((ARM_DISARM, (0.0, FORCE)), (TERMINATE, (1.0,))):
         try:
-            await talk.command(command, parameters, "an emergency stop", STOP_S, stopped, anyway=True)
+            await talk.command(command, parameters, "an emergency stop", STOP_S, has_stopped, anyway=True)
         except RobotError as error:
             logger.warning("%s", error)
         else:

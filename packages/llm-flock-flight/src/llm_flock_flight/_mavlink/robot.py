@@ -108,7 +108,7 @@ class MavlinkRobot:
         log = talk.telemetry
         try:
             async with asyncio.timeout(timeout_s):
-                await self._port.attach(self.system_id, lambda message: self._came(talk, message))
+                await self._port.attach(self.system_id, lambda message: self._on_message(talk, message))
         except OSError as error:  # a TimeoutError is one as well
             raise RobotError(self.name, f"{self.uri} cannot be opened: {error.strerror or error}") from None
         try:
@@ -124,7 +124,7 @@ class MavlinkRobot:
         self._stream = SetPointStream(talk, self.system_id, frame, self._limits, self._may_stream, log.yaw)
 
     def checks(self) -> tuple[DriverCheck, ...]:
-        """What the autopilot does when this computer falls silent, by its parameters; and its own fence."""
+        """Checks of the autopilot's failsafes for a silent computer, and of its own fence."""
         return judge(self._flavour, self._log.parameters) if self._connected else ()
 
     def state(self) -> RobotState:
@@ -269,7 +269,7 @@ class MavlinkRobot:
 
     # What follows is between the commands.
 
-    def _came(self, talk: Conversation, message: Any) -> None:
+    def _on_message(self, talk: Conversation, message: Any) -> None:
         """Take a message, and see whether the autopilot still obeys."""
         talk.take(message)
         log = talk.telemetry

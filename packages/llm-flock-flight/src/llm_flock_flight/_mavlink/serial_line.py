@@ -13,18 +13,17 @@ from typing import Any
 
 from llm_flock.extras import require
 
-LONGEST = 200
-"""Packets that may wait to be written; more than that are dropped, as a radio does."""
+MAX_PACKETS = 200  # packets that may wait to be written; more than that are dropped, as a radio does
 
 
 class SerialLine:
-    """An open line. `came` gets bytes in a thread of this line."""
+    """An open line. `on_data` gets bytes in a thread of this line."""
 
-    def __init__(self, device: Any, came: Callable[[bytes], None]) -> None:
+    def __init__(self, device: Any, on_data: Callable[[bytes], None]) -> None:
         self._device = device
-        self._came = came
+        self._on_data = on_data
         self._open = True
-        self._packets: queue.Queue[bytes | None] = queue.Queue(LONGEST)
+        self._packets: queue.Queue[bytes | None] = queue.Queue(MAX_PACKETS)
         for work in (self._read, self._write):
             threading.Thread(target=work, name="mavlink", daemon=True).start()
 
@@ -44,9 +43,9 @@ class SerialLine:
             while self._open:
                 data = self._device.read(max(1, self._device.in_waiting))
                 if data:
-                    self._came(bytes(data))
+                    self._on_data(bytes(data))
         except (OSError, RuntimeError):
-            pass  # unplugged, or the event loop has ended: silence tells
+            pass  # unplugged, or the event loop has ended: the missing heartbeats show it
         finally:
             self._device.close()
 
@@ -56,8 +55,8 @@ class SerialLine:
                 self._device.write(packet)
 
 
-def open_serial(path: str, baud: int, came: Callable[[bytes], None]) -> SerialLine:
-    """Open a line; OSError says why not."""
+def open_serial(path: str, baud: int, on_data: Callable[[bytes], None]) -> SerialLine:
+    """Open a line; OSError says why it cannot."""
     require("mavlink", "a serial line")
     library: Any = import_module("serial")
     end = time.monotonic() + 1.0  # a line of our own that was just closed is free by then
@@ -70,16 +69,16 @@ def open_serial(path: str, baud: int, came: Callable[[bytes], None]) -> SerialLi
             if error.errno not in (errno.EWOULDBLOCK, errno.EBUSY):
                 raise
             if time.monotonic() >= end:
-                says = "another program has this line, such as a ground station or a flight: end it"
-                raise OSError(error.errno, says) from error
+                message = "another program has this line, such as a ground station or a flight: end it"
+                raise OSError(error.errno, message) from error
             time.sleep(0.05)
         else:
             _keep_to_ourselves(device)
-            return SerialLine(device, came)
+            return SerialLine(device, on_data)
 
 
 def _keep_to_ourselves(device: Any) -> None:
-    """Refuse the line to programs that look at no lock; the system does so as long as it is open."""
+    """Have the system refuse the line to programs that ignore the lock, as long as it is open."""
     with contextlib.suppress(ImportError, OSError, AttributeError):
         import fcntl
         import termios

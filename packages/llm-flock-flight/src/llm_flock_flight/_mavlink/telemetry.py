@@ -1,4 +1,4 @@
-"""The newest values that an autopilot sent. Takes any message, and drops what cannot be."""
+"""The newest values that an autopilot sent. Takes any message, and drops impossible values."""
 
 from __future__ import annotations
 
@@ -12,33 +12,18 @@ from llm_flock_flight._mavlink.codec import parameter_value, text_of
 from llm_flock_flight._mavlink.frames import Geodetic
 from llm_flock_flight._mavlink.modes import COPTERS, FLAVOURS, Flavour
 
-FARTHEST_M = 100_000.0
-"""A position farther from the autopilot's origin is none [m]."""
-
-ARMED = 0x80
-"""Bit of a heartbeat's `base_mode` (MAV_MODE_FLAG_SAFETY_ARMED)."""
-
-NEEDED = 0x01 | 0x02 | 0x20
-"""Bits of an estimator's report that must be set: attitude, horizontal velocity, height."""
-
-PLACES = 0x08 | 0x10
-"""Bits of which one must be set: horizontal position, relative or absolute."""
-
-FORBIDDEN = 0x80 | 0x800
-"""Bits that must not be set: position held constant for want of measurements, bad accelerometers."""
-
-REPORT_S = 3.0
-"""Oldest report of an estimator that counts [s]."""
-
-WARNING = 4
-"""Least urgent severity that explains something (MAV_SEVERITY)."""
-
-SAMPLES = 100
-"""Packets by which the share that got through is judged."""
+FARTHEST_M = 100_000.0  # a position farther from the autopilot's origin is none [m]
+ARMED = 0x80  # bit of a heartbeat's `base_mode` (MAV_MODE_FLAG_SAFETY_ARMED)
+NEEDED = 0x01 | 0x02 | 0x20  # bits of an estimator's report that must be set: attitude, horizontal velocity, height
+PLACES = 0x08 | 0x10  # bits of which one must be set: horizontal position, relative or absolute
+FORBIDDEN = 0x80 | 0x800  # bits that must not be set: position held constant, bad accelerometers
+REPORT_S = 3.0  # oldest report of an estimator that counts [s]
+WARNING = 4  # least urgent severity that explains something (MAV_SEVERITY)
+SAMPLES = 100  # packets by which the share that got through is judged
 
 
 class VehicleTelemetry:
-    """What one autopilot said last. All times are those of arrival on `time.monotonic` [s].
+    """The last values of one autopilot. All times are those of arrival on `time.monotonic` [s].
 
     `refusal` says why it cannot be driven; `ned` is (north, east, down) [m]; `yaw` is clockwise from north [rad].
     Heartbeats tell mode and arming from `certain_s` on: until then a confirmed command counts.

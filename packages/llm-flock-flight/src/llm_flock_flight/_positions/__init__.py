@@ -1,4 +1,4 @@
-"""Positions from outside: where the drones are by a motion capture, and how that reaches them.
+"""Positions from outside: sends drones their poses by a motion capture.
 
 A source (`PoseSource`) hands over frames of poses, a gate (`PoseGate`) lets through what a drone can have flown, and a
 feed (`PoseFeed`) sends the newest accepted pose to each drone at a bounded rate.

@@ -19,7 +19,7 @@ class TellsSenders(Protocol):
     """A source that follows one sender, and hears when there is another one."""
 
     def senders(self, now: float) -> tuple[str, ...]:
-        """Who was heard in the last second, in words: the one that is followed first, then the others."""
+        """The senders of the last second as text: the one that is followed first, then the others."""
         ...
 
 
@@ -66,7 +66,7 @@ class PoseFeed:
         return now - self._opened_s
 
     def senders(self, now: float) -> tuple[str, ...]:
-        """Who sends poses now, in words, the one that is followed first; empty where the source does not tell."""
+        """The senders of poses now as text, the one that is followed first; empty if the source does not know them."""
         return self._source.senders(now) if isinstance(self._source, TellsSenders) else ()
 
     @property

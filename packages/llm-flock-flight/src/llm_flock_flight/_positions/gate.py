@@ -1,8 +1,7 @@
 """Lets through the poses that a drone can have flown, and counts the others with the drone's name. Reads no clock.
 
-A motion capture may deliver late, lose a drone, repeat its last pose for ever, or take one drone for another, and keep
-doing so. A wrong pose that reaches a drone makes it fly away, so what is in doubt is not sent: without poses for a
-while, the flight lands.
+A motion capture may deliver late, lose a drone, repeat its last pose without end, or take one drone for another.
+A wrong pose makes a drone fly away, so doubtful poses are not sent: without poses for a while, the flight lands.
 """
 
 from __future__ import annotations
@@ -34,11 +33,11 @@ class _Track:
 
 
 class PoseGate:
-    """Judges frames one by one; `doubts` has why the newest pose of a drone was refused, by name.
+    """Judges frames one by one; `doubts` has the reason why the newest pose of a drone was rejected, by name.
 
     A drone flies no faster than `speed_m_s`. After `pose_lost_s` without an accepted pose, one on the ground may be
     anywhere. Set `flying` from the first take-off on: then a track is never given up, so that a drone which was lost
-    cannot come back as another one. In `refused`, an empty name stands for poses of nobody.
+    cannot come back as another one. In `refused`, an empty name stands for poses of no drone.
     """
 
     def __init__(self, names: Iterable[str], limits: PositionsConfig, speed_m_s: float) -> None:

@@ -1,6 +1,6 @@
 """Motion capture through libmotioncapture: Vicon, OptiTrack, Qualisys and VRPN, by the package `motioncapture`.
 
-The library runs in a process of its own, and what it reads goes to a free external pose port of this machine. It waits
+The library runs in a process of its own, and sends its frames to a free external pose port of this machine. It waits
 for its system without a time limit, while it connects even with Python's interpreter lock, and it is native code: none
 of that may stop a flight's event loop or end its process.
 """
@@ -49,7 +49,7 @@ class MocapPoses:
         return self._port.refused + Counter({"mocap_ended": int(ended)})
 
     def senders(self, now: float) -> tuple[str, ...]:
-        """Who sends to the port between the process and this one: the process, and nobody else."""
+        """The senders to the port between the process and this one: only the process."""
         return self._port.senders(now)
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
@@ -91,7 +91,7 @@ def frame_of_bodies(bodies: Mapping[str, Any], names: frozenset[str], stamp_s: f
 
 
 def forward(system: str, host: str, port: int, names: frozenset[str]) -> None:
-    """Send every frame of a motion capture to the port, for ever."""
+    """Send every frame of a motion capture to the port, without end."""
     library: Any = importlib.import_module("motioncapture")
     found = library.connect(system, {"hostname": host})
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -100,12 +100,12 @@ def forward(system: str, host: str, port: int, names: frozenset[str]) -> None:
             found.waitForNextFrame()
             frame = frame_of_bodies(found.rigidBodies, names, time.monotonic())
             if frame is not None:
-                with contextlib.suppress(OSError):  # nobody listens any more, which the pipe tells
+                with contextlib.suppress(OSError):  # no process listens any more: the pipe closes too
                     sender.send(datagram_of(frame))
 
 
 def _end_with_parent() -> None:
-    """End this process when the pipe from its parent closes, whatever the library is waiting for."""
+    """End this process when the pipe from its parent closes, even while the library waits."""
     while os.read(0, 64):  # not by sys.stdin, whose lock would be held when this process ends by itself
         pass
     os._exit(0)

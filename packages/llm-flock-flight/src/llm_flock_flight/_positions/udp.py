@@ -1,8 +1,8 @@
-"""The external pose port: frames of poses as UDP datagrams, from whoever sends them to it, one JSON object each.
+"""The external pose port: frames of poses as UDP datagrams from any sender, one JSON object each.
 
 {"time": 12.34, "poses": [{"name": "cf1", "position": [0.1, 0.2, 0.9], "quaternion": [0, 0, 0, 1]}]}
 
-docs/how-to/positions.md describes the format. What is wrong is counted and dropped. The first sender of a usable
+docs/how-to/positions.md describes the format. Invalid input is counted and dropped. The first sender of a usable
 datagram is followed until it is silent for `SILENT_S`; meanwhile datagrams of others are dropped unread, so that a
 flood of theirs costs little.
 """
@@ -23,24 +23,14 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.robots import Pose, PoseFrame
 from llm_flock_flight._positions.gate import UNKNOWN
 
-SILENT_S = 1.0
-"""A sender that sends nothing usable for this long may be followed by another one [s]."""
-
-MAX_PER_SECOND = 2000
-"""Most datagrams that are parsed in a second; the rest are dropped unread."""
-
-BUFFER_BYTES = 1 << 20
-"""Asked of the system for datagrams that wait to be read [bytes]."""
+SILENT_S = 1.0  # a sender that sends nothing usable for this long may be followed by another one [s]
+MAX_PER_SECOND = 2000  # most datagrams that are parsed in a second; the rest are dropped unread
+BUFFER_BYTES = 1 << 20  # asked of the system for datagrams that wait to be read [bytes]
 
 
-MAX_BYTES = 16_384
-"""Largest datagram that is read: more than a hundred drones [bytes]."""
-
-MAX_POSES = 256
-"""Most poses of one datagram."""
-
-MAX_DISTANCE_M = 1000.0
-"""Largest coordinate that is believed [m]."""
+MAX_BYTES = 16_384  # largest datagram that is read: more than a hundred drones [bytes]
+MAX_POSES = 256  # most poses of one datagram
+MAX_DISTANCE_M = 1000.0  # largest coordinate that is believed [m]
 
 _Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
@@ -150,7 +140,7 @@ class UdpPoses:
                 data, sender = self._socket.recvfrom(MAX_BYTES + 1)
             except (BlockingIOError, InterruptedError):
                 return
-            except OSError:  # an ICMP error of something that nobody sent from here
+            except OSError:  # an ICMP error of a packet that was not sent from here
                 continue
             try:
                 self.hear(data, sender, time.monotonic())

@@ -1,4 +1,4 @@
-"""A stand-in for a motion capture: streams where stand-in drones are as UDP datagrams, with faults on request.
+"""A stand-in for a motion capture: streams the poses of stand-in drones as UDP datagrams, with faults on request.
 
 from llm_flock_flight._testing.poses import PoseStream
 
@@ -60,7 +60,7 @@ class PoseStream:
         self._thread.join()
 
     def frame(self, stamp_s: float) -> PoseFrame:
-        """What is seen now, faults included."""
+        """The poses seen now, faults included."""
         seen = {name: self._noisy(place()) for name, place in self._places.items() if name not in self.hidden}
         seen |= {name: self._last[name] for name in self.frozen & seen.keys() & self._last.keys()}
         self._last = dict(seen)
@@ -78,6 +78,6 @@ class PoseStream:
             sender.connect(self._address)
             while not self._stop.wait(self._period_s):
                 if not self.silent:
-                    with contextlib.suppress(OSError):  # nobody listens yet
+                    with contextlib.suppress(OSError):  # no program listens yet
                         sender.send(datagram_of(self.frame(time.monotonic())))
                         self.sent += 1

@@ -70,7 +70,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Asked:
-    """What came back from one robot: its accepted answer, its calls without scripted ones, and its first answer."""
+    """The result of one robot: its accepted answer, its calls without scripted ones, and its first answer."""
 
     answer: PlanAnswer | StepAnswer | NoAnswer
     attempts: Sequence[Attempt] = ()
@@ -107,7 +107,7 @@ class Examiner:
         self._retries = max_retries
 
     def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
-        """What a model sees at first ask, for each robot that is asked, without answers put into its mouth."""
+        """The first messages to a model, for each robot that is asked, without scripted answers."""
         if question.words is not None:
             yield mission_call(question.words).messages
             return
@@ -169,7 +169,7 @@ class Examiner:
                 return
             attempts.append(attempt)
             if len(attempts) == 1:
-                # The checks have seen the answer by now, if it could be read.
+                # The checks have seen the answer, if it could be read.
                 first = next(iter(seen), None)
 
         if model is None:
@@ -204,16 +204,18 @@ class Examiner:
         framed = frame_step(question.step_question(mission, round_), self._frame).frame
         waypoint = question.first["waypoint"]
         place = place_text(waypoint if framed is None else framed.rounded(waypoint))
-        return (self._worded(f"Position: {place}", {"position": json.loads(place)}),)
+        return (self._word_answer(f"Position: {place}", {"position": json.loads(place)}),)
 
-    def _plan_text(self, said: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int) -> str:
+    def _plan_text(
+        self, reply: Mapping[str, Any], question: Question, mission: Mission, robot: int, round_: int
+    ) -> str:
         framed = frame_plan(question.plan_question(mission, robot, round_), self._frame).frame
-        rows = said["plan"] if framed is None else [framed.rounded(point) for point in said["plan"]]
+        rows = reply["plan"] if framed is None else [framed.rounded(point) for point in reply["plan"]]
         plan = f"[{', '.join(map(place_text, rows))}]"
-        lines = f"Plan: {plan}\nmy plan: {said['slot']}"
-        return self._worded(lines, {"plan": json.loads(plan), "my_plan": said["slot"]})
+        lines = f"Plan: {plan}\nmy plan: {reply['slot']}"
+        return self._word_answer(lines, {"plan": json.loads(plan), "my_plan": reply["slot"]})
 
-    def _worded(self, lines: str, fields: dict[str, Any]) -> str:
+    def _word_answer(self, lines: str, fields: dict[str, Any]) -> str:
         """An answer in the form that the prompts ask for."""
         if self._prompts.json:
             return json.dumps({REASONING: SAID, **fields} if self._prompts.reasons else fields)
@@ -227,11 +229,11 @@ class Examiner:
             reply = await model.ask(call)
         except ModelError as error:
             attempt = Attempt.failed(call, error, model.name)
-            return _scored(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
+            return _score(question, repeat, [attempt], tries=None, marks=None, cause=error.kind, reason=str(error))
         marks = word_marks(question, reply.text)
         attempt = Attempt(call=call, reply=reply, rejected=marks.reason)
         tries = 0 if marks.reason is None else None
-        scored = _scored(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
+        scored = _score(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
         return replace(scored, readable=marks.read, flyable=marks.safe)
 
 
@@ -271,10 +273,10 @@ def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repe
     elif first is not None:
         marks = step_marks(question, mission, first)
     attempts = [attempt for one in asked for attempt in one.attempts]
-    return _scored(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
+    return _score(question, repeat, attempts, tries=tries, marks=marks, cause=cause, reason=reason)
 
 
-def _scored(
+def _score(
     question: Question,
     repeat: int,
     attempts: list[Attempt],

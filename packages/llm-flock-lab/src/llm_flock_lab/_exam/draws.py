@@ -102,7 +102,7 @@ def away(point: Point, distance: float, toward: Point) -> Point:
     return tuple(x + distance * u for x, u in zip(point, toward, strict=True))
 
 
-def rounded(point: Point, length: float) -> Point:
+def round_point(point: Point, length: float) -> Point:
     """A point with a thousandth of a length of ten units, finer where lengths are small."""
     decimals = 3 if length >= 2 else 4
     return tuple(round(float(x), decimals) + 0.0 for x in point)
@@ -111,7 +111,7 @@ def rounded(point: Point, length: float) -> Point:
 def rounded_rows(rows: Points, length: float) -> tuple[Point, ...]:
     """Points, shape (n, d), as rows of rounded numbers."""
     plain: list[list[float]] = rows.tolist()
-    return tuple(rounded(tuple(row), length) for row in plain)
+    return tuple(round_point(tuple(row), length) for row in plain)
 
 
 def inside(mission: Mission, point: Point) -> bool:

@@ -23,7 +23,7 @@ from llm_flock_lab._exam.draws import (
     draw_plan,
     inside,
     lattice,
-    rounded,
+    round_point,
     rounded_rows,
     try_mission,
     unit,
@@ -100,12 +100,12 @@ def _try_step(
         return None
     plan = rounded_rows(draw_plan(rng, mission), mission.spacing)
     slot = int(rng.integers(len(plan)))
-    here = rounded(away(plan[slot], distance * mission.max_step, direction(rng, mission.dim)), mission.spacing)
+    here = round_point(away(plan[slot], distance * mission.max_step, direction(rng, mission.dim)), mission.spacing)
     corner: Point | None = None
     if kind == "obstacle":
         assert mission.roadmap is not None
         stop = mission.roadmap.next_stop(here, plan[slot])
-        corner = None if stop == plan[slot] else rounded(stop, mission.spacing)
+        corner = None if stop == plan[slot] else round_point(stop, mission.spacing)
     if not inside(mission, here):
         return None
     if kind == "wall" and _to_wall(mission, plan[slot]) > mission.max_step:
@@ -148,13 +148,13 @@ def _neighbors(rng: np.random.Generator, kind: str, mission: Mission, here: Poin
     end = _straight_end(mission, here, goal)
     safe, length = mission.safe_distance, mission.spacing
     if kind == "ahead":
-        return (rounded(away(end, float(rng.uniform(0.0, 0.6)) * safe, direction(rng, mission.dim)), length),)
+        return (round_point(away(end, float(rng.uniform(0.0, 0.6)) * safe, direction(rng, mission.dim)), length),)
     wanted = int(rng.integers(1, 4)) if kind == "beside" else int(rng.choice([0, 0, 1, 2]))
     found: list[Point] = []
     while len(found) < wanted:
         reach = (1.15 * safe, 2.0 * safe) if kind == "beside" else (1.5 * safe, mission.sensing)
         base = away(here, float(rng.uniform(0.0, 1.0)) * math.dist(here, end), unit(here, end))
-        other = rounded(away(base, float(rng.uniform(*reach)), direction(rng, mission.dim)), length)
+        other = round_point(away(base, float(rng.uniform(*reach)), direction(rng, mission.dim)), length)
         if math.dist(nearest_on_segment(other, here, end), other) > 1.1 * safe and all(
             math.dist(other, one) > safe for one in found
         ):
@@ -202,7 +202,7 @@ def _still_plan(rng: np.random.Generator, shape: str, n: int) -> Question:
         fields = draw_fields(rng, shape, n)
         mission = build_mission(**fields)
         assert mission.ideal is not None
-        body = rounded(mission.ideal[int(rng.integers(n))], mission.spacing)
+        body = round_point(mission.ideal[int(rng.integers(n))], mission.spacing)
         robot = int(rng.integers(n))
         question = Question(
             id="", section="others", n=n, tags=("still", shape), mission=fields, robots=(robot,), still=(body,)

@@ -1,4 +1,4 @@
-"""Make questions that go on from an earlier answer: one that was refused, or an own plan that was not adopted."""
+"""Make questions that go on from an earlier answer: one that was rejected, or an own plan that was not adopted."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from llm_flock.arrays import Point, Points
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import check_proposal, step_faults
-from llm_flock_lab._exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, rounded, rounded_rows, unit
+from llm_flock_lab._exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, round_point, rounded_rows, unit
 from llm_flock_lab._exam.generate_steps import draw_step
 from llm_flock_lab._exam.questions import Question
 
@@ -87,9 +87,9 @@ def _refused_step(
         question = draw_step(rng, drawn, STEP_TEAMS[number % len(STEP_TEAMS)], float(rng.uniform(*distances)))
         mission = question.build_mission()
         asked = question.step_question(mission, 0)
-        said = rounded(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
-        if step_faults(asked, said):
-            return replace(question, section="retry", tags=(kind, "step"), first={"waypoint": said})
+        answer = round_point(slip(asked.position, asked.goal, mission.max_step), mission.spacing)
+        if step_faults(asked, answer):
+            return replace(question, section="retry", tags=(kind, "step"), first={"waypoint": answer})
 
 
 def _refused_plan(
@@ -101,9 +101,9 @@ def _refused_plan(
         mission = build_mission(**fields)
         robot = int(rng.integers(n))
         question = Question(id="", section="retry", n=n, tags=(kind, "plan"), mission=fields, robots=(robot,))
-        said = rounded_rows(slip(draw_plan(rng, mission), mission), mission.spacing)
-        if check_proposal(mission, Plan.of(said), (), mission.center) is not None:
-            return replace(question, first={"plan": said, "slot": robot % len(said)})
+        answer = rounded_rows(slip(draw_plan(rng, mission), mission), mission.spacing)
+        if check_proposal(mission, Plan.of(answer), (), mission.center) is not None:
+            return replace(question, first={"plan": answer, "slot": robot % len(answer)})
 
 
 def _angle_deg(here: Point, one: Point, other: Point) -> float:

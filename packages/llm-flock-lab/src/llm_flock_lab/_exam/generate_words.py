@@ -1,4 +1,4 @@
-"""Make missions in plain words from templates, with the fields that they say, and impossible ones to be refused."""
+"""Make missions in plain words from templates, with the fields that they state, and impossible ones to be rejected."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from llm_flock_lab._exam.questions import Question
 
 MISSIONS = 500
-"""Missions in words; a fifth cannot be flown, and an eighth of the others carry text that is no part of the task."""
+"""Described missions: a fifth cannot be flown, and an eighth of the others carry text that is no part of the task."""
 
 SHAPES: dict[str, tuple[tuple[str, ...], tuple[int, ...]]] = {
     "line": (("a straight line", "a line", "one row"), (3, 4, 5, 6, 7, 8)),
@@ -67,13 +67,13 @@ ASIDES = (
 
 def mission_questions(rng: np.random.Generator, known: Collection[str | None]) -> Iterator[Question]:
     """`MISSIONS` texts, no two alike, and none that is known."""
-    said: set[str] = set()
-    while len(said) < MISSIONS:
-        number = len(said)
+    texts: set[str] = set()
+    while len(texts) < MISSIONS:
+        number = len(texts)
         question = _impossible(rng) if number % 5 == 4 else _possible(rng, aside=number % 8 == 3)
         assert question.words is not None
-        if question.words not in said and question.words not in known:
-            said.add(question.words)
+        if question.words not in texts and question.words not in known:
+            texts.add(question.words)
             yield question
 
 

@@ -48,7 +48,7 @@ class Figures(BaseModel):
 
 
 class Row(BaseModel):
-    """What one model scored: a file of the leaderboard. Who teaches a model measures `taught`, and writes it there."""
+    """The scores of one model: a file of the leaderboard. Teachers of a model measure `taught` and enter it by hand."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -128,7 +128,7 @@ def _command(spec: Any, repeats: int) -> str:
 
 
 def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
-    """The fields of a `Row` that follow from the results, at least one, in whatever order they came."""
+    """The fields of a `Row` that follow from the results, at least one, in any order."""
     ordered = sorted(outcomes, key=lambda o: (o.question, o.repeat))
     sections = {s: [o for o in ordered if o.section == s] for s in SECTIONS}
     sections = {name: found for name, found in sections.items() if found}

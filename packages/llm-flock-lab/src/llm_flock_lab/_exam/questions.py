@@ -1,4 +1,4 @@
-"""The questions of the exam: what each holds, and how it stands in a file of JSON lines.
+"""The questions of the exam: their fields, and their form in a file of JSON lines.
 
 A question holds no prompt. Prompts are rendered when it is asked, from the templates that robots use.
 """

@@ -1,4 +1,4 @@
-"""Score answers by code: whether robots would take them, and how far they are off.
+"""Scores answers by code: whether robots would accept them, and how far they are off.
 
 The verdict is that of the checks in `llm_flock.protocol._verification`. A few questions ask for more: the shape that
 words describe, a way that is clear of obstacles, the team's plan and not the own one, different places.
@@ -26,14 +26,14 @@ from llm_flock_lab._exam.questions import Question
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
-    """What is measured of one answer that could be read; None where it does not apply."""
+    """The marks of one answer that could be read; None where one does not apply."""
 
     flyable: bool  # clipped if need be
     error: float | None = None  # from the best answer [step limits]; of a plan, mean distance from the shape [spacings]
 
 
 def objection_to_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
-    """Why a robot refuses the plan that its own model proposes, in words for the model; None if it does not."""
+    """The reason why a robot rejects its own model's plan, as told to the model; None if it does not."""
     return check_proposal(question.mission, answer.plan, question.still, question.position)
 
 
@@ -62,7 +62,7 @@ def meant(question: Question, mission: Mission) -> Mission:
 
 
 def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
-    """What is missing from answers that robots take, one of each that was asked, as a sentence; None if nothing is."""
+    """The further demand of a question that accepted answers fail, as a sentence; None if they meet all."""
     if question.section == "place":
         taken = [answer.slot for answer in answers if isinstance(answer, PlanAnswer)]
         return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."
@@ -90,11 +90,11 @@ def _nearer_to_team(question: Question, mission: Mission, waypoint: Point) -> bo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordMarks:
-    """What is measured of a mission that a model read; `reason` says what is wrong, None if nothing is."""
+    """The marks of a mission that a model read; `reason` says what is wrong, None if nothing is."""
 
     reason: str | None
     read: bool
-    safe: bool  # whether nobody would be shown a mission that nobody asked for
+    safe: bool  # whether no user would be shown a mission that was not asked for
 
 
 def word_marks(question: Question, text: str) -> WordMarks:
@@ -102,14 +102,14 @@ def word_marks(question: Question, text: str) -> WordMarks:
     assert question.wanted is not None
     refused: str | None = None
     try:
-        said = answer_of(text).model_dump(exclude_none=True)
+        fields = answer_of(text).model_dump(exclude_none=True)
     except AnswerError as error:
         return WordMarks(reason=str(error), read=False, safe=True)
     try:
         draft_of(text)
     except (AnswerError, InputError) as error:
         refused = str(error)
-    wrong = _differs(question.wanted, said)
+    wrong = _differs(question.wanted, fields)
     safe = refused is not None or (question.possible and wrong is None)
     if wrong is None and question.possible and refused is not None:
         wrong = refused
@@ -118,11 +118,11 @@ def word_marks(question: Question, text: str) -> WordMarks:
     return WordMarks(reason=wrong, read=True, safe=safe)
 
 
-def _differs(wanted: Mapping[str, object], said: Mapping[str, object]) -> str | None:
+def _differs(wanted: Mapping[str, object], fields: Mapping[str, object]) -> str | None:
     """The first field that differs. One that was not mentioned may be left out, or have the mission's default."""
     defaults = {name: Mission.model_fields[name].default for name in ("center", "spacing")}
     for name in ("shape", "n_robots", "center", "spacing"):
-        asked, found = wanted.get(name, defaults.get(name)), said.get(name, defaults.get(name))
+        asked, found = wanted.get(name, defaults.get(name)), fields.get(name, defaults.get(name))
         if isinstance(asked, tuple | list) and isinstance(found, tuple | list):
             asked, found = list(cast("tuple[float, ...]", asked)), list(cast("tuple[float, ...]", found))
         if asked != found:

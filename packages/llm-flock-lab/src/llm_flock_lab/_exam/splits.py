@@ -1,4 +1,4 @@
-"""The two splits: the public one, which is a file of the package, and a private one, made when it is asked for."""
+"""The two splits: the public one is a file of the package, a private one is generated on demand."""
 
 from __future__ import annotations
 

@@ -60,8 +60,8 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
     correlation = _correlation(both, only_first, only_second, n - both - only_first - only_second)
     difference = one.value - two.value
     (below_one, above_one), (below_two, above_two) = _arms(one), _arms(two)
-    down = _combined(below_one, above_two, correlation)
-    up = _combined(above_one, below_two, correlation)
+    down = _deviation_of_difference(below_one, above_two, correlation)
+    up = _deviation_of_difference(above_one, below_two, correlation)
     return PairedShares(
         pairs=n,
         only_first=only_first,
@@ -107,5 +107,5 @@ def _arms(share: Estimate) -> tuple[float, float]:
     return share.value - share.low, share.high - share.value
 
 
-def _combined(one: float, two: float, correlation: float) -> float:
+def _deviation_of_difference(one: float, two: float, correlation: float) -> float:
     return math.sqrt(max(0.0, one * one - 2 * correlation * one * two + two * two))

@@ -70,7 +70,7 @@ class Store:
 
 
 class SpendingLog:
-    """What this session spends, kept as it goes on, and what the sessions `before` have spent."""
+    """The spending of this session, saved as it goes on, and that of the sessions `before`."""
 
     def __init__(self, store: Store) -> None:
         folder = store.folder / SPENT
@@ -86,7 +86,7 @@ class SpendingLog:
 
 
 def read_json(path: Path, kind: type[T], what: str) -> T:
-    """What a JSON file holds; errors name what it should be."""
+    """The content of a JSON file; errors name the expected kind."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Fly a sweep: every trial of a grid once, whatever interrupts it."""
+"""Flies a sweep: every trial of a grid once, over any number of interruptions."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def _trials(
     given = {field: value for field, value in overrides.items() if value is not None}
     axes = {name: _axis(name, values, {**file.variables, **variables}) for name, values in file.grid.items()}
     for name in axes.keys() & variables.keys() - file.variables.keys():
-        axes[name] = _kept(name, axes[name], variables[name])
+        axes[name] = _keep_points(name, axes[name], variables[name])
     axes.update({name: [_Point(str(value), {name: value})] for name, value in given.items() if name in axes})
     seeds = file.sweep.seeds if isinstance(file.sweep.seeds, int) else len(file.sweep.seeds)
     if (number := seeds * math.prod(map(len, axes.values()))) > MAX_TRIALS:
@@ -190,7 +190,7 @@ def _axis(name: str, values: list[Any] | str, variables: Mapping[str, Sequence[A
     return points
 
 
-def _kept(name: str, points: Sequence[_Point], values: Sequence[Any]) -> list[_Point]:
+def _keep_points(name: str, points: Sequence[_Point], values: Sequence[Any]) -> list[_Point]:
     """The points of an axis that have these labels."""
     labels = [point.label for point in points]
     for value in map(str, values):

@@ -1,4 +1,4 @@
-"""What a sweep will use: expected before it is flown, and counted while it is."""
+"""The cost of a sweep: expected before it flies, and counted while it flies."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def expect_cells(
     for cell, config in configs.items():
         known = [r.summary for r in (flown or {}).get(cell, ()) if not r.cut and r.summary is not None]
         if known:
-            total = sum((_measured(summary) for summary in known), Expected())
+            total = sum((_expectation(summary) for summary in known), Expected())
             found[cell] = replace(total.times(1 / len(known)), at_most=most_calls(config))
             continue
         double = stand_in(config, expect.profile)
@@ -50,7 +50,7 @@ def expect_cells(
     return found
 
 
-def _measured(summary: Mapping[str, float]) -> Expected:
+def _expectation(summary: Mapping[str, float]) -> Expected:
     return Expected(
         calls=summary["model_calls"],
         tokens_input=summary["tokens_input"],

@@ -1,1 +1,1 @@
-"""From a directory of results to a report: what the trials say, the figures of it, and a page that shows both."""
+"""Makes a report of a directory of results: statistics of its trials, figures, and a page that shows both."""

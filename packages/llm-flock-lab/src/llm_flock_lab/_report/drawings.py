@@ -1,4 +1,4 @@
-"""The figures of a report: which there are, what is in each, and its caption."""
+"""The figures of a report: their names, contents and captions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
     lines = cell_lines(results)
     yield success(results, lines)
     yield from errors_over_time(results)
-    yield from compared(results, reference)
+    yield from draw_comparisons(results, reference)
     yield from along_axes(results)
     if any(trial.ratio is not None for trial in results.trials):
         yield ratios(results)
@@ -122,7 +122,7 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
     )
 
 
-def compared(results: Results, reference: str) -> Iterator[Drawing]:
+def draw_comparisons(results: Results, reference: str) -> Iterator[Drawing]:
     """Protocols against the reference on the same seeds: success, and the error at the end."""
     lines = pair_lines(results, reference)
     formed, error = "formed, difference [% points]", "error at the end, difference [units]"
@@ -269,13 +269,13 @@ def _row(results: Results, cell: ResultCell) -> str:
 
 
 def _rows_are(results: Results) -> str:
-    """What the rows are called by; with neither models nor conditions to tell apart, a row has its protocol's name."""
+    """The kind of the rows' names; with neither models nor conditions to tell apart, a row has its protocol's name."""
     parts = ("model" if len(results.models) > 1 else "", "condition" if results.conditions != ("",) else "")
     return " · ".join(filter(None, parts)) or "protocol"
 
 
 def _consensus_words(results: Results) -> str:
-    """The rule by which each protocol chooses its plan, in words."""
+    """The rule by which each protocol chooses its plan, as text."""
     rules = {trial.cell.protocol: trial.figures["consensus"] for trial in results.trials if trial.figures["consensus"]}
     words = (f"{name}: {'without' if rule == 'none' else rule} consensus" for name, rule in rules.items())
     return "; ".join(words) + "." if rules else ""

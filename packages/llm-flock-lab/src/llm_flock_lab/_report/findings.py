@@ -65,7 +65,7 @@ def _cell_line(cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
         return mean_interval(known(values), least=0.0)
 
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
-    alone = [bool(said) for trial in trials if (said := trial.figures.get("formed_by_models")) is not None]
+    alone = [bool(by_models) for trial in trials if (by_models := trial.figures.get("formed_by_models")) is not None]
     errors = known(trial.error for trial in trials)
     calls = sum(known(trial.figures["model_calls"] for trial in trials))
     return CellLine(
@@ -104,12 +104,12 @@ def pair_lines(results: Results, reference: str) -> list[PairLine]:
         formed = paired_shares([a.formed for a, _ in pairs], [b.formed for _, b in pairs])
         if formed is None or cell.protocol == reference:
             continue
-        means = {name: _paired(pairs, figure) for name, figure in COMPARED.items()}
+        means = {name: _pair_means(pairs, figure) for name, figure in COMPARED.items()}
         lines.append(PairLine(cell=cell, formed=formed, means=means))
     return lines
 
 
-def _paired(
+def _pair_means(
     pairs: Sequence[tuple[TrialRow, TrialRow]], figure: Callable[[TrialRow], float | None]
 ) -> PairedMeans | None:
     both = [(a, b) for a, b in ((figure(x), figure(y)) for x, y in pairs) if a is not None and b is not None]

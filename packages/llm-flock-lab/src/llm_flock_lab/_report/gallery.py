@@ -97,7 +97,7 @@ def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
 
 
 def find_causes(record: RunRecord) -> list[Cause]:
-    """What went wrong in a record: that two robots came too near, then why it did not form."""
+    """The causes of a failure in a record: robots that came too near, then the reason why it did not form."""
     crash = _crash(record)
     return [*([] if crash is None else [crash]), *record.diagnosis().causes]
 
@@ -149,7 +149,7 @@ def _short(text: str) -> str:
 
 
 def _foreign(config: RunConfig) -> str | None:
-    """What a stored configuration, which may come from anywhere, would do besides simulating; None if nothing."""
+    """The effects of a stored configuration, which may come from anywhere, besides simulating; None without any."""
     rules = {config.protocol.consensus, config.protocol.assignment}
     if any(parse_model(name).kind not in ("simulated", "geometry") for name in models_of(config)):
         return "its configuration names models that are not simulated"

@@ -1,4 +1,4 @@
-"""Writes the report: one HTML page that needs nothing else, the same in Markdown, and a folder of figures."""
+"""Writes the report: one self-contained HTML page, the same in Markdown, and a folder of figures."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false
@@ -184,11 +184,11 @@ def _data_address(figure: Figure) -> str:
 
 def _subtitle(results: Results) -> str:
     parts = (
-        _counted(len(results.trials), "trial"),
+        _count(len(results.trials), "trial"),
         ", ".join(f"{team.shape} {team.n_robots}" for team in results.teams),
         ", ".join(results.protocols),
         ", ".join(results.models),
-        _counted(len({trial.seed for trial in results.trials}), "seed"),
+        _count(len({trial.seed for trial in results.trials}), "seed"),
     )
     return " · ".join(part for part in parts if part)
 
@@ -212,7 +212,7 @@ def _warnings(results: Results) -> Iterator[str]:
         yield f"The trials were flown by different versions of the code: {', '.join(sorted(codes))}."
     cut = sum(bool(trial.figures.get("cut")) for trial in results.trials)
     if cut:
-        yield f"The budget of the sweep ended {_counted(cut, 'trial')}: continue the sweep with a larger one."
+        yield f"The budget of the sweep ended {_count(cut, 'trial')}: continue the sweep with a larger one."
 
 
 def _failure_words(results: Results, shown: int) -> str:
@@ -225,7 +225,7 @@ def _failure_words(results: Results, shown: int) -> str:
     )
 
 
-def _counted(count: int, name: str) -> str:
+def _count(count: int, name: str) -> str:
     return f"{count:,} {name}{'' if count == 1 else 's'}"
 
 
@@ -237,12 +237,12 @@ def _environment() -> jinja2.Environment:
         finalize=_clean,
     )
     filters = cast("dict[str, Any]", environment.filters)
-    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fenced, "svg": _svg, "data": _data_address}
+    filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fence, "svg": _svg, "data": _data_address}
     return environment
 
 
 def _clean(value: object) -> str:
-    """A value of a page, without characters that turn text around or that nobody sees."""
+    """A value of a page, without characters that turn text around or are invisible."""
     text = printable(str(value))
     return Markup(text) if isinstance(value, Markup) else text
 
@@ -257,7 +257,7 @@ def _markdown(text: str) -> str:
     return re.sub(r"([\\`*_\[\]<>|#])", r"\\\1", " ".join(str(text).split()))
 
 
-def _fenced(text: str) -> str:
+def _fence(text: str) -> str:
     """Text as a fenced block; it may contain backticks."""
     fence = "`" * max(3, 1 + max((len(run) for run in re.findall(r"`+", text)), default=0))
     return f"{fence}text\n{text}\n{fence}"

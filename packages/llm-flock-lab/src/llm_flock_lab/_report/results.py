@@ -47,7 +47,7 @@ class Team:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultCell:
-    """A cell of the grid; `condition` is the value of every further axis in words, empty without any."""
+    """A cell of the grid; `condition` is the value of every further axis as text, empty without any."""
 
     team: Team
     protocol: str
@@ -112,7 +112,7 @@ class Results:
         if frame.is_empty():
             raise InputError("dir", str(folder), "a directory with at least one finished trial")
         name, about = _title(folder)
-        planned = _planned(folder)
+        planned = _read_plan(folder)
         if planned is not None:
             # The grid's own order: models and conditions are shown as the file of the sweep has them.
             order = pl.DataFrame({"trial": planned, "place": range(len(planned))})
@@ -249,7 +249,7 @@ def _title(folder: Path) -> tuple[str, str]:
     return str(found.get("name") or folder.resolve().name), str(found.get("about") or "")
 
 
-def _planned(folder: Path) -> list[str] | None:
+def _read_plan(folder: Path) -> list[str] | None:
     """Ids of all trials of the sweep, in the order of its grid; None where that is not known."""
     try:
         return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))

@@ -110,7 +110,7 @@ def _sheet(
     results: Results, title: str, columns: Mapping[str, Callable[[T], str]], rows: Mapping[ResultCell, T], note: str
 ) -> Sheet:
     """A table with a row for each cell: the words that tell it from others, then its figures."""
-    told: dict[str, Callable[[ResultCell], str]] = {
+    labels: dict[str, Callable[[ResultCell], str]] = {
         "shape": lambda cell: cell.team.shape,
         "N": lambda cell: str(cell.team.n_robots),
         **({"model": lambda cell: cell.model} if len(results.models) > 1 else {}),
@@ -119,10 +119,10 @@ def _sheet(
     }
 
     def row(cell: ResultCell, found: T) -> tuple[str, ...]:
-        return (*(name(cell) for name in told.values()), *(text(found) for text in columns.values()))
+        return (*(name(cell) for name in labels.values()), *(text(found) for text in columns.values()))
 
     texts = tuple(row(cell, found) for cell, found in rows.items())
-    return Sheet(title=title, header=(*told, *columns), rows=texts, words=len(told), note=note)
+    return Sheet(title=title, header=(*labels, *columns), rows=texts, words=len(labels), note=note)
 
 
 def facts(results: Results, lines: Sequence[CellLine]) -> list[tuple[str, str]]:

@@ -47,13 +47,13 @@ def data(
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
     parts.append(choice_examples(seed, choices, split))
     examples = list(chain(*parts))
-    said = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
+    lines = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
     for kind in ("plan", "step", "path", "choice"):
         found = [example for example in examples if example.kind == kind]
         if found:
             distinct = {(example.system, example.user) for example in found}
-            said.append(f"{len(distinct)} of {len(found)} for a {kind}")
-    sys.stdout.write(f"{said[0]} {', '.join(said[1:])}\n")
+            lines.append(f"{len(distinct)} of {len(found)} for a {kind}")
+    sys.stdout.write(f"{lines[0]} {', '.join(lines[1:])}\n")
 
 
 @distill.command(cls=PlainHelp)

@@ -72,14 +72,14 @@ def plan_epoch(
     steps: list[list[list[int]]] = []
     for begin in range(0, len(order), pool):
         chosen = sorted(order[begin : begin + pool], key=lambda i: lessons[i].prompt[:ALIKE])
-        batches = _cut(lessons, chosen, budget)
+        batches = _cut_batches(lessons, chosen, budget)
         # Batches far apart in the sorted list differ in kind: each step learns from several kinds, and forgets none.
         stride = -(-len(batches) // together)
         steps += [batches[i::stride] for i in range(stride)]
     return [steps[i] for i in rng.permutation(len(steps))]
 
 
-def _cut(lessons: Sequence[Lesson], order: Sequence[int], budget: int) -> list[list[int]]:
+def _cut_batches(lessons: Sequence[Lesson], order: Sequence[int], budget: int) -> list[list[int]]:
     """Cut a sorted list into batches, each as large as the budget allows."""
     out: list[list[int]] = []
     for number in order:

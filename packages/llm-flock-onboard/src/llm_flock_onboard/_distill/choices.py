@@ -1,4 +1,4 @@
-"""Questions for one letter, to teach and to measure (`llm.letters`): what is right follows from the wish by a rule."""
+"""Questions for one letter, to teach and to measure (`llm.letters`). A rule derives the right answer from the wish."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ class ChoiceFigures:
 
 
 def right_letter(ways: Sequence[LetterWay], wish: Wish) -> Letter:
-    """What to answer: the way that the wish asks for where it is open, else the first.
+    """The right answer: the way that the wish asks for if it is open, else the first.
 
     To keep clear is to take the way with most room, the first of them; standing still is no way.
     """
@@ -112,13 +112,13 @@ def draw_choices(seed: int, split: Split) -> Iterator[Choice]:
         if len(ways) < 2:
             continue
         wish = wishes[int(rng.integers(len(wishes)))]
-        said = _drawn(rng, WORDINGS[wish][split])
+        sentence = _draw(rng, WORDINGS[wish][split])
         if rng.random() < BESIDE_SHARE:
-            both = [said, _drawn(rng, BESIDE[split])]
-            said = " ".join(both if rng.random() < 0.5 else both[::-1])
+            both = [sentence, _draw(rng, BESIDE[split])]
+            sentence = " ".join(both if rng.random() < 0.5 else both[::-1])
         right = right_letter(ways, wish)
         if wish == "far" or right != right_letter(ways, "far") or rng.random() < DECIDED:
-            yield Choice(question=question, wish=wish, words=said, ways=tuple(ways), right=right)
+            yield Choice(question=question, wish=wish, words=sentence, ways=tuple(ways), right=right)
 
 
 def choice_examples(seed: int, count: int, split: Split) -> Iterator[Example]:
@@ -167,7 +167,7 @@ async def _ask(model: str, choices: Sequence[Choice], seed: int) -> list[str | N
         return list(await asyncio.gather(*(one(asked, choice) for choice in choices)))
 
 
-def _drawn(rng: np.random.Generator, texts: Sequence[str]) -> str:
+def _draw(rng: np.random.Generator, texts: Sequence[str]) -> str:
     return texts[int(rng.integers(len(texts)))]
 
 

@@ -111,17 +111,17 @@ def step_example(prompts: PromptSet, question: StepQuestion) -> Example | None:
     asked = frame_step(question, "own")
     mission = asked.framed.mission
     shorter = mission.model_copy(update={"max_step": REACH * mission.max_step})
-    waypoint = _rounded(straight_path(replace(asked.framed, mission=shorter)).waypoint)
+    waypoint = _round_point(straight_path(replace(asked.framed, mission=shorter)).waypoint)
     # The shield takes care of the others, better than a small model would.
     alone = replace(question, neighbors=())
     if judge(alone, asked.to_world(StepAnswer(waypoint=waypoint)), shield_on=True).reason is not None:
         return None
-    said, one = place_text(waypoint), question.horizon == 1
+    text, one = place_text(waypoint), question.horizon == 1
     return Example(
         kind="step" if one else "path",
         system=prompts.system(mission),
         user=prompts.step(asked.framed),
-        answer=f"Position: {said}" if one else f"Path: [{said}]",
+        answer=f"Position: {text}" if one else f"Path: [{text}]",
         team=f"{question.mission.shape} {question.mission.n_places}",
     )
 
@@ -132,7 +132,7 @@ def plan_example(prompts: PromptSet, mission: Mission, robot: int) -> Example | 
     asked = frame_plan(question, "own")
     answer = geometric_plan(asked.framed)
     assert isinstance(answer, PlanAnswer), "only shapes whose points are known are drawn"
-    answer = replace(answer, plan=Plan.of(map(_rounded, answer.plan.points)))
+    answer = replace(answer, plan=Plan.of(map(_round_point, answer.plan.points)))
     if check_plan(mission, asked.to_world(answer).plan) is not None:
         return None
     places = ", ".join(map(place_text, answer.plan.points))
@@ -197,5 +197,5 @@ def _away(point: Point, distance: float, angle_rad: float) -> Point:
     return point[0] + distance * math.cos(angle_rad), point[1] + distance * math.sin(angle_rad)
 
 
-def _rounded(point: Point) -> Point:
+def _round_point(point: Point) -> Point:
     return tuple(round(x, DECIMALS) + 0.0 for x in point)

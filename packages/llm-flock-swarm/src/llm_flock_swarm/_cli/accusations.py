@@ -1,4 +1,4 @@
-"""Shows who is accused of lying in a record, and checks the proofs with the public keys of the team."""
+"""Lists the robots that a record accuses of lying, and checks the proofs with the public keys of the team."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def show_accusations(
 
 
 def _judge(record: RunRecord, keys: Path) -> Judge | None:
-    """Who judges the record's messages; None for a record of no swarm of this program."""
+    """The judge of the record's messages; None if the record is of no swarm of this program."""
     require("network", "inspect --keys")
     from llm_flock_swarm._network.accusations import Judge
     from llm_flock_swarm._network.config import SwarmConfig
@@ -59,7 +59,7 @@ def _judge(record: RunRecord, keys: Path) -> Judge | None:
     public = load_public_keys(keys)
     try:
         config = SwarmConfig.model_validate(record.run.config)
-        return Judge(public.of_flight(config.network.swarm), config)
+        return Judge(public.for_flight(config.network.swarm), config)
     except (FlockError, ValueError):
         return None
 

@@ -128,7 +128,7 @@ def swarm(
     sinks = chosen(extensions)
     require("network", "swarm")
     require_posix("swarm")
-    from llm_flock_swarm._ros2.run import swarm_shown
+    from llm_flock_swarm._ros2.run import run_shown_swarm
 
     settings = _load(config, flags)
     settings = with_output_folder(settings, "swarm-", record=record, typed=flags.get("out"))
@@ -142,7 +142,7 @@ def swarm(
     signal.signal(signal.SIGTERM, _like_ctrl_c)
     try:
         with showing(sinks, settings) as sink, ExitStack() as shown:
-            flight = swarm_shown(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
+            flight = run_shown_swarm(settings, on_round, sink, on_launch=lambda: shown.enter_context(bar))
             result = asyncio.run(flight)
     except KeyboardInterrupt:
         say(f"interrupted; all {n_robots} robots have ended", error=True)
@@ -316,7 +316,7 @@ def export_bag(
 def reach_router(
     *, router: Annotated[str, typer.Option(help="Endpoint of a swarm's router or peer to reach")] = ROUTER
 ) -> list[Finding]:
-    """What `llm-flock doctor` says of a swarm's endpoint: whether something listens there."""
+    """The line of `llm-flock doctor` about a swarm's endpoint: whether a process listens there."""
     host, colon, port = router.partition("/")[2].rpartition(":")
     name = f"router at {router}"
     if not colon or not port.isdigit() or not host or int(port) > 65535:

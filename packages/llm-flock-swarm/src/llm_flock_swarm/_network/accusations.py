@@ -1,6 +1,6 @@
-"""Accusations: a robot that was sent what no honest robot sends shows that message, sealed by its sender, to observers.
+"""Accusations: a robot shows observers each message that no honest robot sends, sealed by its sender.
 
-Robots do not listen to accusations: lies lose without, and those that slow a team, about what is seen, have no proof.
+Robots ignore accusations: lies lose without them, and false sensor readings, which slow a team, have no proof.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ REMEMBERED = 4  # newest messages of each sender between two exchanges that may 
 
 
 def contexts(config: SwarmConfig) -> dict[str, str]:
-    """What the seals on messages of the protocol cover besides their topic: everything on which a verdict depends."""
+    """Contexts that seals on protocol messages cover besides the topic: everything on which a verdict depends."""
     network, protocol, mission = config.network, config.protocol, config.mission
     about = (network.swarm, mission.n_robots, mission.dim, network.liars, protocol.gaps, protocol.verify)
     return {"say": hashlib.blake2b(repr(about).encode(), digest_size=8).hexdigest()}
@@ -50,7 +50,7 @@ class Judge:
         return sealed_topic(f"say/{robot}", self._contexts)
 
     def verdict(self, robot: int, sealed: bytes, missions: Sequence[Mission]) -> str | None:
-        """Why no honest robot sends this, for a message that the robot has sealed; None if nothing is proven."""
+        """The reason why no honest robot seals this message; None if nothing is proven."""
         from llm_flock_swarm._trust.envelope import signed_payload
 
         try:
@@ -66,7 +66,7 @@ class Judge:
         return guilt(message, robot, missions, self._validator, self._verifier, self._liars)
 
     def confirms(self, detail: Mapping[str, Any], missions: Sequence[Mission]) -> tuple[int, str] | None:
-        """The robot that an accusation proves to lie, and the reason; None if it does not, whatever it holds."""
+        """The robot that an accusation proves to lie, and the reason; None if it proves nothing."""
         robot, proof = detail.get("robot"), detail.get("proof")
         if type(robot) is not int or not isinstance(proof, str) or len(proof) > 2 * MAX_PROOF_BYTES:
             return None

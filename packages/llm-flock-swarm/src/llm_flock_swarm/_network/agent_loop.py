@@ -27,8 +27,8 @@ from llm_flock.transport import Radio
 from llm_flock_swarm._network.accusations import Accuser
 from llm_flock_swarm._network.body_control import STILL, BodyControl
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import FAULT, refusing
 from llm_flock_swarm._network.process import PeriodClock, phase_s
+from llm_flock_swarm._network.receiving import INTERNAL_ERROR, count_refusals
 from llm_flock_swarm._network.wire import MissionOrder, ReportedEvent, RobotReport
 from llm_flock_swarm._zenoh import LinkTraffic
 
@@ -126,20 +126,20 @@ class AgentLoop:
         }
 
     async def gossip(self) -> None:
-        """Exchange messages periodically until cancelled, whatever else the robot is doing."""
+        """Exchange messages periodically until cancelled."""
         gossip_s = self._config.network.gossip_s
         clock = PeriodClock(gossip_s, phase_s(self.agent.robot, self._config.mission.n_robots, gossip_s))
         while True:
             await clock.next()
-            before = self.refused[FAULT]
-            with refusing(self.refused):
+            before = self.refused[INTERNAL_ERROR]
+            with count_refusals(self.refused):
                 self.exchange()
-            self._faults = 0 if self.refused[FAULT] == before else self._faults + 1
+            self._faults = 0 if self.refused[INTERNAL_ERROR] == before else self._faults + 1
             if self._faults >= MAX_FAULTS:
                 raise FlockError(f"robot {self.agent.robot} cannot go on: {MAX_FAULTS} exchanges in a row failed")
 
     def exchange(self) -> None:
-        """Decide on the messages since the last exchange; count a heartbeat once a period; then broadcast."""
+        """Decide on the messages since the last exchange, count a heartbeat once a period, then broadcast."""
         self.look()
         if not self.agent.position:
             return

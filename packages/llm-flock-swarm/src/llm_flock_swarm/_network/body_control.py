@@ -30,7 +30,7 @@ class BodyControl:
 
     @property
     def end(self) -> Point | None:
-        """Where the body will stop [units; world frame]."""
+        """The place where the body will stop [units; world frame]."""
         return None if self._body is None else self._body.end
 
     def fly_to(self, waypoint: Point) -> None:

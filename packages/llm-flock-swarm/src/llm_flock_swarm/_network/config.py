@@ -103,7 +103,7 @@ class SwarmConfig(RunConfig):
 
     @property
     def unrepeatable(self) -> list[str]:
-        """What of the models a record's configuration cannot repeat, in sentences."""
+        """The properties of models that a record's configuration cannot repeat, in sentences."""
         return [f"{name} is code of the user's own, of which only the name is recorded." for name in self._own]
 
     @property

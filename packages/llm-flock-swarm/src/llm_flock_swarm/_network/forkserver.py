@@ -49,7 +49,7 @@ def main() -> None:
             if not line:
                 break
             order = json.loads(line)
-            pid = _forked(order)
+            pid = _fork(order)
             children[pid] = order["name"]
             _write(name=order["name"], pid=pid)
         _reap(children)
@@ -70,8 +70,8 @@ def _write(**event: Any) -> None:
     sys.stdout.flush()
 
 
-def _forked(order: dict[str, Any]) -> int:
-    """Start a process; returns its id once it is sure to end with this one, whatever either is in the middle of."""
+def _fork(order: dict[str, Any]) -> int:
+    """Start a process; returns its id once it is sure to end with this one."""
     parent = os.getpid()
     bound, binding = os.pipe()
     pid = os.fork()

@@ -1,8 +1,8 @@
-"""Turns world states and robot reports into measurements, a record, and whether the team has formed.
+"""Turns world states and robot reports into measurements and a record, and decides whether the team has formed.
 
-An observer only listens, and believes a robot about itself and nothing else: positions are the sensors', a mission
-needs the operator's signature where the team has keys, places are those that a plan's digest names, and a place counts
-as blocked once one robot more than may lie says so.
+An observer only listens, and believes a robot only about itself. Positions come from the sensors. A mission needs the
+operator's signature if the team has keys. Places are those that a plan's digest names, and a place counts as blocked
+once one robot more than may lie reports it.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class Observer:
         now_s = self._clock()
         if not self.said.has_room(robot, report, now_s):
             raise MessageError("too_much", "more events and calls than records have room for")
-        events, calls = self._checked(robot, report)
+        events, calls = self._check_report(robot, report)
         self._take_mission(report)
         self._take_places(robot, report)
         self.reports[robot] = report
@@ -141,7 +141,7 @@ class Observer:
         for entry in (*events, *calls):
             self._sink.write(entry.model_copy(update={"round": now}))
 
-    def _checked(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
+    def _check_report(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
         """The events and calls in a report as entries of round 0, once all of it is found to be possible."""
         dim = self.mission.dim
         for point in (report.waypoint, *(report.points or ())):
@@ -256,7 +256,7 @@ class Observer:
 
     @property
     def hopeless(self) -> str | None:
-        """Why no robot has a plan, in words, if the model of none is asked for one any more; else None."""
+        """The reason why no robot has a plan, once no model is asked for one any more; else None."""
         reasons = [self.reports[robot].hopeless for robot in self.robots]
         found = [reason for reason in reasons if reason is not None]
         if not found or len(found) < len(self.alive):

@@ -65,7 +65,7 @@ def _sets(loop: asyncio.AbstractEventLoop, stop: asyncio.Event) -> Callable[[int
 
 async def until_stopped(work: Coroutine[None, None, None]) -> None:
     """Do the work until it is done or raises its own exception, or until SIGTERM or SIGINT."""
-    gc.freeze()  # spares later collections tens of milliseconds each: what exists by now stays
+    gc.freeze()  # spares later collections tens of milliseconds each: these objects stay
     stop = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):

@@ -12,12 +12,14 @@ from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
 from llm_flock.runtime import Stream, TeamPlanners, llm_entry, make_agent, parts_of, stream
 from llm_flock.transport import Radio, Seen
+from llm_flock_swarm._network.access import REPORT_S
 from llm_flock_swarm._network.accusations import Accuser, Judge
 from llm_flock_swarm._network.agent_loop import AgentLoop
 from llm_flock_swarm._network.body_control import BodyControl
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import REPORT_S, load_keys, open_link, receive, refusing
+from llm_flock_swarm._network.connection import load_keys, open_link
 from llm_flock_swarm._network.process import PeriodClock, phase_s, until_stopped
+from llm_flock_swarm._network.receiving import count_refusals, receive
 from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
 from llm_flock_swarm._signed.parts import signed_parts
 from llm_flock_swarm._zenoh import ZenohLink
@@ -67,7 +69,7 @@ class RobotProcess:
         )
         receive(link, "frame", WorldState, self._on_state, sender=WORLD)
         receive(link, "beacon", Beacon, self._hear)
-        receive(link, "say", BeaconedMessage, lambda sender, said: self._hear(sender, said.beacon, said.message))
+        receive(link, "say", BeaconedMessage, lambda sender, packet: self._hear(sender, packet.beacon, packet.message))
         take_order = self.agent_loop.take_order
         receive(link, "mission", MissionOrder, lambda _, order: take_order(order), number=robot, sender=OPERATOR)
         link.watch_alive(self._on_alive)
@@ -97,7 +99,7 @@ class RobotProcess:
         self.radio.place(sender, seen)
 
         def hand_over() -> None:
-            with refusing(self._link.traffic.refused):
+            with count_refusals(self._link.traffic.refused):
                 self.radio.beacon(sender, seen)
                 if message is not None:
                     if self._accuser is not None:
@@ -165,7 +167,7 @@ class RobotProcess:
 
         An error without that ends the process: a body without commands stops at the end of its last one, which is safe.
         """
-        with refusing(self._link.traffic.refused):
+        with count_refusals(self._link.traffic.refused):
             return self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))
         self.radio.forget_beacons()
         return self.body.control(now, self.radio.sightings(now), self.radio.unseen_s(now))

@@ -1,4 +1,4 @@
-"""What observers keep of robots' reports: one robot may say anything, and sums and memory stay within bounds."""
+"""Sums of robots' reports, for observers. A robot may report anything: sums and memory stay within bounds."""
 
 from __future__ import annotations
 

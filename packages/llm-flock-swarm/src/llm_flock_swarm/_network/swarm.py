@@ -1,4 +1,4 @@
-"""Launches a swarm on this machine: a world, N robots and a recorder, each as a process; commands no robot."""
+"""Launches a swarm on this machine: a world, N robots and a recorder, each as a process. It commands no robot."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ async def check_robots(config: SwarmConfig) -> None:
 
 
 @asynccontextmanager
-async def launched(
+async def launch_swarm(
     config: SwarmConfig,
     *,
     on_row: Callable[[TrialProgress], None] | None = None,
@@ -266,7 +266,7 @@ async def launched(
 
 
 def _shared_by(config: SwarmConfig) -> Sequence[str]:
-    """What robots that ask providers would otherwise import by themselves, at their first question."""
+    """Modules that robots would otherwise import one by one, at their first question to a provider."""
     models = parse_models(config.model.model, config.mission.n_robots)
     hosted = any(parse_model(model).kind == "provider" for model in models)
     return ("genai_prices", "llm_flock.llm._client", "llm_flock.llm._hosted") if hosted else ()
@@ -284,7 +284,7 @@ async def run_swarm(
     `on_launch` is called before the first process starts, `on_start` gets the swarm once all of them run. A swarm that
     takes missions from ROS does not end when it has formed, nor does one that is told to fly on (`stop_when_formed`).
     """
-    async with launched(config, on_row=on_row, sink=sink, on_launch=on_launch) as swarm:
+    async with launch_swarm(config, on_row=on_row, sink=sink, on_launch=on_launch) as swarm:
         on_start(swarm)
         if config.ros2.ros_missions or not config.trial.stop_when_formed:
             return swarm.result(await swarm.run(lambda _: False))

@@ -14,9 +14,11 @@ from llm_flock.record import NullWriter, RecordSink, RecordWriter, SummaryMessag
 from llm_flock.runtime import TrialProgress, finite, run_info
 from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import load_keys, mission_order, open_link, receive, signed_by_operator
+from llm_flock_swarm._network.connection import load_keys, open_link
+from llm_flock_swarm._network.mission_orders import mission_order, mission_verifier
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.receiving import receive
 from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
 
 CHECK_S = 0.1  # time between two checks whether the team has formed [s]
@@ -32,12 +34,12 @@ def observer_of(
     """An observer that checks signatures with the keys of this member, if the swarm uses any."""
     keys = load_keys(config, member)
     judge = None if keys is None else Judge(keys, config)
-    return Observer(config, sink, on_row, signed=signed_by_operator(config, member), judge=judge)
+    return Observer(config, sink, on_row, signed=mission_verifier(config, member), judge=judge)
 
 
 @contextmanager
 def recording(config: SwarmConfig, record: Path | None, sink: RecordSink | None = None) -> Generator[RecordSink]:
-    """What writes the record of a swarm there, and to a sink, from its first entry on."""
+    """A writer of a swarm's record to a file, and to a sink, begun with the entry of the run."""
     with nullcontext(NullWriter()) if record is None else RecordWriter(record) as file:
         writer = file if sink is None else Tee(file, sink)
         writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
@@ -89,13 +91,13 @@ async def run_watch(
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:
-    """Give another mission to one robot, which passes it on; returns the robots it went to, none if nobody answers.
+    """Give another mission to one robot, which passes it on; returns the robots that got it, none if none answers.
 
-    Where none is named, and the team has keys, one robot more than may lie is given it. The order is later than those
-    that robots report within `HEAR_S`, whatever the clock of this machine says.
+    If `robot` is None and the team has keys, one robot more than may lie gets it. The order is later than those that
+    robots report within `HEAR_S`, even if the clock of this machine is behind.
     """
     clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
-    mission_order(config, dict(fields), clock.next())  # refuses what is not allowed before anybody is looked for
+    mission_order(config, dict(fields), clock.next())  # rejects invalid fields before the search for robots
     found: list[int] = []
     answered = asyncio.Event()
     most = 1 if robot is not None or config.network.keys is None else config.network.liars + 1
@@ -107,7 +109,7 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
 
     with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
         link.watch_alive(on_alive)
-        signed = signed_by_operator(config, OPERATOR)
+        signed = mission_verifier(config, OPERATOR)
 
         def witness(_robot: int, report: RobotReport) -> None:
             if signed is None or signed(MissionStamp(*report.mission), report.order):

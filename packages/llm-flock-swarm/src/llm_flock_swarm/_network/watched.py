@@ -1,4 +1,4 @@
-"""A swarm on the network as programs see it that watch it: a plug-in of the kind `watches`."""
+"""A swarm on the network for programs that watch it: a plug-in of the kind `watches`."""
 
 from __future__ import annotations
 

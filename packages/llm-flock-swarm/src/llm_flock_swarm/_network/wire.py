@@ -32,7 +32,7 @@ Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MAX_WORDS)]
 
 
 class Beacon(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
-    """Where a robot is; `stamp` by the wall clock [s]."""
+    """The position of a robot; `stamp` by the wall clock [s]."""
 
     stamp: Stamp
     position: Place

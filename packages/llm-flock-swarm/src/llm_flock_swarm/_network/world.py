@@ -20,8 +20,9 @@ from llm_flock.members import WORLD
 from llm_flock.runtime import Stream, stream
 from llm_flock.simulate import start_positions
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import open_link, receive
+from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.receiving import receive
 from llm_flock_swarm._network.wire import Body, Command, WorldState, pack
 from llm_flock_swarm._zenoh import ZenohLink
 

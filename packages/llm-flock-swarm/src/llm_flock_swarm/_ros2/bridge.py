@@ -1,6 +1,6 @@
 """Shows a running swarm in ROS 2, and takes missions and poses from there.
 
-Poses and paths leave with the reading of the sensors that they come from, at most `ros_rate_hz` times a second.
+Poses and paths are published with each reading of the sensors, at most `ros_rate_hz` times a second.
 """
 
 from __future__ import annotations
@@ -215,14 +215,14 @@ class Bridge:
             "model calls without an answer": observer.said.calls_failed,
             "readings shown": self._shown,
         }
-        said = "formed" if observer.formed_s is not None else "forming"
-        found: list[Finding] = [("team", ERROR if gone else OK, "too near" if gone else said, team)]
+        summary = "formed" if observer.formed_s is not None else "forming"
+        found: list[Finding] = [("team", ERROR if gone else OK, "too near" if gone else summary, team)]
         found.append(self.refused.finding("from ROS"))
         if self.bodies is not None:
             missing = self.bodies.missing
-            said = f"no fresh pose of {len(missing)} robots: all stand still" if missing else "all poses are fresh"
+            summary = f"no fresh pose of {len(missing)} robots: all stand still" if missing else "all poses are fresh"
             values: dict[str, object] = {"missing": ", ".join(map(str, missing)), "late commands": self.bodies.late}
-            found.append(("poses", ERROR if missing else OK, said, values))
+            found.append(("poses", ERROR if missing else OK, summary, values))
         state = observer.state()
         for robot in range(observer.mission.n_robots):
             phase = ASLEEP if state is None else state.phases[robot]
@@ -240,7 +240,7 @@ class Bridge:
 
 @asynccontextmanager
 async def showing(config: SwarmConfig) -> AsyncGenerator[Show | None]:
-    """What shows a swarm in ROS 2, as soon as it is called; None where no router is configured."""
+    """A function that shows a swarm in ROS 2; None where no router is configured."""
     if config.ros2.router is None:
         yield None
         return

@@ -69,7 +69,7 @@ def view_of(
 ) -> TeamView:
     """A recorded or observed state in metres; `places` are those of known plans by their ids [units]."""
 
-    def moved(rows: Sequence[Sequence[float] | None]) -> list[Position | None]:
+    def to_world_rows(rows: Sequence[Sequence[float] | None]) -> list[Position | None]:
         return [None if row is None else to_world(tuple(row)) for row in rows]
 
     adjacent = graph.adjacency(np.array(state.positions), comm_range)
@@ -80,8 +80,8 @@ def view_of(
     common = max(sorted(set(plans)), key=plans.count, default="")
     return TeamView(
         positions=[to_world(tuple(row)) for row in state.positions],
-        waypoints=moved(state.waypoints),
-        goals=moved(state.goals),
+        waypoints=to_world_rows(state.waypoints),
+        goals=to_world_rows(state.goals),
         phases=state.phases,
         plan_ids=state.plan_ids,
         places=[to_world(tuple(point)) for point in places.get(common, ())],
@@ -244,10 +244,10 @@ def diagnostics(found: Sequence[tuple[str, int, str, Mapping[str, object]]], sta
             status(
                 level=level,
                 name=name,
-                message=one_line(said, LONGEST),
+                message=one_line(summary, LONGEST),
                 hardware_id=hardware,
                 values=[pair(key=key, value=one_line(str(value), LONGEST)) for key, value in values.items()],
             )
-            for name, level, said, values in found
+            for name, level, summary, values in found
         ],
     )

@@ -1,4 +1,4 @@
-"""Shows a flight in ROS 2; no fault here reaches a drone. Poses come in, only with `pose_source = "ros2"`."""
+"""Shows a flight in ROS 2. No fault here reaches a drone. Poses are read only with `pose_source = "ros2"`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from llm_flock.errors import MessageError
 from llm_flock.record import BodySample, Entry, FlightEvent, RecordSink
 from llm_flock.robots import Pose, PoseFrame
 from llm_flock.runtime import ROBOT, MissionFrame, Ros2Config
-from llm_flock_swarm._network.connection import refusing
+from llm_flock_swarm._network.receiving import count_refusals
 from llm_flock_swarm._ros2.drawing import ERROR, OK, WARN
 from llm_flock_swarm._ros2.graph import Graph
 from llm_flock_swarm._ros2.nodes import TEAM_NODE, Finding, Refused, TeamNodes, live
@@ -44,7 +44,7 @@ class FlightShow:
 
     def write(self, entry: Entry) -> None:
         """Take an entry; an error is counted, and logged, and nothing else."""
-        with refusing(self.faults.counts):
+        with count_refusals(self.faults.counts):
             self._team.take(entry)
             if isinstance(entry, FlightEvent):
                 self._event = entry
@@ -64,11 +64,11 @@ class FlightShow:
     def show_rest(self, diagnose: bool) -> None:
         if (view := self._team.view()) is not None:
             self._nodes.show_markers(view, time.time_ns())
-            self._nodes.show_state({**self._team.state_json(), "flight": self._told()})
+            self._nodes.show_state({**self._team.state_json(), "flight": self._event_fields()})
         if diagnose:
             self._nodes.show_diagnostics(self._findings(), time.time_ns())
 
-    def _told(self) -> dict[str, Any] | None:
+    def _event_fields(self) -> dict[str, Any] | None:
         event = self._event
         return None if event is None else event.model_dump(mode="json", exclude_none=True)
 
@@ -81,8 +81,8 @@ class FlightShow:
         for name, up, volts, link in zip(self._names, sample.flying, sample.battery_v, sample.link, strict=True):
             low = volts is not None and volts < self._low_battery_v
             level = ERROR if link == 0.0 else WARN if low else OK
-            said = "link lost" if link == 0.0 else "flying" if up else "on the ground"
-            found.append((name, level, said, {"battery [V]": volts, "link": link}))
+            summary = "link lost" if link == 0.0 else "flying" if up else "on the ground"
+            found.append((name, level, summary, {"battery [V]": volts, "link": link}))
         return found
 
 
@@ -108,10 +108,10 @@ class RosPoses:
             topic = f"{head}{robot}{tail}"
             node.listens(topic, POSE)
 
-            def heard(_topic: str, message: Any, attached: Attachment, name: str = name) -> None:
+            def on_pose(_topic: str, message: Any, attached: Attachment, name: str = name) -> None:
                 take(self.frame(name, message, attached))
 
-            graph.subscribe(topic, POSE, heard, self._refuse, rate=POSE_RATE)
+            graph.subscribe(topic, POSE, on_pose, self._refuse, rate=POSE_RATE)
 
     def frame(self, name: str, message: Any, attached: Attachment) -> PoseFrame:
         """The frame with one drone's message; a MessageError says why it is refused."""
@@ -123,7 +123,7 @@ class RosPoses:
         return PoseFrame(stamp_s=attached.stamp_ns / 1e9, poses={name: pose})
 
     def senders(self, now: float) -> tuple[str, ...]:
-        """The two publishers of the first drone that has two, by the beginnings of their gids; else nobody."""
+        """The two publishers of the first drone that has two, by the beginnings of their gids; else none."""
         for name, (other, heard_s) in self._others.items():
             if now - heard_s < RECENT_S:
                 return tuple(f"publisher {gid.hex()[:8]} of {name}" for gid in (self._sources[name], other))

@@ -1,6 +1,6 @@
 """Nodes, publishers and subscribers in ROS 2's graph: one zenoh session, a client of the router, which forwards.
 
-An entity is seen by others by its liveliness token. After a loss of the router zenoh declares everything again.
+Others find an entity by its liveliness token. After a loss of the router zenoh declares everything again.
 """
 
 from __future__ import annotations

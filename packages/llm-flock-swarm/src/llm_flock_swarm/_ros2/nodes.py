@@ -1,4 +1,4 @@
-"""The team in ROS 2's graph: a node for each robot and one for the team, and what they publish."""
+"""The team in ROS 2's graph: a node for each robot and one for the team, and their topics."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 from llm_flock.errors import MessageError
 from llm_flock.printable import one_line
 from llm_flock.runtime import Ros2Config
-from llm_flock_swarm._network.connection import refusing
+from llm_flock_swarm._network.receiving import count_refusals
 from llm_flock_swarm._ros2 import drawing, types
 from llm_flock_swarm._ros2.drawing import LONGEST, OK, WARN, MarkerDrawer, PoseEncoder, Position, TeamView
 from llm_flock_swarm._ros2.graph import Graph
@@ -42,9 +42,9 @@ class Refused:
         total = sum(counts.values())
         new, self._told = total - self._told, total
         values: dict[str, object] = {f"refused {reason}": count for reason, count in sorted(counts.items())}
-        values |= {f"last {reason}": one_line(said, LONGEST) for reason, said in sorted(last.items())}
-        said = f"{new} messages refused" if new else "nothing refused of late"
-        return name, WARN if new else OK, said, values
+        values |= {f"last {reason}": one_line(summary, LONGEST) for reason, summary in sorted(last.items())}
+        summary = f"{new} messages refused" if new else "nothing refused of late"
+        return name, WARN if new else OK, summary, values
 
 
 async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
@@ -52,7 +52,7 @@ async def live(show: Callable[[bool], None], faults: Counter[str]) -> None:
     diagnosed_s = 0.0
     while True:
         await asyncio.sleep(MARKERS_S)
-        with refusing(faults):  # an error in the drawing ends no flight
+        with count_refusals(faults):  # an error in the drawing ends no flight
             now = time.monotonic()
             diagnose = now - diagnosed_s >= DIAGNOSTICS_S
             show(diagnose)
@@ -104,7 +104,7 @@ class TeamNodes:
 
     def show_diagnostics(self, found: Sequence[Finding], stamp_ns: int) -> None:
         """Publish lines of diagnostics, under the team's name."""
-        named = [(f"{self.frame_of_team}: {name}", level, said, values) for name, level, said, values in found]
+        named = [(f"{self.frame_of_team}: {name}", level, summary, values) for name, level, summary, values in found]
         self._diagnostics.publish(drawing.diagnostics(named, stamp_ns, self.frame_of_team))
 
     @property

@@ -1,6 +1,6 @@
-"""Missions from ROS: read, checked, and given to the swarm as its operator gives them.
+"""Reads missions from ROS, checks them, and gives them to the swarm as its operator does.
 
-With keys, the operator's key signs them: whoever may publish on the topics speaks for the operator.
+With keys, the operator's key signs them: every node that may publish on the topics speaks for the operator.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
 from llm_flock.message import MISSION_FIELDS, MissionStamp, OperatorClock
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import mission_order, open_link, signed_by_operator
+from llm_flock_swarm._network.connection import open_link
+from llm_flock_swarm._network.mission_orders import mission_order, mission_verifier
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.watch import FREE_PORT
 from llm_flock_swarm._network.wire import pack
@@ -81,13 +82,13 @@ class MissionGiver:
     """Gives missions to a running swarm. Call in a running event loop; `close` leaves the network."""
 
     def __init__(self, config: SwarmConfig, observer: Observer) -> None:
-        self._signed = signed_by_operator(config, OPERATOR)
+        self._signed = mission_verifier(config, OPERATOR)
         self._config, self._observer = config, observer
         self._clock = OperatorClock(lambda: time.time_ns() // 1_000_000)
         self._link = open_link(config, OPERATOR, FREE_PORT)
 
     def give(self, fields: Mapping[str, Any]) -> Sequence[int]:
-        """Change these fields of the team's present mission; a MessageError `bad_mission`, or `nobody` is there."""
+        """Change these fields of the team's mission. MessageError: `bad_mission`, or `nobody` if no robot is there."""
         observer = self._observer
         try:
             observer.mission.change(**fields)

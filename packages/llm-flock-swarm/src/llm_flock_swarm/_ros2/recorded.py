@@ -1,4 +1,4 @@
-"""Follows the entries of a record, or of a flight as it happens, and tells what ROS 2 is to see of them."""
+"""Follows the entries of a record or of a live flight, and derives the state that ROS 2 shows."""
 
 from __future__ import annotations
 

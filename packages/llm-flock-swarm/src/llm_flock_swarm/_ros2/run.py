@@ -1,4 +1,4 @@
-"""Runs a bridge as a process: beside a swarm that is there, or as the sensors of one whose bodies ROS knows."""
+"""Runs a bridge as a process: beside a running swarm, or as the sensors of a swarm whose bodies ROS moves."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from llm_flock.members import WORLD
 from llm_flock.record import RecordSink, SummaryMessage
 from llm_flock.runtime import TrialProgress, finite
 from llm_flock_swarm._network.config import SwarmConfig
-from llm_flock_swarm._network.connection import open_link, receive
+from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
+from llm_flock_swarm._network.receiving import receive
 from llm_flock_swarm._network.swarm import Swarm, SwarmResult, run_swarm, world_config
 from llm_flock_swarm._network.watch import look, observer_of, recording, run_watch
 from llm_flock_swarm._network.wire import Command, RobotReport, pack
@@ -27,7 +28,7 @@ from llm_flock_swarm._ros2.types import POSE
 from llm_flock_swarm._zenoh import ZenohLink
 
 
-async def swarm_shown(
+async def run_shown_swarm(
     config: SwarmConfig,
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
@@ -89,7 +90,7 @@ async def _run_sensors(
                 show_set_point(sender)
 
         async def repeat() -> None:
-            """Set-points that nobody heard, or only those who came later did not."""
+            """Publish all set-points again: a subscriber may have come late."""
             while True:
                 await asyncio.sleep(1.0 / config.ros2.ros_rate_hz)
                 for robot in range(n_robots):
@@ -111,7 +112,7 @@ async def _run_sensors(
 
 
 async def _sense(link: ZenohLink, bodies: SensedBodies, observer: Observer, frame_s: float) -> None:
-    """Tell the swarm what the sensors see, as long as they see everybody."""
+    """Send the swarm its sensors' readings while they hold every robot."""
     while True:
         reading = bodies.reading()
         if reading is not None:

@@ -1,7 +1,7 @@
 """Poses from ROS as the sensors of a swarm: the world process of bodies that something else moves.
 
-Where a body is to fly goes to ROS as a set-point. One that lags behind it gets no further one, and one that does not
-follow at all is taken to stay where it is.
+The target of a body goes to ROS as a set-point. A body that lags behind it gets no further one, and a body that does
+not follow at all counts as standing still.
 """
 
 from __future__ import annotations
@@ -102,12 +102,12 @@ class SensedBodies:
         return True
 
     def set_point(self, robot: int) -> Point | None:
-        """Where a body is to be [units]; None before its first pose."""
+        """The set-point of a body [units]; None before its first pose."""
         track = self._tracks.get(robot)
         return None if track is None else track.end
 
     def reading(self) -> WorldState | None:
-        """What the sensors see, as old as its oldest pose; None while a robot's pose is missing."""
+        """The sensors' reading, as old as its oldest pose; None while a robot's pose is missing."""
         if self.missing:
             return None
         tracks = [self._tracks[robot] for robot in range(self._n)]

@@ -39,7 +39,7 @@ def type_store() -> Typestore:
 
 
 def prepare() -> None:
-    """Make the code of all types now: for the first message it would hold up whoever sends it."""
+    """Generate the code of all types now: otherwise the first message of each waits for it."""
     for name in USED:
         type_store().get_msgdef(name)
 

@@ -1,4 +1,4 @@
-"""What rmw_zenoh puts on the wire besides CDR, since April 2025 (jazzy 0.2.4, kilted, lyrical); see its design.md."""
+"""The wire format of rmw_zenoh besides CDR, since April 2025 (jazzy 0.2.4, kilted, lyrical). See its design.md."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _HEAD = struct.Struct("<qqB")
 GID_BYTES = 16
 
 
-def mangled(name: str) -> str:
+def mangle(name: str) -> str:
     """A name as one chunk of a key."""
     return name.replace("/", "%")
 
@@ -54,17 +54,17 @@ class NodeName:
 
     def endpoint_token(self, number: int, kind: str, topic: str, type_name: str, type_hash: str) -> str:
         """The token of one of its publishers or subscribers."""
-        chunks = self._chunks(number, kind), mangled(topic), dds_type(type_name), type_hash, QOS
+        chunks = self._chunks(number, kind), mangle(topic), dds_type(type_name), type_hash, QOS
         return "/".join(chunks)
 
     def _chunks(self, number: int, kind: str) -> str:
-        place = mangled(self.namespace)
+        place = mangle(self.namespace)
         return f"{_ADMIN}/{self.domain}/{self.session}/{self.number}/{number}/{kind}/{NO_ENCLAVE}/{place}/{self.name}"
 
 
 def tokens_of(domain: int, namespace: str, name: str) -> str:
-    """Key expression of the liveliness tokens of all nodes of this name, in whatever session."""
-    return f"{_ADMIN}/{domain}/*/*/*/{NODE}/*/{mangled(namespace)}/{name}"
+    """Key expression of the liveliness tokens of all nodes of this name, in any session."""
+    return f"{_ADMIN}/{domain}/*/*/*/{NODE}/*/{mangle(namespace)}/{name}"
 
 
 def gid_of(token: str) -> bytes:
@@ -74,7 +74,7 @@ def gid_of(token: str) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """What comes with every message: its number from 1, when it was sent, and its publisher."""
+    """The attachment of every message: its number from 1, its time, and its publisher."""
 
     sequence: int
     stamp_ns: int  # by the sender's wall clock

@@ -27,7 +27,7 @@ class SignedAssignment:
     def take(self, now: AssignmentInput) -> Claim:
         """First claim on a plan; evidence about another plan is dropped."""
         self._evidence.turn_to(_about(now))
-        claim = self._rule.take(self._admitted(now, (UNSAID,) * len(now.plan)))
+        claim = self._rule.take(self._admit(now, (UNSAID,) * len(now.plan)))
         self._evidence.attest(claim)
         return claim
 
@@ -35,18 +35,18 @@ class SignedAssignment:
         """The claim after a communication round; a first one if the plan has come back under another origin."""
         if self._evidence.turn_to(_about(now)):
             return self.take(now)
-        admitted = self._admitted(now, claim.table or ())
-        claim = self._allowed(self._rule.update(self._allowed(claim, now.robot), admitted), now.robot)
+        admitted = self._admit(now, claim.table or ())
+        claim = self._permit(self._rule.update(self._permit(claim, now.robot), admitted), now.robot)
         self._evidence.attest(claim)
         return claim
 
-    def _allowed(self, claim: Claim, robot: int) -> Claim:
+    def _permit(self, claim: Claim, robot: int) -> Claim:
         if claim.table is None or not self._evidence.excluded:
             return claim
         slot = None if robot in self._evidence.excluded else claim.slot
         return replace(claim, slot=slot, table=self._evidence.without_excluded(claim.table))
 
-    def _admitted(self, now: AssignmentInput, table: BidTable) -> AssignmentInput:
+    def _admit(self, now: AssignmentInput, table: BidTable) -> AssignmentInput:
         evidence = self._evidence
         heard = [
             evidence.admit(m, cast("Proofs | None", m.proofs) or NO_PROOFS, table)

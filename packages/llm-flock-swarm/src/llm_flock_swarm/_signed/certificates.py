@@ -1,8 +1,8 @@
 """Certificates: signatures under bid entries, offers, plan origins, heartbeats and missions, and how they are encoded.
 
 A slot is freed, or found blocked, by witnesses, one more than may lie; a claim on it is signed by its owner and carries
-their statements. An exchange is signed by both robots, and counts only where no two may lie together. So one who signs
-is honest, and no history has to be shown. Of a robot's numbered claims on one plan the last one counts.
+their statements. An exchange is signed by both robots, and counts only where no two may lie together. So one of
+the signers is honest, and no history has to be shown. Of a robot's numbered claims on one plan the last one counts.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Authenticator(Verifier, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What a claim is about. A plan that comes back under another origin is another one: what was signed is void."""
+    """The plan that a claim is about. The same plan under another origin is another one: its signatures are void."""
 
     mission: MissionStamp
     plan: str
@@ -83,7 +83,7 @@ class Context:
 
     @property
     def proposer(self) -> int:
-        """Who has proposed the plan; NO_OWNER if it is not known."""
+        """The robot that proposed the plan; NO_OWNER if it is not known."""
         return NO_OWNER if self.origin is None else self.origin.proposer
 
 

@@ -1,4 +1,4 @@
-"""The channel of a team with keys: who speaks, who proposed the plan, whose heart beats, and who gave the mission."""
+"""The channel of a team with keys: proves senders, proposers of plans, heartbeats, and the operator's missions."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class SignedChannel(Channel):
         return self._equivocations.signature(origin, plan) or self._origins.get((origin, plan))
 
     def hold(self, heard: Sequence[Message]) -> list[Message]:
-        """Without plans that are void; the others' origins are kept, to be passed on whatever else is proposed."""
+        """The messages without void plans. Origins of the other plans are kept, to be passed on in any case."""
         counting = [message for message in heard if self._consistent(message)]
         return [without_plan(message) if self._is_void(message.provenance) else message for message in counting]
 

@@ -1,4 +1,4 @@
-"""Whether signatures prove what they are with: statements of members, and certificates of entries of a bid table."""
+"""Checks signatures under statements of members, and certificates of entries of a bid table."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ REMEMBERED = 4096  # most signatures that are remembered as good
 
 
 class Uncertified(Exception):
-    """A statement that nobody signed, or that no honest robot makes."""
+    """A statement without a valid signature, or that no honest robot makes."""
 
 
 class Checks:
@@ -55,7 +55,7 @@ class Checks:
         grant = certificate.grant
         if isinstance(grant, ExchangeGrant):
             made, number = grant.entries().get(slot, (UNSAID, 0))
-            if made != entry or not self._exchanged(page, grant, most_exchanges(places)):
+            if made != entry or not self._is_exchange_granted(page, grant, most_exchanges(places)):
                 return False
             if certificate.number <= number:
                 return certificate.number == number
@@ -71,12 +71,12 @@ class Checks:
             return False  # who left it has not blocked it
         stated = owner if grant.by == NO_OWNER else left_by(grant.by)
         statement = word_statement(page, slot, version, stated)
-        # Exactly as many as are needed: whoever merges the entry has to pass the grant on.
+        # Exactly as many as are needed: every robot that merges the entry has to pass the grant on.
         return len(grant.words) == len({robot for robot, _ in grant.words}) == self.witnesses and all(
             self.signed_by(robot, statement, signature) for robot, signature in grant.words
         )
 
-    def _exchanged(self, page: Context, done: ExchangeGrant, most: int) -> bool:
+    def _is_exchange_granted(self, page: Context, done: ExchangeGrant, most: int) -> bool:
         offer = offer_statement(page, done.maker, done.offer(), done.number)
         return (
             self.exchanges

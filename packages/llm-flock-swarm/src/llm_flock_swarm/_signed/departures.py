@@ -1,8 +1,8 @@
-"""Robots that keep leaving their places though nobody outbids them: their claims come to count for nothing.
+"""Restless robots leave their places again and again without being outbid. Their claims are then ignored.
 
 A departure raises the version of the place, and all bids for it are drawn again: liars could drive the honest from
-place to place. So witnesses name who left, every robot counts, and says of who leaves too often that it is restless.
-When more have said so than may lie, its claims on this plan are ignored.
+place to place. So witnesses name the robot that left, and every robot counts departures and reports a robot that leaves
+too often. When more robots report it than may lie, its claims on this plan are ignored.
 """
 
 from __future__ import annotations

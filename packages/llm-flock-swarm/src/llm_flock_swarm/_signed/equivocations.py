@@ -1,6 +1,7 @@
 """Proposers whose plans do not count: each has signed two plans for one epoch of the mission, and no honest robot does.
 
-They could keep a team from agreeing for ever. The proof is passed on: all their plans for this mission are void.
+Otherwise they could keep a team from ever agreeing. Robots pass the proof on; all plans of these proposers for this
+mission are void.
 """
 
 from __future__ import annotations
@@ -43,12 +44,12 @@ class Equivocations:
         return first.signature if first is not None and same else None
 
     def hear(self, mission: MissionStamp, proofs: Proofs) -> None:
-        """Check the proofs that somebody shows, and keep those that are news; a MessageError if one proves nothing."""
+        """Check the proofs of a message, and keep the new ones. MessageError: a proof proves nothing."""
         self._turn_to(mission)
         for proof in proofs.equivocations:
             if proof.proposer in self._proofs:
                 continue
-            signed = all(self._signed(mission, proof.proposer, plan) for plan in proof.plans)
+            signed = all(self._is_signed(mission, proof.proposer, plan) for plan in proof.plans)
             if not (_exclude(*proof.plans) and signed):
                 raise MessageError("uncertified", f"robot {proof.proposer} has not signed two plans")
             self._proofs[proof.proposer] = proof
@@ -57,7 +58,7 @@ class Equivocations:
         if mission != self._mission:
             self._mission, self._seen, self._proofs = mission, {}, {}
 
-    def _signed(self, mission: MissionStamp, proposer: int, signed: SignedPlan) -> bool:
+    def _is_signed(self, mission: MissionStamp, proposer: int, signed: SignedPlan) -> bool:
         origin = Provenance(
             mission=mission.counter,
             mission_digest=mission.digest,

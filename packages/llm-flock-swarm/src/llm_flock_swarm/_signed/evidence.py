@@ -86,8 +86,8 @@ class Evidence:
     def admit(self, message: Message, proofs: Proofs, table: BidTable) -> Message:
         """The message without entries that lack a certificate; entries that change nothing are left out unchecked.
 
-        `table` has the entries held now, of the same plan. After the first statement that nobody signed, nothing more
-        of a message is looked at: whoever signs nothing takes no more than one signature's time.
+        `table` has the entries held now, of the same plan. A message is read up to its first statement
+        without a valid signature, so a forged message costs the time of one check.
         """
         certificates, entries = proofs.certificates(), [UNSAID] * len(message.table or ())
         offer = None
@@ -133,7 +133,7 @@ class Evidence:
             self._keep(slot, entry, certificate)
 
     def _fit(self, message: Message, slot: int, certificate: Certificate | None, table: BidTable) -> BidEntry:
-        """What of an entry may be merged: all of it, that its version was freed, or nothing."""
+        """The part of an entry that may be merged: all of it, that its version was freed, or nothing."""
         entry = (message.table or ())[slot]
         owner = entry[2]
         if (slot, entry) in self._page.held:
@@ -149,7 +149,7 @@ class Evidence:
             self._hear_freed(slot, entry, certificate.grant, table)
             return entry
         place = (certificate.number, slot)
-        # A slot that the others give to this robot is welcome if it has no other: nobody has heard of its last claim.
+        # A slot that the others give to this robot is welcome if it has no other: its last claim was never heard.
         welcome = owner == self._robot and all(other[2] != owner or a == slot for a, other in enumerate(table))
         outdated = place < self._page.last.get(owner, place) and not welcome
         if not outdated and not self._counts_not(owner):
@@ -242,7 +242,7 @@ class Evidence:
         new: dict[int, BidEntry] = {}
         for slot, (version, _, owner) in enumerate(table):
             if owner in self.excluded and (version == 0 or self.freed(slot, version)):
-                # Its claim stays the highest there was: whoever it outbid has left with cause.
+                # Its claim stays the highest there was: the robots that it outbid have left with cause.
                 if (certificate := self._page.held.get((slot, table[slot]))) is not None:
                     self._page.departures.explain(LastClaim.of(slot, table[slot], certificate))
                 new[slot] = (version, 0.0, NO_OWNER) if version else UNSAID
@@ -283,7 +283,7 @@ class Evidence:
             if certificate is not None and (certificate.number, slot) < self._page.last[entry[2]]:
                 self._page.departures.outdate(slot, entry)
         self._page.silent = seen.silent
-        # Who hears too few to know that honest ones are among them blames nobody: it may know of no other claims.
+        # A robot that hears too few to be sure of an honest one blames none: it may have missed other claims.
         sure = seen.alive > 2 * self.liars
         departed = self._page.departures.departed(table)
         own = {(slot, version + 1, left_by(owner) if sure else NO_OWNER) for slot, version, owner in departed}

@@ -1,7 +1,7 @@
-"""What a message proves about its sender, to anybody who has the public keys of the team.
+"""Proves by the public keys of a team that the sender of a message lies.
 
-What an honest robot sends has passed its own checks, and carries every signature that they need: a message that these
-checks refuse was not sent by one. Who changes its mind, or is wrong about what it sees, passes them.
+A message of an honest robot has passed its own checks, and carries every signature that they need. So a message that
+these checks reject comes from a liar. A robot that changes its mind, or sees wrongly, passes them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from llm_flock_swarm._signed.certificates import (
 from llm_flock_swarm._signed.channel import SignedChannel
 from llm_flock_swarm._signed.evidence import Evidence
 
-OUTSIDER = -1  # id of somebody who judges and is no robot
+OUTSIDER = -1  # id of a judge that is no robot
 
 
 def guilt(
@@ -62,7 +62,7 @@ def guilt(
     asked = next((m for m in missions if m.digest == message.mission.digest), None)
     if asked is not None and validator.objection(asked, message.plan) is not None:
         return "unverified_plan"
-    return _forged(message, proofs, evidence)
+    return _forgery(message, proofs, evidence)
 
 
 def _check_order(channel: SignedChannel, inbound: Inbound) -> None:
@@ -71,7 +71,7 @@ def _check_order(channel: SignedChannel, inbound: Inbound) -> None:
         channel.check_mission(inbound.message.mission, inbound.authorization)
 
 
-def _forged(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
+def _forgery(message: Message, proofs: Proofs, evidence: Evidence) -> str | None:
     """Whether the message states something in the name of a robot that has not signed it."""
     for robot, (count, signature) in enumerate(zip(message.beats or (), proofs.beats or (), strict=False)):
         if signature and not evidence.signed_by(robot, beat_statement(robot, count), signature):

@@ -1,4 +1,4 @@
-"""What one robot has signed and heard about the slots of one plan."""
+"""The statements that one robot has signed and heard about the slots of one plan."""
 
 from __future__ import annotations
 

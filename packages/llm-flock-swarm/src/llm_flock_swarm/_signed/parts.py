@@ -1,4 +1,4 @@
-"""The parts of a robot in a team with keys: they sign what it says, and check what it hears."""
+"""The parts of a robot in a team with keys: they sign its messages, and check those of others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What witnesses have stated about the next versions of a plan's slots: that they are free, or blocked."""
+"""Statements of witnesses that the next versions of a plan's slots are free, or blocked."""
 
 from __future__ import annotations
 

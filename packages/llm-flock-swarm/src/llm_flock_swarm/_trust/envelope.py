@@ -29,7 +29,7 @@ class Signer(Authenticator, Protocol):
     def member(self) -> int: ...
 
 
-class _Letter(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
+class _Content(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True):
     sender: Annotated[int, msgspec.Meta(ge=-128, lt=2**16)]
     session: Number
     sequence: Number
@@ -37,82 +37,82 @@ class _Letter(msgspec.Struct, array_like=True, forbid_unknown_fields=True, froze
 
 
 _ENCODER = msgspec.msgpack.Encoder()
-_DECODER = msgspec.msgpack.Decoder(_Letter)
+_DECODER = msgspec.msgpack.Decoder(_Content)
 
 
-class _Heard:
-    """Numbers of one sender that were accepted."""
+class _ReplayWindow:
+    """The replay window of one sender: which sequence numbers were accepted."""
 
     def __init__(self) -> None:
         self.session = -1
         self.newest = -1
-        self.taken = 0  # bit k: newest - k was accepted
+        self.accepted = 0  # bit k: newest - k was accepted
 
-    def objection(self, letter: _Letter) -> str | None:
-        """Why this letter is not new, or None."""
-        if letter.session != self.session:
-            return "old_session" if letter.session < self.session else None
-        behind = self.newest - letter.sequence
+    def rejection_reason(self, content: _Content) -> str | None:
+        """Why this content is not new, or None."""
+        if content.session != self.session:
+            return "old_session" if content.session < self.session else None
+        behind = self.newest - content.sequence
         if behind >= WINDOW:
             return "too_old"
-        return "replayed" if behind >= 0 and self.taken >> behind & 1 else None
+        return "replayed" if behind >= 0 and self.accepted >> behind & 1 else None
 
-    def take(self, letter: _Letter) -> None:
-        if letter.session != self.session:
-            self.session, self.newest, self.taken = letter.session, letter.sequence, 1
+    def take(self, content: _Content) -> None:
+        if content.session != self.session:
+            self.session, self.newest, self.accepted = content.session, content.sequence, 1
             return
-        ahead = letter.sequence - self.newest
+        ahead = content.sequence - self.newest
         if ahead > 0:
             # A jump past the window empties it; shifting by the jump itself would take memory for it.
-            self.taken = (self.taken << ahead | 1) & ((1 << WINDOW) - 1) if ahead < WINDOW else 1
-            self.newest = letter.sequence
+            self.accepted = (self.accepted << ahead | 1) & ((1 << WINDOW) - 1) if ahead < WINDOW else 1
+            self.newest = content.sequence
         else:
-            self.taken |= 1 << -ahead
+            self.accepted |= 1 << -ahead
 
 
 class Envelope:
-    """Seals payloads of one process, and opens others'; its session's number must be higher than all before."""
+    """Seals payloads of one process, and opens others'. `session` must be higher than in every earlier start."""
 
     def __init__(self, keys: Signer, session: int, *, max_payload: int) -> None:
         self._keys = keys
         self._session = session
         self._max_payload = max_payload
         self._sequence = 0
-        self._heard: dict[int, _Heard] = {}
+        self._windows: dict[int, _ReplayWindow] = {}
 
     def seal(self, payload: bytes, topic: str = "") -> bytes:
         """The payload in an envelope that each receiver of the topic can open once."""
-        letter = _ENCODER.encode(_Letter(self._keys.member, self._session, self._sequence, payload))
+        content = _ENCODER.encode(_Content(self._keys.member, self._session, self._sequence, payload))
         self._sequence += 1
-        body = bytes([ENVELOPE_VERSION]) + letter
+        body = bytes([ENVELOPE_VERSION]) + content
         return body + self._keys.sign(_statement(topic, body))
 
     def open(self, sealed: bytes, topic: str = "") -> tuple[int, bytes]:
-        """The sender, and the payload; a MessageError says why not (`bad_signature` also for an unknown sender)."""
+        """The sender and the payload. MessageError: with the reason; `bad_signature` also if the sender is unknown."""
         if len(sealed) > self._max_payload + OVERHEAD:
             raise MessageError("oversized", f"{len(sealed)} bytes")
-        letter = _letter(sealed)
-        if letter.sender == self._keys.member:
+        content = _decode(sealed)
+        if content.sender == self._keys.member:
             raise MessageError("own_id", "an envelope from outside in one's own name")
         # Cheap checks come before the signature, but nothing is remembered before it.
-        heard = self._heard.get(letter.sender) or _Heard()
-        objection = heard.objection(letter)
-        if objection is not None:
-            raise MessageError(objection, f"number {letter.sequence} of session {letter.session}")
-        _check_signature(letter, sealed, topic, self._keys)
-        heard.take(letter)
-        self._heard[letter.sender] = heard
-        return letter.sender, letter.payload
+        window = self._windows.get(content.sender) or _ReplayWindow()
+        reason = window.rejection_reason(content)
+        if reason is not None:
+            raise MessageError(reason, f"number {content.sequence} of session {content.session}")
+        _check_signature(content, sealed, topic, self._keys)
+        window.take(content)
+        self._windows[content.sender] = window
+        return content.sender, content.payload
 
 
 def signed_payload(sealed: bytes, topic: str, verifier: Verifier) -> tuple[int, bytes]:
-    """The sender of an envelope, and its payload, new or not: for whoever judges messages afterwards."""
-    letter = _letter(sealed)
-    _check_signature(letter, sealed, topic, verifier)
-    return letter.sender, letter.payload
+    """The sender of an envelope and its payload. Does not check for replays: for judging messages after the fact."""
+    content = _decode(sealed)
+    _check_signature(content, sealed, topic, verifier)
+    return content.sender, content.payload
 
 
-def _letter(sealed: bytes) -> _Letter:
+def _decode(sealed: bytes) -> _Content:
     if sealed[:1] != bytes([ENVELOPE_VERSION]):
         raise MessageError("version", f"this program opens envelopes of version {ENVELOPE_VERSION}")
     try:
@@ -121,10 +121,10 @@ def _letter(sealed: bytes) -> _Letter:
         raise MessageError("malformed", str(error)) from None
 
 
-def _check_signature(letter: _Letter, sealed: bytes, topic: str, verifier: Verifier) -> None:
+def _check_signature(content: _Content, sealed: bytes, topic: str, verifier: Verifier) -> None:
     body, signature = sealed[:-SIGNATURE_BYTES], sealed[-SIGNATURE_BYTES:]
-    if not verifier.check(letter.sender, _statement(topic, body), signature):
-        raise MessageError("bad_signature", f"not signed by {letter.sender}")
+    if not verifier.check(content.sender, _statement(topic, body), signature):
+        raise MessageError("bad_signature", f"not signed by {content.sender}")
 
 
 def _statement(topic: str, body: bytes) -> bytes:

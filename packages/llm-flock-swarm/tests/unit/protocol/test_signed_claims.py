@@ -181,7 +181,7 @@ def test_robot_out_of_numbers_offers_and_accepts_nothing(team: SignedTeam) -> No
     assert evidence.may_exchange(5)
     evidence._page.number += 1
     assert not evidence.may_exchange(5)
-    now = SignedAssignment(AuctionAssignment(), evidence)._admitted(
+    now = SignedAssignment(AuctionAssignment(), evidence)._admit(
         team.agents[0]._agreement._assignment_input(team.agents[0].plan, adopted=True, heard=[]),  # type: ignore[arg-type]
         team.agents[0].claim.table or (),
     )

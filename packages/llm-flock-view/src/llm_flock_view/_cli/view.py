@@ -126,7 +126,7 @@ def view(
 
 
 def reach_browser() -> list[Finding]:
-    """What `llm-flock doctor` says of the browser that `llm-flock view` opens."""
+    """The line of `llm-flock doctor` about the browser that `llm-flock view` opens."""
     import webbrowser
 
     try:

@@ -127,7 +127,7 @@ def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False)
         count = 1 if k == 0 else steps
         for step in range(count if last else 1, count + 1):
             with house_style():
-                panel.draw_team(axes, k, eased(step / count))
+                panel.draw_team(axes, k, ease(step / count))
                 caption.set_text(_caption(record, k))
                 canvas.restore_region(background)
                 drawn = sorted([*axes.collections, *axes.texts], key=Artist.get_zorder)
@@ -138,7 +138,7 @@ def frames(record: RunRecord, *, steps: int = STEPS_A_ROUND, last: bool = False)
             yield Image.fromarray(np.asarray(canvas.buffer_rgba())[:, :, :3])
 
 
-def eased(part: float) -> float:
+def ease(part: float) -> float:
     """Share of the way after a part of the time, from rest to rest."""
     return part * part * (3.0 - 2.0 * part)
 
@@ -217,7 +217,7 @@ def _write_video(record: RunRecord, path: Path, part: Path, fps: int, ffmpeg: st
                 pipe.write(data)
         except BrokenPipeError:
             pass  # ffmpeg gave up; it says why below
-        _, said = process.communicate()
+        _, output = process.communicate()
     if process.returncode:
-        reason = said.decode(errors="replace").strip()
+        reason = output.decode(errors="replace").strip()
         raise InputError("out", str(path), f"what ffmpeg can write ({reason})")

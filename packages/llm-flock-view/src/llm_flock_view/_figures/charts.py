@@ -92,7 +92,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
                 for curve in facet.marks:
                     _curve(axes, curve, series)
                 repeated = len(above) > at and above[at].title == facet.title
-                axes.set_title("" if repeated else folded(facet.title, 34))
+                axes.set_title("" if repeated else fold(facet.title, 34))
                 axes.set_ylim(bottom=0)
                 axes.margins(x=0)
             for axes, above_it in zip(grid[number][len(panels) :], grid[number - 1][len(panels) :], strict=True):
@@ -100,7 +100,7 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
                 above_it.tick_params(labelbottom=number > 0)  # nothing stands below it
             if name:
                 at_the_right: dict[str, Any] = {"xycoords": "axes fraction", "rotation": 270, "ha": "left", "size": 8}
-                grid[number][len(panels) - 1].annotate(folded(name, 30), (1.03, 0.5), va="center", **at_the_right)
+                grid[number][len(panels) - 1].annotate(fold(name, 30), (1.03, 0.5), va="center", **at_the_right)
         for axes in grid[-1]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
         shown = [curve for _, panels in rows for facet in panels for curve in facet.marks]
@@ -116,11 +116,11 @@ def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks:
             frame(axes)
             for number, curve in enumerate(facet.marks):
                 shift = 0.0 if ticks is None else 0.07 * (number - (len(facet.marks) - 1) / 2)
-                _whiskered(axes, curve, series, shift, joined=ticks is None)
+                _draw_whiskers(axes, curve, series, shift, joined=ticks is None)
             axes.set_ylim(bottom=0)
             if ticks is not None:
                 turn: dict[str, Any] = {"rotation": 30, "ha": "right"} if max(map(len, ticks)) > 6 else {}
-                axes.set_xticks(range(len(ticks)), [shortened(tick, 24) for tick in ticks], **turn)
+                axes.set_xticks(range(len(ticks)), [shorten(tick, 24) for tick in ticks], **turn)
         _finish(figure, series, len(panels), x, y, solid=ticks is not None)
         return figure
 
@@ -136,7 +136,7 @@ def dots(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, limits:
         axes.plot([low, high], [at, at], color=look.colour, linewidth=1.6, solid_capstyle="butt")
         axes.plot([mark.value], [at], ls="", marker=look.marker, ms=5, color=look.colour, mec=INK, mew=0.4)
 
-    return _lined(panels, series, x, y, limits, draw)
+    return _draw_lines(panels, series, x, y, limits, draw)
 
 
 def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, limits: tuple[float, float]) -> Figure:
@@ -158,7 +158,7 @@ def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, limits
         axes.scatter(shown, at + scatter, s=3, color=look.colour, linewidths=0, alpha=0.6)
         axes.plot([middle], [at], ls="", marker=look.marker, ms=5, color=look.colour, mec=INK, mew=0.6)
 
-    return _lined(panels, series, x, y, limits, draw)
+    return _draw_lines(panels, series, x, y, limits, draw)
 
 
 def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -> Figure:
@@ -195,7 +195,7 @@ def _panels(
     for axes in grid[len(panels) :]:
         axes.set_axis_off()
     for axes, facet in zip(grid, panels, strict=False):
-        axes.set_title(folded(facet.title, 34))
+        axes.set_title(fold(facet.title, 34))
     for above in grid[len(panels) - columns : columns * (lines - 1)]:
         above.tick_params(labelbottom=True)  # nothing stands below these
     return figure, grid[: len(panels)]
@@ -219,7 +219,7 @@ def _finish(
         look = look_of(series, name)
         style: dict[str, Any] = {"lw": 1.4, "ms": 4.5, "mec": INK, "mew": 0.4}
         style |= {"ls": "-" if solid else look.line, "marker": "" if line_only else look.marker}
-        handles.append(Line2D([], [], color=look.colour, label=shortened(name, 44), **style))
+        handles.append(Line2D([], [], color=look.colour, label=shorten(name, 44), **style))
     if band:
         handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
     columns = legend_columns(series, min(MAX_COLUMNS, columns))
@@ -246,7 +246,7 @@ def _curve(axes: Axes, curve: Curve, series: Sequence[str]) -> None:
     )
 
 
-def _whiskered(axes: Axes, curve: Curve, series: Sequence[str], shift: float, *, joined: bool) -> None:
+def _draw_whiskers(axes: Axes, curve: Curve, series: Sequence[str], shift: float, *, joined: bool) -> None:
     look = look_of(series, curve.series)
     line = look.line if joined else ""
     x = curve.x + shift
@@ -254,7 +254,7 @@ def _whiskered(axes: Axes, curve: Curve, series: Sequence[str], shift: float, *,
     axes.plot(x, curve.mean, color=look.colour, ls=line, lw=1.2, marker=look.marker, ms=4, mec=INK, mew=0.3)
 
 
-def _lined(
+def _draw_lines(
     panels: Sequence[Facet],
     series: Sequence[str],
     x: str,
@@ -281,7 +281,7 @@ def _lined(
                 draw(axes, mark, line * 0.2, look_of(series, mark.series))
             middles = [(k * step + (len(series) - 1) / 2) * 0.2 for k in range(len(names))]
             places = middles if labelled else [0.2 * k for k in range(len(shown))]
-            axes.set_yticks(places, [folded(name, 26) for name in shown])
+            axes.set_yticks(places, [fold(name, 26) for name in shown])
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)
@@ -322,19 +322,19 @@ def bins_for(values: Sequence[float], edge: float | None) -> Numbers:
     return np.arange(0.0, top + step, step)
 
 
-def folded(text: str, width: int) -> str:
+def fold(text: str, width: int) -> str:
     """A label on two lines at most, broken after a separator where there is one."""
     if "\n" in text:
-        return "\n".join(folded(line, width) for line in text.split("\n"))
+        return "\n".join(fold(line, width) for line in text.split("\n"))
     text = one_line(text)
     if len(text) <= width:
         return text
     cut = max(text.rfind(sign, 0, width) for sign in " ,:/·-") + 1
     cut = cut if cut > width // 4 else width
-    return f"{text[:cut].rstrip()}\n{shortened(text[cut:].lstrip(), width)}"
+    return f"{text[:cut].rstrip()}\n{shorten(text[cut:].lstrip(), width)}"
 
 
-def shortened(text: str, most: int) -> str:
+def shorten(text: str, most: int) -> str:
     """A text of at most this many letters, cut in its middle: names of models, and conditions, differ at their end."""
     text = one_line(text)
     end = (most - 1) // 2

@@ -1,4 +1,4 @@
-"""Where the discs of a team are drawn: those that hide one another fan out, and every number stays in sight.
+"""Places the discs of a team: those that hide one another fan out, and every number stays in sight.
 
 Pages do the same in `viewer/static/crowd.js`, for the size and zoom that only the browser knows; a figure needs none.
 """
@@ -43,7 +43,7 @@ class Crowd(NamedTuple):
 
 
 def spread(discs: NDArray[np.float64], radius: float) -> tuple[NDArray[np.float64], list[Crowd]]:
-    """Where discs are drawn, shape (n, 2) [points], and the crowds that fan out; no disc stays on a number."""
+    """The places of discs, shape (n, 2) [points], and the crowds that fan out; no disc stays on a number."""
     at = discs.copy()
     n = len(discs)
     rows, columns = np.nonzero(_gaps(discs, discs) < ONE_PLACE * radius)
@@ -89,7 +89,7 @@ def _gaps(some: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.
 
 
 def _aside(way: NDArray[np.float64], apart: float) -> NDArray[np.float64]:
-    """What is missing to a distance, along a way; nothing where it is kept."""
+    """The shift along a way that restores a distance; zero where it is kept."""
     gap = float(np.linalg.norm(way)) or 1.0
     return max(0.0, apart - gap) / gap * way
 

@@ -32,7 +32,7 @@ from llm_flock_view._figures.style import (
     LINES,
     MARKERS,
     RC,
-    fitted,
+    fit_title,
     heading,
     house_style,
     model_names,
@@ -125,14 +125,14 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
         axes = figure.add_subplot()
         _curves(axes, groups)
         axes.legend(loc="upper right")
-        figure.suptitle(fitted(model_names(records), 5.2), fontsize=8)
+        figure.suptitle(fit_title(model_names(records), 5.2), fontsize=8)
         return figure
 
 
 def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
     """Runs side by side: how each ended, and below it the error of all over time.
 
-    Where a run has no known ideal, as a shape in words has none, the curves are left out.
+    Where a run has no known ideal, as a described shape has none, the curves are left out.
 
     Raises:
         InputError: no records, or not one label a record.
@@ -159,14 +159,14 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
             if column == 0:
                 axes.set_ylabel("y [units]")
             teams.append((panel, axes, panel.record.rounds))
-            axes.set_title(f"{fitted(label, PANEL_INCHES)}\n{outcome(panel.record)}", linespacing=1.4)
+            axes.set_title(f"{fit_title(label, PANEL_INCHES)}\n{outcome(panel.record)}", linespacing=1.4)
         if known:
             below = figure.add_subplot(grid[1, :])
             _curves(below, _groups(records, labels))
             below.legend(loc="upper right")
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
-        figure.suptitle(fitted(title, 0.8 * width), fontsize=10)
+        figure.suptitle(fit_title(title, 0.8 * width), fontsize=10)
         _legend(figure, key_of((panel, [k]) for panel, _, k in teams), width)
         _draw_teams(figure, teams)
         return figure

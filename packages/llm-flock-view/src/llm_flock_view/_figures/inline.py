@@ -89,7 +89,7 @@ def _title(record: RunRecord) -> str:
 
 
 def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
-    """The result in words and numbers; records may come from anywhere, so nothing in them is relied on."""
+    """The result as rows of text; records may come from anywhere, so nothing in them is trusted."""
     result: Mapping[str, Any] = record.result or {}
     last = record.metrics[-1]
     if record.result is None:

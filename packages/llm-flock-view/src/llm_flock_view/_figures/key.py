@@ -1,4 +1,4 @@
-"""Legends of figures and animations, in the words of the viewer's: what is drawn in the rounds that are shown."""
+"""Legends of figures and animations, in the viewer's words, for the marks drawn in the rounds shown."""
 
 # Matplotlib's types leave **kwargs open.
 # pyright: reportUnknownMemberType=false

@@ -1,4 +1,4 @@
-"""Where words stand beside discs: on no disc and no other word; where there is room, on no ring and no line either.
+"""Places words beside discs: on no disc and no other word and, if there is room, on no ring and no line.
 
 Pages do the same in `viewer/static/labels.js`, for the size and zoom that only the browser knows; a figure needs none.
 """
@@ -31,11 +31,11 @@ LINE = 0.6
 """Half the width of a ring [points]."""
 
 GAP = 1.0
-"""Between a word and whatever is next to it [points]."""
+"""Gap between a word and its neighbours [points]."""
 
 
 class Outlines(NamedTuple):
-    """What words had better not cross [points]: rings (middle and radius), shape (m, 3), and lines, shape (k, 2, 2)."""
+    """Lines to keep free of words [points]: rings (middle and radius), shape (m, 3), and lines, shape (k, 2, 2)."""
 
     rings: NDArray[np.float64]
     lines: NDArray[np.float64]

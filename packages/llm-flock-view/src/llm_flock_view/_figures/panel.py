@@ -137,7 +137,7 @@ class Panel:
     def _spread(
         self, axes: Axes, places: Points, positions: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], Sequence[Rectangle]]:
-        """Where discs are drawn [units], and the numbers of crowds [points], red where robots are too near in space."""
+        """The places of discs [units], and the numbers of crowds [points], red where robots are too near in space."""
         if not self.labelled:
             return places, ()
         points, safe = 72.0 / _dpi(axes), float(self.record.mission.mission["safe_distance"])
@@ -237,7 +237,7 @@ class Panel:
 
     def _words(self, axes: Axes, state: State, places: Points, looks: Looks, counts: Sequence[Rectangle]) -> None:
         """Letter of the plan on a tag in its colour, then the influence; beside a dead robot its number."""
-        words = {robot: self._said(state, robot, looks[robot]) for robot in range(len(looks))}
+        words = {robot: self._label(state, robot, looks[robot]) for robot in range(len(looks))}
         words = {robot: word for robot, word in words.items() if any(word)}
         points = 72.0 / _dpi(axes)
         order = [*words, *(robot for robot in range(len(places)) if robot not in words)]
@@ -267,7 +267,7 @@ class Panel:
                 halo = [withStroke(linewidth=0.25 * self._font, foreground=PAPER)]
                 self._word(axes, text, middle + [tags[robot] / 2, 0.0], path_effects=halo, zorder=6)
 
-    def _said(self, state: State, robot: int, look: PlanLook) -> tuple[str, str]:
+    def _label(self, state: State, robot: int, look: PlanLook) -> tuple[str, str]:
         """Letters and number beside a robot: none before it has a plan."""
         if state.phases[robot] == DEAD:
             return "", str(robot)
@@ -282,19 +282,19 @@ class Panel:
         )  # fmt: skip
 
     def _bounds(self, axes: Axes) -> Rectangle:
-        """Where words may stand [points]."""
+        """The area for words [points]."""
         (left, bottom), (right, top) = 72.0 / _dpi(axes) * axes.transAxes.transform([(0, 0), (1, 1)])
         return float(left), float(right), float(bottom), float(top)
 
     def _outlines(self, axes: Axes, state: State) -> Outlines:
-        """What words cross only where there is no other room: rings, ways, walls and obstacles [points]."""
+        """Lines that words cross only if there is no other room: rings, ways, walls and obstacles [points]."""
         points, mission = 72.0 / _dpi(axes), self.record.mission.mission
 
-        def seen(places: Any) -> NDArray[np.float64]:
+        def to_pixels(places: Any) -> NDArray[np.float64]:
             flat = np.asarray(places, dtype=np.float64)
             return points * np.asarray(axes.transData.transform(flat.reshape(-1, 2))).reshape(flat.shape)
 
-        goals = seen([goal[:2] for goal in state.goals if goal is not None] or np.empty((0, 2)))
+        goals = to_pixels([goal[:2] for goal in state.goals if goal is not None] or np.empty((0, 2)))
         rings = [np.column_stack([goals, np.full(len(goals), RING * self._disc / 2)])]
         (left, bottom, *_), (right, top, *_) = mission["arena"]
         legs = np.stack([self._path[: state.round], self._path[1 : state.round + 1]], axis=2).reshape(-1, 2, 2)
@@ -304,11 +304,11 @@ class Panel:
             if obstacle.get("polygon") is not None:
                 lines.append(_edges(obstacle["polygon"]))
                 continue
-            middle, edge = seen(
+            middle, edge = to_pixels(
                 [obstacle["center"][:2], [obstacle["center"][0] + obstacle["radius"], obstacle["center"][1]]]
             )
             rings.append(np.array([[*middle, np.linalg.norm(edge - middle)]]))
-        return Outlines(np.concatenate(rings), seen(np.concatenate(lines)))
+        return Outlines(np.concatenate(rings), to_pixels(np.concatenate(lines)))
 
     def _discs(self, axes: Axes, places: Points, looks: Looks, above: float) -> None:
         axes.scatter(

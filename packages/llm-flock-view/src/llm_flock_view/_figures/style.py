@@ -1,4 +1,4 @@
-"""How plans, robots and words look, the same in every figure and animation."""
+"""The look of plans, robots and words, the same in every figure and animation."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def heading(record: RunRecord, inches: float) -> str:
     named = protocol_text(record.run.config)
     protocol = f"protocol: {named}" if named else ""
     parts = (shapes(record), robots, protocol, model_names([record]), above)
-    return fitted(" · ".join(part for part in parts if part), inches)
+    return fit_title(" · ".join(part for part in parts if part), inches)
 
 
 def shapes(record: RunRecord) -> str:
@@ -153,7 +153,7 @@ def shapes(record: RunRecord) -> str:
     return ", then ".join(name for name, _ in itertools.groupby(names))
 
 
-def fitted(text: str, inches: float) -> str:
+def fit_title(text: str, inches: float) -> str:
     return textwrap.fill(one_line(text, MAX_TITLE), max(20, int(LETTERS_AN_INCH * inches)), break_on_hyphens=False)
 
 

@@ -41,13 +41,13 @@ from llm_flock.record import (
 )
 
 ARENA, TRAILS, LOG = "/arena", "/trails", "/log"
-TRAIL = 24
+MAX_TRAIL_ROUNDS = 24
 """Longest trail [rounds]."""
 
 MAX_TRAIL_POINTS = 6000
-"""Points of all trails in one message: large teams have shorter ones."""
+"""Most points of all trails in one message: large teams have shorter trails."""
 
-MAX_DETAIL = 300
+MAX_LOG_LINE = 300
 """Longest line of the log [characters]."""
 
 OBSTACLE_HEIGHT = 1.0
@@ -55,8 +55,8 @@ OBSTACLE_HEIGHT = 1.0
 
 _INFO, _WARNING = 2, 3
 _WARNINGS = frozenset({"killed", "fallback", "no_plan", "accused", "rejected_message", "injected", "link_lost", "cut"})
-_EDGE = rgba("#56606B")
-_STONE = rgba("#7F7F7F", 0.8)
+_EDGE_COLOR = rgba("#56606B")
+_OBSTACLE_COLOR = rgba("#7F7F7F", 0.8)
 _BOX_EDGES = (0, 1, 1, 3, 3, 2, 2, 0, 4, 5, 5, 7, 7, 6, 6, 4, 0, 4, 1, 5, 2, 6, 3, 7)
 """Pairs of corners of a box; bit 0 of a corner's number chooses x, bit 1 y, bit 2 z."""
 
@@ -72,7 +72,7 @@ class ChannelMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ChannelKind:
-    """What a channel holds: the name and the JSON schema of its messages."""
+    """The name and the JSON schema of a channel's messages."""
 
     name: str
     schema: dict[str, Any]
@@ -103,7 +103,7 @@ class ChannelWriter:
         self._round = 0
 
     def messages(self, entry: Entry) -> Iterator[ChannelMessage]:
-        """The entry itself, and what is drawn of it."""
+        """The entry itself, and its drawings."""
         self._round = number = getattr(entry, "round", self._round)
         yield ChannelMessage(topic=TOPICS[type(entry)], round=number, data=entry.encoded())
         match entry:
@@ -117,16 +117,16 @@ class ChannelWriter:
                 if self._scene is None:
                     raise RecordError("a state comes before the mission")
                 yield ChannelMessage(topic=SCENE_TOPIC, round=number, data=self._scene.draw(entry))
-                yield from self._moved(entry)
+                yield from self._pose_messages(entry)
             case ProtocolEvent() | FlightEvent():
                 yield ChannelMessage(topic=LOG, round=number, data=_log(entry))
             case _:
                 pass
 
-    def _moved(self, state: State) -> Iterator[ChannelMessage]:
+    def _pose_messages(self, state: State) -> Iterator[ChannelMessage]:
         points = [xyz(row) for row in state.positions]
         if not self._trails:
-            longest = max(2, min(TRAIL, MAX_TRAIL_POINTS // len(points)))
+            longest = max(2, min(MAX_TRAIL_ROUNDS, MAX_TRAIL_POINTS // len(points)))
             self._trails = [deque(maxlen=longest) for _ in points]
         time = {"sec": state.round, "nsec": 0}
         lines: list[dict[str, Any]] = []
@@ -142,24 +142,24 @@ class ChannelWriter:
 
 
 def _arena(info: MissionInfo) -> bytes:
-    """Walls and obstacles; they fill the height of a room, and have one of their own in a plane."""
+    """Walls and obstacles; they reach from floor to ceiling in 3D, and are OBSTACLE_HEIGHT tall in 2D."""
     low, high = info.mission["arena"]
     floor, top = (low[2], high[2]) if len(low) == 3 else (0.0, OBSTACLE_HEIGHT)
     if len(low) == 3:
         corners = [xyz([(high if k >> axis & 1 else low)[axis] for axis in range(3)]) for k in range(8)]
-        walls = {**_line(LINE_LIST, corners, _EDGE), "indices": _BOX_EDGES}
+        walls = {**_line(LINE_LIST, corners, _EDGE_COLOR), "indices": _BOX_EDGES}
     else:
-        walls = _line(LINE_LOOP, [xyz(p) for p in (low, [high[0], low[1]], high, [low[0], high[1]])], _EDGE)
+        walls = _line(LINE_LOOP, [xyz(p) for p in (low, [high[0], low[1]], high, [low[0], high[1]])], _EDGE_COLOR)
     lines, cylinders = [walls], list[dict[str, Any]]()
     for obstacle in info.mission.get("obstacles", ()):
         polygon, center, radius = obstacle.get("polygon"), obstacle.get("center"), obstacle.get("radius")
         if polygon is not None:
-            lines += [_line(LINE_LOOP, [xyz([*row[:2], z]) for row in polygon], _EDGE) for z in (floor, top)]
+            lines += [_line(LINE_LOOP, [xyz([*row[:2], z]) for row in polygon], _EDGE_COLOR) for z in (floor, top)]
         elif center is not None and radius is not None:
             middle = xyz([*center[:2], (floor + top) / 2])
             size = {"x": 2 * radius, "y": 2 * radius, "z": top - floor}
             pose = {"position": middle, "orientation": ORIGIN["orientation"]}
-            cylinders.append({"pose": pose, "size": size, "color": _STONE, "bottom_scale": 1, "top_scale": 1})
+            cylinders.append({"pose": pose, "size": size, "color": _OBSTACLE_COLOR, "bottom_scale": 1, "top_scale": 1})
     time = {"sec": info.round, "nsec": 0}
     drawn = (entity("arena", time, lines=lines, cylinders=cylinders),)
     return to_json({"deletions": (), "entities": drawn})
@@ -179,14 +179,14 @@ def _line(kind: int, points: list[dict[str, float]], color: dict[str, float]) ->
 
 
 def _log(event: ProtocolEvent | FlightEvent) -> bytes:
-    """An event as a line of text: who, what, and the details by name."""
+    """An event as a line of text: the robot or team, the kind, and the details by name."""
     who = "team" if event.robot is None else f"robot {event.robot}"
-    details = ", ".join(f"{name} {value}" for name, value in _some(event.detail) if value is not None)
+    details = ", ".join(f"{name} {value}" for name, value in _scalar_details(event.detail) if value is not None)
     text = f"{who}: {event.kind.replace('_', ' ')}" + (f" ({details})" if details else "")
     line = {
         "timestamp": {"sec": event.round, "nsec": 0},
         "level": _WARNING if event.kind in _WARNINGS else _INFO,
-        "message": one_line(text, MAX_DETAIL),
+        "message": one_line(text, MAX_LOG_LINE),
         "name": who,
         "file": "",
         "line": 0,
@@ -194,7 +194,7 @@ def _log(event: ProtocolEvent | FlightEvent) -> bytes:
     return to_json(line)
 
 
-def _some(detail: dict[str, Any]) -> Iterable[tuple[str, Any]]:
+def _scalar_details(detail: dict[str, Any]) -> Iterable[tuple[str, Any]]:
     """Details that are short enough for a line; proofs and plans are in the record's own channel."""
     return [(name, value) for name, value in detail.items() if not isinstance(value, list | dict | tuple)]
 

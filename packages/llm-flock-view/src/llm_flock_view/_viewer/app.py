@@ -48,7 +48,7 @@ def run_viewer(
         runs: folder for the records of runs that are started from the page.
         models: models, other than simulated ones, that runs started from the page may ask.
         base_url: address that replaces the provider's own.
-        reader: reads missions in words; without one the page takes none.
+        reader: reads missions as text; without one the page takes none.
         foxglove: takes the newest run as well.
     """
     library = Library()

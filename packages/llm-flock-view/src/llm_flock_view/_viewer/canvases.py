@@ -1,4 +1,4 @@
-"""What the canvases of a page show: tracks, layers and charts. Imports nothing heavy: the first page waits for it."""
+"""Contents of a page's canvases: tracks, layers and charts. Imports nothing heavy: the first page waits for it."""
 
 from __future__ import annotations
 

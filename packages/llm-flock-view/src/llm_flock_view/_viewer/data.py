@@ -43,7 +43,7 @@ FIGURES = (
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
-    """The JSON for a path such as /data/1/news; None if there is no such; numbers not valid have their default."""
+    """The JSON for a path such as /data/1/news; None if there is no such path. Invalid numbers get their defaults."""
     parts = path.strip("/").split("/")
     if parts == ["data", "runs"]:
         return to_json([run_row(run) for run in list(library.runs.values())])
@@ -75,7 +75,7 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
 
 
 def about(run: Recording) -> dict[str, Any]:
-    """What a page needs before the first round; while there is none, why."""
+    """The data that a page needs before the first round; while there is none, the reason."""
     if not run.ready:
         return {"ready": False, "failure": run.failure}
     history = run.history
@@ -95,7 +95,7 @@ def about(run: Recording) -> dict[str, Any]:
 
 
 def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
-    """What came after the rounds (the start counted), plans and missions that the page knows, except the robots."""
+    """Everything but the robots after the rounds (the start counted), plans and missions that the page knows."""
     history = run.history
     last = history.rounds
     rows = history.rows[rounds : last + 1]
@@ -109,7 +109,7 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
         "steer": None if run.steer is None else run.steer(),
         "plans": [plan_look(number) for number in range(plans, len(history.plan_numbers))],
         "missions": [{"round": m.round, "text": printable(shape_text(m.mission))} for m in history.missions[missions:]],
-        "figures": {name: [_rounded(getattr(row, name)) for row in rows] for name in FIGURES},
+        "figures": {name: [_round(getattr(row, name)) for row in rows] for name in FIGURES},
         "marks": {str(k): dict(run.marks[k]) for k in range(rounds, last + 1) if k in run.marks},
     }
 
@@ -161,5 +161,5 @@ def _from_above(row: Sequence[float]) -> list[float]:
     return [round(row[0], DECIMALS), round(row[1], DECIMALS)]
 
 
-def _rounded(value: float | None) -> float | None:
+def _round(value: float | None) -> float | None:
     return None if value is None else round(value, 6)

@@ -1,4 +1,4 @@
-"""Recorded events as marks on the timeline, and in words."""
+"""Recorded events as marks on the timeline, and as text."""
 
 from __future__ import annotations
 
@@ -54,30 +54,30 @@ def in_words(event: ProtocolEvent, plan_name: Callable[[str | None], str]) -> st
     """An event as a sentence without its subject; `plan_name` gives the letters that stand for a plan."""
     if event.kind in _FLIGHT and (event.kind != "clipped" or "sent" in event.detail):
         return _FLIGHT[event.kind](event.detail)
-    told = _SENTENCES.get(event.kind)
+    sentence = _SENTENCES.get(event.kind)
     if event.kind in _PLAN_SENTENCES:
         return _PLAN_SENTENCES[event.kind](event.detail, plan_name(event.detail.get("plan")))
     if event.kind == "breaker" and event.detail.get("state") == "open":
         return f"does without its model for now: {breaker_text(event)}"
-    return _unknown(event) if told is None else told(event.detail)
+    return _unknown(event) if sentence is None else sentence(event.detail)
 
 
 Detail = Mapping[str, Any]
 
 
-def _proposed(detail: Detail, plan: str) -> str:
+def _proposal(detail: Detail, plan: str) -> str:
     by = " made by geometry" if detail.get("by") == "geometry" else ""
     return f"proposed plan {plan}{by}"
 
 
-def _adopted(detail: Detail, plan: str) -> str:
+def _adoption(detail: Detail, plan: str) -> str:
     return f"took plan {plan} over from robot {detail.get('from')}"
 
 
-_PLAN_SENTENCES: Mapping[str, Callable[[Detail, str], str]] = {"proposed": _proposed, "adopted": _adopted}
+_PLAN_SENTENCES: Mapping[str, Callable[[Detail, str], str]] = {"proposed": _proposal, "adopted": _adoption}
 
 
-def _claimed(detail: Detail) -> str:
+def _claim(detail: Detail) -> str:
     slot, before = detail.get("slot"), detail.get("before")
     if slot is None:
         return "gave its place up" if before is None else f"gave place {before} up"
@@ -89,7 +89,7 @@ def _fallback(detail: Detail) -> str:
     return f"was helped by {helper}, for its model gave no usable {detail.get('question')}{_because(detail)}"
 
 
-def _rejected(detail: Detail) -> str:
+def _rejection(detail: Detail) -> str:
     reason = str(detail.get("reason") or "").replace("_", " ") or "no reason recorded"
     more = detail.get("detail")
     return f"refused a message that it heard: {reason}" + (f" ({more})" if more else "")
@@ -140,7 +140,7 @@ def _deadlock(detail: Detail) -> str:
     return f"asks for the right of way: others have kept it from its goal for {some}{away}"
 
 
-def _injected(detail: Detail) -> str:
+def _injection(detail: Detail) -> str:
     model, loss = detail.get("model"), detail.get("loss")
     if model is not None:
         return f"had its model replaced from the viewer, by one that answers nonsense: {model}"
@@ -149,11 +149,11 @@ def _injected(detail: Detail) -> str:
     return "was disturbed from the viewer"
 
 
-def _shielded(detail: Detail) -> str:
+def _shield(detail: Detail) -> str:
     return f"was led round others by the safety shield{_flown(detail)}"
 
 
-def _clipped(detail: Detail) -> str:
+def _clip(detail: Detail) -> str:
     return f"flew its model's waypoint clipped to the step limit, the goal or the arena{_flown(detail)}"
 
 
@@ -166,8 +166,8 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     ),
     "fallback": _fallback,
     "breaker": lambda detail: f"has its model asked for a {detail.get('question')} again: its last answer was usable",
-    "claimed": _claimed,
-    "rejected_message": _rejected,
+    "claimed": _claim,
+    "rejected_message": _rejection,
     "asked_again": _asked_again,
     "stale_question": lambda detail: (
         f"asks its model for a {detail.get('about')} again: plan or place changed while it was thinking"
@@ -178,8 +178,8 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     "search": _search,
     "gap": _gap,
     "mission": lambda detail: f"heard of another mission: {detail.get('shape')}",
-    "clipped": _clipped,
-    "shielded": _shielded,
+    "clipped": _clip,
+    "shielded": _shield,
     "separating": _separating,
     "deadlock": _deadlock,
     "gives_way": lambda detail: f"gives way to robot {detail.get('to')}",
@@ -191,7 +191,7 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     ),
     "killed": lambda detail: "died",
     "joined": lambda detail: "joined",
-    "injected": _injected,
+    "injected": _injection,
 }
 
 

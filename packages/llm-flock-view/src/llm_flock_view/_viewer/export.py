@@ -1,4 +1,4 @@
-"""Everything that can be saved of a record."""
+"""Exports a record as a file: the record, a replay page, a figure or an animation."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from llm_flock_view._viewer.paths import RECORD_NAME
 from llm_flock_view._viewer.replay_page import write_page
 
 
-def exported(record: Path, name: str) -> bytes:
-    """The record itself, or what is drawn from it; `name` is one of `export_kinds`."""
-    if name not in [one for _, one in export_kinds()]:
+def export(record: Path, name: str) -> bytes:
+    """The bytes of the exported file; `name` is one of `export_kinds`."""
+    if name not in [file_name for _, file_name in export_kinds()]:
         raise FieldError("export", name, says="there is no such export")
     if not record.is_file():
         raise RecordError(

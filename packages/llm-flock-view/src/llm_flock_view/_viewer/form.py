@@ -1,4 +1,4 @@
-"""What the form that starts runs offers: shapes with their pictures, protocols, and models."""
+"""Choices of the form that starts runs: shapes with their pictures, protocols, and models."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ EXAMPLES = {"polygon:K": "polygon:5", "text:DESCRIPTION": "text:a smiling face"}
 
 @cache
 def shape_pictures() -> list[dict[str, Any]]:
-    """Every shape by name, with its places between 0 and 1; none for a shape in words, whose places a model finds."""
+    """Every shape by name, with its places between 0 and 1; none for a described shape, whose places a model finds."""
     from llm_flock import shapes as formations
 
     found: list[dict[str, Any]] = []

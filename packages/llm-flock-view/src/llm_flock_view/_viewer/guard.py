@@ -51,7 +51,7 @@ class RequestGuard:
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
-        refused = self._refused(HTTPConnection(scope))
+        refused = self._refusal(HTTPConnection(scope))
         if refused is None:
             await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
@@ -60,15 +60,15 @@ class RequestGuard:
         else:
             await refused(scope, receive, _with_headers(send))
 
-    def _refused(self, asked: HTTPConnection) -> Response | None:
-        refused = self._not_admitted(asked)
+    def _refusal(self, asked: HTTPConnection) -> Response | None:
+        refused = self._token_refusal(asked)
         # Every page's order names its origin; what names none comes from no page.
         reads = asked.scope["type"] == "websocket" or asked.scope["method"] in ("GET", "HEAD")
         if refused is None and not reads and asked.headers.get("origin") is None:
             return PlainTextResponse("no origin", status_code=403)
         return refused
 
-    def _not_admitted(self, asked: HTTPConnection) -> Response | None:
+    def _token_refusal(self, asked: HTTPConnection) -> Response | None:
         scope, headers = asked.scope, asked.headers
         host = headers.get("host", "").lower()
         if self._hosts and host not in self._hosts:

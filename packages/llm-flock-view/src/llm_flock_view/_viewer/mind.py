@@ -1,6 +1,6 @@
-"""What one robot knew and asked in a round, as plain values.
+"""The knowledge and questions of one robot in a round, as plain values.
 
-Pages set all of it as text, so no answer of a model can become markup. It is printable: it neither turns nor hides.
+Pages set all of it as text, so no answer of a model can become markup. No character in it turns or hides text.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _ORIGINS = {
     "geometry": "moved by geometry",
     "hold": "stayed where it was",
 }
-"""What moved a robot in the round, in words."""
+"""The cause of a robot's move in the round, as text."""
 
 
 class HeardClaim(NamedTuple):
-    """What a robot in radio range claims: heard by a share of the team, at a distance; a rival wants the same place."""
+    """The claim of a robot in radio range, with its influence and distance. A rival wants the same place."""
 
     robot: int
     plan: str
@@ -107,7 +107,7 @@ def claims_heard(run: RunHistory, robot: int, number: int) -> list[HeardClaim]:
 
 
 def breakers(run: RunHistory, robot: int, number: int) -> list[str]:
-    """What a robot's open circuit breakers have seen by a round, a sentence each; empty while all are closed."""
+    """A sentence for each circuit breaker of a robot that is open in a round; empty while all are closed."""
     known = [event for k in range(number + 1) for event in run.events.get(k, ()) if event.robot == robot]
     newest = {event.detail.get("question"): event for event in known if event.kind == "breaker"}
     return [breaker_text(event) for event in newest.values() if event.detail.get("state") == "open"]

@@ -1,4 +1,4 @@
-"""What pages may order, as one JSON object each: start and steer runs, read a mission in words, delete a record."""
+"""Orders of pages, as one JSON object each: start and steer runs, read a described mission, delete a record."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class PageOrders:
         self._deleting = threading.Lock()
 
     async def carry_out(self, asked: object) -> dict[str, Any]:
-        """Carry out an order, of which nothing is trusted; returns `done` in words, or `error` and its `field`."""
+        """Carry out an order, of which nothing is trusted; returns `done` as text, or `error` and its `field`."""
         order = cast("dict[str, Any]", asked if isinstance(asked, dict) else {})
         try:
             return await self._order(order)
@@ -113,8 +113,8 @@ class PageOrders:
         if not runs:
             raise FieldError("run", None, says="this run takes no orders: it was not started from the page")
         flying = [run for run in runs if run.refusal("end") is None] or runs
-        said = [_give(run, order, asked) for run in flying]
-        return {"done": f"{said[0]} (round {flying[0].round + 1})"}
+        replies = [_give(run, order, asked) for run in flying]
+        return {"done": f"{replies[0]} (round {flying[0].round + 1})"}
 
 
 def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:

@@ -1,6 +1,6 @@
-"""What came of a run: which missions were formed and when, and who kept the team from the others.
+"""The outcome of a run: the missions that were formed, when, and the robots that kept the team from the others.
 
-The first screen answers these three questions with it, before anybody has clicked on anything.
+The first screen shows it before any click.
 """
 
 from __future__ import annotations
@@ -45,14 +45,15 @@ class MissionPart(NamedTuple):
 def mission_parts(run: RunHistory) -> list[MissionPart]:
     """The missions in their order; `formed` is a round of the run, as its result says, or while it flies, its rows."""
     given = list(run.missions)
-    said = (run.result or {}).get("missions")
-    told = cast(
-        "Sequence[object]", said if isinstance(said, list) and len(cast("list[object]", said)) == len(given) else ()
+    missions = (run.result or {}).get("missions")
+    entries = cast(
+        "Sequence[object]",
+        missions if isinstance(missions, list) and len(cast("list[object]", missions)) == len(given) else (),
     )
     parts: list[MissionPart] = []
     for k, info in enumerate(given):
         last = given[k + 1].round - 1 if k + 1 < len(given) else None
-        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formed(run, k, told, last)))
+        parts.append(MissionPart(info.round, last, shape_text(info.mission), _formation_round(run, k, entries, last)))
     return parts
 
 
@@ -62,9 +63,9 @@ def shape_text(mission: Mapping[str, Any]) -> str:
     return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
 
 
-def _formed(run: RunHistory, k: int, told: Sequence[object], last: int | None) -> int | None:
-    if told and isinstance(told[k], dict):
-        formed = cast("dict[str, Any]", told[k]).get("formed")
+def _formation_round(run: RunHistory, k: int, entries: Sequence[object], last: int | None) -> int | None:
+    if entries and isinstance(entries[k], dict):
+        formed = cast("dict[str, Any]", entries[k]).get("formed")
         return formed if isinstance(formed, int) else None
     since = max(0, run.missions[k].round - 1)
     if run.result is not None and last is None:
@@ -90,7 +91,7 @@ def _formed_by_rows(run: RunHistory, first: int, last: int) -> int | None:
 
 
 def outcome(run: RunHistory, *, over: bool) -> dict[str, Any]:
-    """What the banner of a page says: see `mission_parts` and `diagnose`; `tone` is good, bad or open."""
+    """The banner of a page: see `mission_parts` and `diagnose`; `tone` is good, bad or open."""
     parts = mission_parts(run)
     last = parts[-1]
     found = diagnose(run) if over and last.formed is None else Diagnosis()
@@ -114,13 +115,13 @@ def _headline(run: RunHistory, parts: Sequence[MissionPart], *, over: bool) -> s
     name = f"Mission {len(parts)} of {len(parts)} ({last.text}) " if len(parts) > 1 else ""
     if last.formed is not None:
         given = f" (given in round {last.first})" if len(parts) > 1 else ""
-        return begun(f"{name}formed in round {last.formed}{given}{_helped(run)}{_gaps(run)}")
+        return begun(f"{name}formed in round {last.formed}{given}{_help_text(run)}{_gaps(run)}")
     if not over:
         return begun(f"{name}not formed yet")
     return begun(f"{name}not formed: {stop_text(run)}")
 
 
-def _helped(run: RunHistory) -> str:
+def _help_text(run: RunHistory) -> str:
     """Whether the models did it alone; older records do not say."""
     if (run.result or {}).get("formed_by_models", True):
         return ""
@@ -133,7 +134,7 @@ def _gaps(run: RunHistory) -> str:
 
 
 def _work(run: RunHistory) -> str:
-    """Who died, and who did the work."""
+    """The robots that died, and the share of models and geometry in the work."""
     work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
     return " · ".join(part for part in (deaths_text(run), work) if part)
 

@@ -1,4 +1,4 @@
-"""A run as pages show it. A finished record, a growing one and a live swarm look the same."""
+"""A run for pages, the same for a finished record, a growing one and a live swarm."""
 
 from __future__ import annotations
 

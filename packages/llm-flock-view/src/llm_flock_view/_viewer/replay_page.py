@@ -36,8 +36,8 @@ def write_page(record: Path, target: Path) -> int:
     run = Recording("1", title_of(record), record, live=False)
     for entry in RecordStream(record).entries():
         # The page has no conversations, which are most of a record.
-        said: dict[str, Any] = {"messages": [], "text": None, "parsed": None, "settings": {}}
-        run.write(entry.model_copy(update=said) if isinstance(entry, LlmEntry) else entry)
+        no_text: dict[str, Any] = {"messages": [], "text": None, "parsed": None, "settings": {}}
+        run.write(entry.model_copy(update=no_text) if isinstance(entry, LlmEntry) else entry)
     if not run.ready:
         raise RecordError(f"{record}: the run ended before its start was recorded; there is nothing to show")
     text = page(run).encode()

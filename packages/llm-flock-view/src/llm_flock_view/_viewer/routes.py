@@ -18,7 +18,7 @@ from llm_flock.printable import printable
 from llm_flock_view._viewer import form
 from llm_flock_view._viewer.canvases import player_options
 from llm_flock_view._viewer.data import answer
-from llm_flock_view._viewer.export import exported
+from llm_flock_view._viewer.export import export
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.page import html
 from llm_flock_view._viewer.run_rows import FIGURES
@@ -95,7 +95,7 @@ class Routes:
             return Response("no such record", status_code=404)
         name = request.path_params["name"]
         try:
-            content = exported(run.path, name)
+            content = export(run.path, name)
         except (FlockError, OSError) as error:
             return Response(printable(str(error)), status_code=400, media_type="text/plain")
         heads = {**UNCACHED, "content-disposition": f'attachment; filename="{name}"'}
@@ -113,8 +113,8 @@ class Routes:
             asked: Any = json.loads(body)
         except (ValueError, RecursionError):
             return Response("an order is JSON", status_code=400)
-        said = await self.orders.carry_out(asked)
-        content = await run_in_threadpool(partial(to_json, said))
+        reply = await self.orders.carry_out(asked)
+        content = await run_in_threadpool(partial(to_json, reply))
         return Response(content, headers=UNCACHED, media_type="application/json")
 
     def _play(self, *keys: str) -> Response:

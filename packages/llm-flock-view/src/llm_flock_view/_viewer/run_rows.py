@@ -1,4 +1,4 @@
-"""A row of the table of runs: what a run was, what came of it, and a thumbnail of its last round."""
+"""A row of the table of runs: the run, its outcome, and a thumbnail of its last round."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ FIGURES: tuple[tuple[str, str], ...] = (
 
 
 def run_row(run: Recording) -> dict[str, Any]:
-    """What the table shows of a run; a run that is not ready has its name and why."""
+    """The table's row of a run; a run that is not ready has its name and the reason."""
     row: dict[str, Any] = {
         "key": run.key,
         "title": one_line(run.title),
         "open": run.open,
         "failure": None if run.failure is None else one_line(run.failure),
         "ready": run.ready,
-        # A record that is being written, a link or a swarm is nobody's to delete.
+        # A record that is being written, a link or a swarm cannot be deleted.
         "deletable": run.path is not None and not run.open and not run.path.is_symlink(),
     }
     if not run.ready:

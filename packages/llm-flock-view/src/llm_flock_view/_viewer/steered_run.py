@@ -79,7 +79,7 @@ def _free(model: str) -> bool:
 
 
 def check_pace(pace: float) -> None:
-    """Refuse a pace [rounds a second] that nobody can watch."""
+    """Refuse a pace that is too slow or too fast to watch [rounds a second]."""
     if not 0.1 <= pace <= 100:
         raise InputError("pace", pace, "from 0.1 to 100 rounds a second")
 
@@ -125,7 +125,7 @@ class SteeredRun:
         return frozenset(robot for robot, phase in enumerate(phases) if phase == DEAD) | self._killed
 
     def state(self) -> dict[str, Any]:
-        """What can be ordered of it now: why not, for the run and for each robot; and what was ordered so far."""
+        """The orders that it takes now, the reasons why others are refused, and the orders so far."""
         robots = range(self.config.mission.n_robots)
         return {
             "kind": "run",

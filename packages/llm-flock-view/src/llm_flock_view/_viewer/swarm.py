@@ -12,7 +12,7 @@ from llm_flock_view._viewer.recording import Recording
 
 
 class WatchedTeam(Protocol):
-    """What a plug-in of the kind `watches` makes of a configuration file, an endpoint and a name, or None for each."""
+    """A team by a plug-in of the kind `watches`, from a configuration file, an endpoint and a name, each optional."""
 
     name: str
 
@@ -50,7 +50,7 @@ class SwarmSource:
             self.recording.open = False
 
     def _steer(self) -> dict[str, Any]:
-        """What can be ordered: another mission, while anybody may answer."""
+        """The possible orders: another mission, while a robot may answer."""
         mission = self.team.config.mission
         return {
             "kind": "swarm",

@@ -1,4 +1,4 @@
-"""A stand-in's estimator that lives on positions from outside: it follows what is sent, and stands still without it.
+"""A stand-in's estimator by positions from outside: it follows each received pose, and stands still without one.
 
 A real estimator would go on by its inertial sensors, and drift; that is not modelled.
 """
@@ -44,7 +44,7 @@ class ExternalPosition:
         if self._standing:
             self._standing = False
             self._body.stall(now, False)
-        x, y, z = (told - here for told, here in zip(position, self._body.estimate(now), strict=True))
+        x, y, z = (target - here for target, here in zip(position, self._body.estimate(now), strict=True))
         share = 1.0 if max(abs(x), abs(y), abs(z)) > FAR_M else TRUST
         self._body.jump((share * x, share * y, share * z), now)
         return True

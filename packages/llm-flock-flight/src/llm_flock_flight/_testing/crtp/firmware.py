@@ -77,7 +77,7 @@ class Parameter:
     kind: int
     value: float
 
-    def packed(self) -> bytes:
+    def pack(self) -> bytes:
         code = PARAMETER_TYPES[self.kind]
         return struct.pack(code, self.value if code == "<f" else int(self.value))
 
@@ -208,10 +208,10 @@ class Firmware:
             return data[:2] + bytes([NO_SUCH])
         parameter = self.parameters[self._names[number]]
         if channel == 1:
-            return data[:2] + b"\0" + parameter.packed()
+            return data[:2] + b"\0" + parameter.pack()
         parameter.value = float(struct.unpack(PARAMETER_TYPES[parameter.kind], data[2:])[0])
         self._control(now)
-        return data[:2] + parameter.packed()
+        return data[:2] + parameter.pack()
 
     def set_parameter(self, name: str, value: float, now: float) -> None:
         """Change a parameter from outside the link."""
@@ -303,7 +303,7 @@ class Firmware:
             if block.due is None or now < block.due:
                 continue
             block.due = max(block.due + block.period_s, now)
-            values = self._logged(now)
+            values = self._log_values(now)
             data = b"".join(struct.pack(code, values[name]) for name, code in block.variables)
             stamp = struct.pack("<I", int(now * 1000) & 0xFFFFFF)[:3]
             out.append(packet(LOGGING, 2, bytes([number]) + stamp + data))
@@ -339,7 +339,7 @@ class Firmware:
             self._low_level = None
             self.body.emergency_stop(now)
 
-    def _logged(self, now: float) -> dict[str, float | int]:
+    def _log_values(self, now: float) -> dict[str, float | int]:
         self._tremble = (self._tremble + 1) % 7
         shake = NOISE_M * (self._tremble - 3) / 3.0
         x, y, z = self.body.estimate(now)

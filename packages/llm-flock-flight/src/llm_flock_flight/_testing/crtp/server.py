@@ -17,8 +17,7 @@ from llm_flock.robots import PointMass, Position
 from llm_flock_flight._testing.crtp.firmware import COMMANDER, PID, Firmware, packet
 from llm_flock_flight._testing.crtp.radio import ModelledRadio
 
-STEP_S = 0.002
-"""Time between two checks for log packets that are due [s]."""
+STEP_S = 0.002  # time between two checks for log packets that are due [s]
 
 LARGEST = 64
 
@@ -126,7 +125,7 @@ class StandIn:
             except (BlockingIOError, ConnectionError):
                 return
             with self._lock:
-                if self._silent or self._lost():
+                if self._silent or self._loses_packet():
                     continue
                 self._peer = peer
                 if self._radio is None:
@@ -155,7 +154,7 @@ class StandIn:
                 for packet in due:
                     self._send(packet)
 
-    def _lost(self) -> bool:
+    def _loses_packet(self) -> bool:
         return self.loss > 0.0 and bool(self._rng.random() < self.loss)
 
     def _send(self, data: bytes) -> None:
@@ -166,7 +165,7 @@ class StandIn:
             radio.put(number, "down", data, time.monotonic())
 
     def _transmit(self, data: bytes) -> None:
-        if self._peer is not None and not self._lost():
+        if self._peer is not None and not self._loses_packet():
             with contextlib.suppress(BlockingIOError, ConnectionError):
                 self.socket.sendto(data, self._peer)
 

@@ -22,7 +22,7 @@ HEALTHY, ASTRAY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20, 0x1 | 0x80
 """Reports of an estimator with a position, and of one that holds it constant for want of measurements."""
 
 PERIODS_S = {0: 1.0, 1: 1.0, 30: 0.0, 32: 0.0, 193: 0.0, 230: 0.0, 245: 0.0}
-"""Messages by number and their periods before anybody asks [s]; 0 for never."""
+"""Messages by number and their default periods [s]; 0 for never."""
 
 PX4_PARAMETERS = {
     "COM_OF_LOSS_T": 1.0,
@@ -82,7 +82,7 @@ class Autopilot:
 
     @property
     def on_ground(self) -> bool:
-        """What its land detector says."""
+        """The state of its land detector."""
         return not self.body.lifted
 
     def switch(self, mode: int) -> None:

@@ -6,16 +6,12 @@ from dataclasses import dataclass, field
 
 from llm_flock.robots import Position
 
-STEP_S = 0.005
-"""Step of the integration [s]."""
-
-GAIN = 3.0
-"""Speed towards a set-point, by distance [1/s]."""
+STEP_S = 0.005  # step of the integration [s]
+GAIN = 3.0  # speed towards a set-point, by distance [1/s]
 
 GRAVITY = 9.81
 LANDING_M_S = 0.7
-CLIMB_M_S = 0.8
-"""Of a landing and of a take-off that the autopilot flies by itself [m/s]."""
+CLIMB_M_S = 0.8  # of a landing and of a take-off that the autopilot flies by itself [m/s]
 
 REST: Position = (0.0, 0.0, 0.0)
 
@@ -53,7 +49,7 @@ class Airframe:
             fall = self.velocity[2] + GRAVITY * STEP_S if self.height_m > 0.0 else 0.0
             self.velocity = (0.0, 0.0, fall)
         elif self.lifted:
-            wanted = self._wanted()
+            wanted = self._desired_velocity()
             share = STEP_S / 0.08  # the time constant of the speed
             north, east, down = (v + share * (w - v) for v, w in zip(self.velocity, wanted, strict=True))
             self.velocity = (north, east, down)
@@ -64,7 +60,7 @@ class Airframe:
         if down > 0.0:
             self.velocity = REST
 
-    def _wanted(self) -> Position:
+    def _desired_velocity(self) -> Position:
         if self.target is None:
             return REST
         rows = [f + GAIN * (t - p) for t, p, f in zip(self.target, self.ned, self.feed_forward, strict=True)]

@@ -17,11 +17,8 @@ from llm_flock_flight._mavlink.codec import GROUND_STATION, Codec
 from llm_flock_flight._mavlink.frames import enu
 from llm_flock_flight._testing.mavlink.autopilot import Autopilot
 
-PORTS = (20_000, 32_000)
-"""Of drivers: below those that systems choose by themselves."""
-
-STEP_S = 0.005
-"""Time between two steps of the vehicles [s]."""
+PORTS = (20_000, 32_000)  # of drivers: below those that systems choose by themselves
+STEP_S = 0.005  # time between two steps of the vehicles [s]
 
 
 class AutopilotStandIn:
@@ -53,7 +50,7 @@ class AutopilotStandIn:
 
     @property
     def position(self) -> Position:
-        """Where the body is [m; world frame]."""
+        """The body's position [m; world frame]."""
         with self.lock:
             x, y, z = (a + b for a, b in zip(self._home, enu(self.autopilot.body.ned), strict=True))
         return (x, y, z)
@@ -83,12 +80,12 @@ class AutopilotStandIn:
                 data, peer = self.socket.recvfrom(4096)
             except (BlockingIOError, ConnectionError):
                 return
-            if self.silent or self.deaf or self._lost():
+            if self.silent or self.deaf or self._loses_packet():
                 continue
             if self._calls is None:
                 self._peer = peer
             elif peer[1] != self._calls[1]:
-                continue  # a late packet for whoever had this port before must not turn it away from its driver
+                continue  # a late packet for an earlier program on this port must not turn it away from its driver
             for message in self._codec.datagram(data):
                 if int(message.get_srcSystem()) == GROUND_STATION:
                     with self.lock:
@@ -101,12 +98,12 @@ class AutopilotStandIn:
             due = self.autopilot.tick(time.monotonic())
         self._send(due)
 
-    def _lost(self) -> bool:
+    def _loses_packet(self) -> bool:
         return self.loss > 0.0 and bool(self._rng.random() < self.loss)
 
     def _send(self, packets: Sequence[bytes]) -> None:
         for packet in packets:
-            if self._peer is not None and not self.silent and not self._lost():
+            if self._peer is not None and not self.silent and not self._loses_packet():
                 with contextlib.suppress(BlockingIOError, ConnectionError):
                     self.socket.sendto(packet, self._peer)
 
@@ -182,7 +179,7 @@ class AutopilotStandIns:
 
 
 def _free_ports(host: str, count: int) -> list[int]:
-    """UDP ports that nobody uses now, and that no system gives to whoever asks for any before the driver is there."""
+    """Free UDP ports, of a range from which no system hands out ports before the driver is there."""
     found: list[int] = []
     for port in random.SystemRandom().sample(range(*PORTS), PORTS[1] - PORTS[0]):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one, contextlib.suppress(OSError):
