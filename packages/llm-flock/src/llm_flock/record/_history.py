@@ -1,6 +1,6 @@
-"""One run in memory by rounds and robots, also while it still grows: what pages and the diagnosis ask of it.
+"""One run in memory, by rounds and robots, also while it still grows. Pages and the diagnosis read it.
 
-Needs no numerical library: a first page waits for it.
+Needs no numerical library, so that a first page loads quickly.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from llm_flock.record._words import letters
 
 
 class PlanOrigin(NamedTuple):
-    """One step on the way of a plan to a robot, which has it from `round` on; the first step has no source."""
+    """One hop of a plan: `robot` received it from `source` in `round`. The proposal itself has no source."""
 
     round: int
     robot: int
@@ -37,42 +37,26 @@ class PlanOrigin(NamedTuple):
 
 @dataclass(slots=True)
 class CallCounts:
-    """What became of the calls of one robot's model by now; `last` is the newest reason why an answer was no use."""
+    """Outcomes of one robot's model calls so far; `last` is the latest reason for a rejection or failure."""
 
     model: str = ""
     asked: int = 0
-    refused: int = 0
+    rejected: int = 0
     failed: int = 0
-    helped: int = 0
-    opened: int = 0
+    fallbacks: int = 0
+    breaker_openings: int = 0
     last: str = ""
 
     @property
     def unusable(self) -> int:
         """Calls without a usable answer."""
-        return self.refused + self.failed
-
-    @property
-    def trouble(self) -> int:
-        """How much there is to look at; an open circuit breaker counts for many refusals."""
-        return self.unusable + self.helped + 5 * self.opened
-
-    @property
-    def words(self) -> str:
-        """What there is, in words."""
-        parts = [
-            (self.refused, "answer was refused", "answers were refused"),
-            (self.failed, "call failed", "calls failed"),
-            (self.helped, "time helped", "times helped"),
-        ]
-        told = [f"{count} {one if count == 1 else more}" for count, one, more in parts if count]
-        return ", ".join([*told, "its circuit breaker opened"] if self.opened else told)
+        return self.rejected + self.failed
 
 
 class RunHistory:
     """A sink for the entries of one run; each round becomes visible when it is complete.
 
-    Another thread may write: entries are only ever appended, and `rounds` is raised last.
+    Another thread may write: entries are only ever appended, and `last_round` is raised last.
     """
 
     def __init__(self) -> None:
@@ -81,15 +65,15 @@ class RunHistory:
         self.result: Mapping[str, Any] | None = None
         self.states: list[State] = []
         self.rows: list[MetricsRow] = []
-        self.rounds = -1  # the last complete one
+        self.last_round = -1  # that is complete
         self.plan_numbers: dict[str, int] = {}  # in the order in which plans were first seen
         self.plans: dict[str, PlanInfo] = {}
         self.events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)  # by round
         self.calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)  # by round and robot
         self.accused: dict[int, str] = {}  # robots that others accused of lying, each with the last reason
-        self.died: dict[int, int] = {}  # the round in which each robot died last
-        self.disturbed = 0  # last round in which a robot died or joined
-        self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
+        self.death_rounds: dict[int, int] = {}  # in which each robot died last
+        self.last_disturbance_round = 0  # in which a robot died or joined
+        self.call_counts: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self._loss: float | None = None
         self._origins: defaultdict[tuple[int, str], list[PlanOrigin]] = defaultdict(list)
 
@@ -113,12 +97,12 @@ class RunHistory:
                 self.plans.setdefault(entry.plan_id, entry)
             case ProtocolEvent():
                 self.events[entry.round].append(entry)
-                self._happened(entry)
+                self._take_event(entry)
             case FlightEvent(round=number, robot=robot, kind=kind, detail=detail) if robot is not None:
                 listed = ProtocolEvent(round=number, comm_round=None, robot=robot, kind=kind, detail=detail)
                 self.events[number].append(listed)
             case LlmEntry():
-                self._called(entry)
+                self._take_call(entry)
             case State():
                 for plan_id in entry.plan_ids:
                     if plan_id is not None:
@@ -127,23 +111,23 @@ class RunHistory:
             case MetricsRow():
                 self.rows.append(entry)
             case RoundEnd():
-                self.rounds = entry.round
+                self.last_round = entry.round
             case SummaryMessage():
                 self.result = entry.result
             case _:
                 pass  # positions between rounds, and what concerns a flight as a whole
 
-    def _happened(self, event: ProtocolEvent) -> None:
+    def _take_event(self, event: ProtocolEvent) -> None:
         robot, detail = event.robot, event.detail
         match event.kind:
             case "breaker":
-                self.tallies[robot].opened += detail.get("state") == "open"
+                self.call_counts[robot].breaker_openings += detail.get("state") == "open"
             case "fallback":
-                self.tallies[robot].helped += 1
+                self.call_counts[robot].fallbacks += 1
             case "killed" | "joined":
-                self.disturbed = max(self.disturbed, event.round)
+                self.last_disturbance_round = max(self.last_disturbance_round, event.round)
                 if event.kind == "killed":
-                    self.died[robot] = event.round
+                    self.death_rounds[robot] = event.round
             case "accused" if isinstance(detail.get("robot"), int):
                 self.accused[detail["robot"]] = str(detail.get("reason")).replace("_", " ")
             case "injected" if isinstance(detail.get("loss"), int | float):
@@ -154,17 +138,17 @@ class RunHistory:
             case _:
                 pass
 
-    def _called(self, entry: LlmEntry) -> None:
+    def _take_call(self, entry: LlmEntry) -> None:
         self.calls[entry.round, entry.robot].append(entry)
-        tally = self.tallies[entry.robot]
-        tally.asked += 1
-        tally.model = entry.model
+        counts = self.call_counts[entry.robot]
+        counts.asked += 1
+        counts.model = entry.model
         if entry.error is not None:
-            tally.failed += 1
-            tally.last = entry.error
+            counts.failed += 1
+            counts.last = entry.error
         elif entry.rejected is not None:
-            tally.refused += 1
-            tally.last = entry.rejected
+            counts.rejected += 1
+            counts.last = entry.rejected
 
     @property
     def n_robots(self) -> int:

@@ -92,7 +92,7 @@ def _rule(
         elif ":" not in name:
             raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
         else:
-            from llm_flock.own_code import load_own
+            from llm_flock.user_code import load_own
 
             allowed = "package.module:Class that can be imported"
             found = load_own(field, name, allowed)

@@ -132,9 +132,9 @@ class Trial:
             self.stopped = "interrupted"
             raise
         except Exception as error:
-            from llm_flock.own_code import shown
+            from llm_flock.user_code import describe_exception
 
-            self.stopped, self.reason = "failed", shown(error)
+            self.stopped, self.reason = "failed", describe_exception(error)
             raise
         finally:
             for agent in self.roster.agents:

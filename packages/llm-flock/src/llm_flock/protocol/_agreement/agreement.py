@@ -106,10 +106,10 @@ class Agreement(Situation):
         try:
             chosen = self._consensus.choose(own, heard)
         except Exception as error:
-            from llm_flock.own_code import shown
+            from llm_flock.user_code import describe_exception
 
             *_, (frame, line) = traceback.walk_tb(error.__traceback__)
-            says = f"failed: {shown(error)} ({frame.f_code.co_filename}, line {line})"
+            says = f"failed: {describe_exception(error)} ({frame.f_code.co_filename}, line {line})"
             raise FlockError(one_line(f"{rule} {says}")) from error
         if chosen is None or (any(chosen is message for message in heard) and chosen.plan is not None):
             return chosen
