@@ -132,7 +132,7 @@ Event: TypeAlias = (
     | Stopped
 )
 
-# Effects: what the robot wants done.
+# Effects: what the runtime is to do for the robot.
 
 
 class AskPlan(msgspec.Struct, frozen=True):
@@ -214,8 +214,7 @@ class Note(msgspec.Struct, frozen=True):
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
 
 AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, CommRoundBegan, Received, CommRoundEnded)
-"""Events that are legal in every phase: a robot communicates and senses also while its model thinks and while its
-body flies."""
+"""Events that are legal in every phase: robots also communicate and sense while models think and bodies fly."""
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
     (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.AGREEING}),
@@ -227,4 +226,4 @@ TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
     (Phase.DECIDING, CommRoundEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
     **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
 }
-"""Every legal (phase, event), and the phases it may lead to; any other event is a fault of the runtime."""
+"""Every legal (phase, event), and the phases it may lead to. Any other event is a fault of the runtime."""

@@ -22,12 +22,12 @@ class PlanQuestion:
     neighbors: tuple[Point, ...]
     #: Positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
     still: tuple[Point, ...] = ()
-    probe: bool = False  #: Whether the planner gets one try only, because its last answers could not be used.
+    probe: bool = False  #: Whether the planner gets a single attempt, because its last answers could not be used.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepQuestion:
-    """Choose the next waypoint, or several. Fields as in PlanQuestion, and further ones."""
+    """Choose the next waypoint, or several. Has the fields of PlanQuestion except `still`, and more."""
 
     mission: Mission
     robot: int
@@ -50,7 +50,7 @@ class StepQuestion:
             return self.corner
         if self.target is not None:
             return self.target
-        assert self.slot is not None, "a robot without a place is told where to wait"
+        assert self.slot is not None, "a robot without a place has a target"
         return self.plan.points[self.slot]
 
 
@@ -80,7 +80,7 @@ class NoAnswer:
     """The planner could not answer this time."""
 
     cause: str  #: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
-    reason: str  #: The full reason in words, for the record.
+    reason: str  #: The full reason, for the record.
     #: The last waypoint that could be read but was rejected [units; world frame]; None without one.
     waypoint: Point | None = None
 

@@ -1,4 +1,4 @@
-"""What is installed beside the core: parts announce it as entry points, and only this file reads them.
+"""Plug-ins installed beside the core. Parts announce them as entry points, which only this file reads.
 
 An entry point of the group `llm_flock.KIND` is one thing of that kind, under its name:
 

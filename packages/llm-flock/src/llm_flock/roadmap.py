@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import shapely  # imported where it is used: missions without obstacles start faster without it
 
 ARC = 64
-"""Sides of a quarter of a circle. Outlines of grown obstacles lie inside the exact ones, by less than 1e-4 radii: a gap
-that is a hair too narrow may count as passable, one that is wide enough always does."""
+"""Sides of a quarter of a circle. Outlines of grown obstacles lie inside the exact ones, by less than 1e-4 radii. A gap
+that is wide enough always counts as passable, and one that is slightly too narrow may."""
 
 
 @lru_cache(maxsize=256)
@@ -72,10 +72,10 @@ SLACK = 1e-9
 """Ways count as clear that come nearer to an obstacle than allowed by less than this [units]."""
 
 HOP = 0.25
-"""Each corner of a way counts like this share of a body's diameter: of two ways nearly as long, take the straighter."""
+"""Extra length for each corner, as a share of a body's diameter: of two similar ways, prefer the straighter one."""
 
 MEETING = 1e-6
-"""Points nearer to each other than this are one [units]."""
+"""Points nearer to each other than this count as one [units]."""
 
 
 class Roadmap:
@@ -83,7 +83,7 @@ class Roadmap:
 
     Args:
         arena: two opposite corners of the flight space [units].
-        obstacles: what stands in it, all of the same dimension.
+        obstacles: the obstacles in it, all of the same dimension.
         radius: smallest distance of a body's centre from obstacles [units].
         exact: in the plane, give lengths to within 0.4 % of the part that leads round obstacles, at the price of ways
             with many corners; for lower bounds.
@@ -119,7 +119,7 @@ class Roadmap:
         self._left = lru_cache(maxsize=1024)(self._left_to)
 
     def _corners(self, dim: int, arena: tuple[Point, Point]) -> tuple[Points, Points, Vector]:
-        """Points round every obstacle, the directions away from it, and sines of the angles that each goes round."""
+        """Points round every obstacle, the directions away from it, and the sines of the angles that they cover."""
         found: list[tuple[Points, Points, Vector]] = [(np.empty((0, dim)), np.empty((0, dim)), np.empty(0))]
         for obstacle in self._obstacles:
             if obstacle.polygon is not None:
@@ -143,7 +143,7 @@ class Roadmap:
         return np.concatenate(corners), np.concatenate(normals), np.concatenate(bends)
 
     def _sector(self, out: float) -> float:
-        """Largest angle that one corner goes round at this distance [rad]: few corners, or exact lengths."""
+        """Largest angle that one corner covers at this distance [rad]: few corners, or exact lengths."""
         return math.pi / 18 if self._exact else 2.0 * math.acos(out / (out + 0.5 * self._radius))
 
     def _clear(self, starts: Points, ends: Points, radius: float) -> NDArray[np.bool_]:
@@ -188,7 +188,7 @@ class Roadmap:
     def _seen(self, point: Point) -> tuple[NDArray[np.int64], Vector]:
         """Corners that a body at a point can fly to straight, and their distances.
 
-        A body that is too near an obstacle sees whatever does not lead nearer to one.
+        A body that is too near an obstacle sees all places that do not lead nearer to one.
         """
         here = np.array(point)
         candidates = np.flatnonzero(self._touching(here))
@@ -312,7 +312,7 @@ def _round_corner(at: tuple[Point, float, float], reach: float, sector: float) -
 def _at_walls(
     at: tuple[Point, float, float], reach: float, sector: float, arena: tuple[Point, Point]
 ) -> tuple[Points, Points, Vector]:
-    """Where the circle through those points meets walls: the ones beyond a wall are of no use to who stands at it."""
+    """Where the circle through those points meets walls: a body at the wall cannot use points beyond it."""
     corner, start, turn = at
     half = turn / math.ceil(turn / sector - 1e-9) / 2.0
     far = reach / math.cos(half)

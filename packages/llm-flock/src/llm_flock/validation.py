@@ -38,7 +38,7 @@ _EXPECTED: Mapping[str, str] = {
     "model_type": "a table",
     "model_attributes_type": "a table",
 }
-"""What is expected, by pydantic's type of error; its own words serve for all others."""
+"""The expected value by pydantic's type of error. Other types keep pydantic's text."""
 
 
 def input_error(error: ValidationError, model: type[BaseModel], within: str = "") -> InputError:
@@ -63,14 +63,14 @@ def input_error(error: ValidationError, model: type[BaseModel], within: str = ""
 
 
 def _form(loc: Sequence[int | str], model: type[BaseModel]) -> str | None:
-    """What a field's text has to look like, in words, where its definition has them (`expected`)."""
+    """The form of a field's text, as its definition describes it (`expected`); None if it does not."""
     *where, name = loc
     info = fields_of(_known(where, model)[1]).get(str(name))
     return None if info is None else extra(info, "expected")
 
 
 def _field_error(loc: Sequence[int | str], model: type[BaseModel], within: str, *, missing: bool) -> FieldError:
-    """The error of a field that is not there, or of one that nobody knows."""
+    """The error of a missing or unknown field."""
     where, kind = _known(loc[:-1], model)
     name, fields = str(loc[-1]), fields_of(kind)
     in_list = any(isinstance(part, int) for part in where)
@@ -107,35 +107,35 @@ def unknown_section(name: str, model: type[BaseModel]) -> FieldError:
 
 def fields_of(annotation: Any) -> Mapping[str, FieldInfo]:
     """The fields of the model that a type is, or holds, by the name that a file gives them; none for other types."""
-    found = _model_in(annotation)
-    return {} if found is None else {info.alias or name: info for name, info in found.model_fields.items()}
+    model = _model_in(annotation)
+    return {} if model is None else {info.alias or name: info for name, info in model.model_fields.items()}
 
 
 def extra(info: FieldInfo, key: str) -> str | None:
     """A text that the definition of a field has in its `json_schema_extra`: `expected`, or the name of its `flag`."""
     extras: object = info.json_schema_extra
-    said = cast("dict[str, object]", extras).get(key) if isinstance(extras, dict) else None
-    return said if isinstance(said, str) else None
+    text = cast("dict[str, object]", extras).get(key) if isinstance(extras, dict) else None
+    return text if isinstance(text, str) else None
 
 
 def _known(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[int | str], Any]:
     """The part of a place that names fields, keys and indices, without pydantic's names of alternatives; its type."""
     place: list[int | str] = []
-    found: Any = model
+    kind: Any = model
     for name in loc:
-        fields = fields_of(found)
-        if get_origin(found) is dict:
-            found = get_args(found)[1]
+        fields = fields_of(kind)
+        if get_origin(kind) is dict:
+            kind = get_args(kind)[1]
         elif isinstance(name, str) and name in fields:
-            found = fields[name].annotation
+            kind = fields[name].annotation
         elif isinstance(name, str):
             continue
         place.append(name)
-    return place, found
+    return place, kind
 
 
 def _dotted(place: Sequence[int | str]) -> str:
-    """A place as text. A name may come from a message or a file, with whatever letters."""
+    """A place as text. A name may come from a message or a file, with any letters."""
     return ".".join(name if name.isprintable() else ascii(name) for name in map(str, place))
 
 

@@ -1,4 +1,4 @@
-"""Shows a run in the terminal: a live line while it flies, a table when it is over, and what its record holds."""
+"""Shows a run in the terminal: a live line while it flies, a table at its end, and its record."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
 MAX_MESSAGE = 100_000
-"""Longest message that is shown of a conversation [characters]; the record has all of it."""
+"""Characters shown of a message of a conversation; the record has all of it."""
 
 
 def live_line(
@@ -38,8 +38,8 @@ def live_line(
 ) -> tuple[AbstractContextManager[None], Callable[[TrialProgress], None]]:
     """A context manager that shows a run on stderr while it is open, and a function to call after each round.
 
-    A terminal redraws one line; a log or a pipe gets a line per round. `waiting` says what is waited for until then;
-    nothing is printed before the context is entered.
+    A terminal redraws one line; a log or a pipe gets a line per round. `waiting` is the text until then. Nothing is
+    printed before the context is entered.
     """
     console = Screen(stderr=True)
     redraws = enabled and console.is_terminal
@@ -63,7 +63,7 @@ def live_line(
             yield
 
     def show(now: TrialProgress) -> None:
-        if not now.n_robots:  # nobody is there yet
+        if not now.n_robots:  # no robot is there yet
             return
         bar.update(task, description=now.text, completed=now.at_goal, total=now.n_robots)
         if enabled and not redraws:
@@ -73,7 +73,7 @@ def live_line(
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
-    """The result of a run, in words and numbers."""
+    """The result of a run as a table."""
     simulated = " (simulated language models)" if summary.simulated else ""
     title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
@@ -170,7 +170,7 @@ def show_overview(record: RunRecord) -> None:
 
 
 def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
-    """Say which records end early. Call before they are drawn, or `done` otherwise."""
+    """Warn of records that end early. Call before they are drawn, or `done` otherwise."""
     for record in records:
         if not record.complete:
             text = f"{record.path} ends early (the run was stopped): {done} up to round {record.rounds}"
@@ -178,13 +178,13 @@ def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
 
 
 def note_replaced(path: Path) -> None:
-    """Say that a file is there already. Call before it is written over."""
+    """Warn of a file that will be replaced. Call before it is written over."""
     if path.exists():
         say(f"warning: {path} was there and is replaced", error=True)
 
 
 def _start(text: str) -> str:
-    """A message of a conversation, cut where nobody reads on."""
+    """A message of a conversation, cut at MAX_MESSAGE characters."""
     more = len(text) - MAX_MESSAGE
     return printable(text[:MAX_MESSAGE]) + (f"\n... and {more:,} more characters" if more > 0 else "")
 

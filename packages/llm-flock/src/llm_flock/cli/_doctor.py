@@ -1,4 +1,4 @@
-"""`llm-flock doctor`, `shapes` and `models`: what is installed, can be reached, can be flown, and can be asked."""
+"""`llm-flock doctor`, `shapes` and `models`: lists the installation, the formations and the model providers."""
 
 from __future__ import annotations
 

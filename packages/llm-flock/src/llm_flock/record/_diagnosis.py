@@ -1,7 +1,7 @@
-"""Who or what kept a team from its formation, by its record: models, deaths, links, obstacles, rules.
+"""Finds in a record why a team did not form: models, deaths, links, obstacles or rules.
 
-Pages, reports, notebooks and the command line all say what stands here. Needs no numerical library: the first page
-waits for it.
+Pages, reports, notebooks and the command line all show this text. Needs no numerical library, so that a first page
+loads quickly.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ AT_GOAL, IN_SHAPE = 0.05, 0.1
 """As shares of the spacing, as in `llm_flock.metrics`, whose libraries load too slowly for a first page."""
 
 MAX_TOLD = 3
-"""Most groups of robots, plans, and causes that are told."""
+"""Most groups of robots, plans, and causes that are listed."""
 
 
 class Cause(NamedTuple):
-    """Something that kept a team from its formation: what happened, in sentences, and the robots it is about."""
+    """A reason why a team did not form: sentences that describe it, and the robots concerned."""
 
     text: str
     robots: tuple[int, ...] = ()
-    round: int | None = None  # None where it was not at any one time
+    round: int | None = None  # None if it belongs to no single round
     calls: tuple[LlmEntry, ...] = ()  # the model call behind it, and its retries
 
 
@@ -36,8 +36,8 @@ class Diagnosis(NamedTuple):
     """Why a team did not form, the most important cause first; empty where nothing was flown."""
 
     causes: tuple[Cause, ...] = ()
-    robots: tuple[int, ...] = ()  # that are the cause, also of causes that are not told
-    look: tuple[int, str] | None = None  # one that is worth a look, and why, where no robot is the cause
+    robots: tuple[int, ...] = ()  # of all causes, also of those that are not listed
+    look: tuple[int, str] | None = None  # if no robot is the cause: a robot worth a look, and why
 
     @property
     def why(self) -> str:
@@ -46,7 +46,7 @@ class Diagnosis(NamedTuple):
 
 
 def diagnose(run: RunHistory) -> Diagnosis:
-    """Who or what kept a team from its last mission, by the record up to its last round. Call it for a failed run."""
+    """Why a team did not form its last mission, by the record up to its last round. Call it for a failed run."""
     if run.last_round < 1:
         return Diagnosis()
     end = _LastRound(run)
@@ -68,7 +68,7 @@ def diagnose(run: RunHistory) -> Diagnosis:
 
 
 def deaths_text(run: RunHistory) -> str:
-    """Who is dead in the last round, and when they died; empty if all are alive."""
+    """The robots that are dead in the last round, and when they died; empty if all are alive."""
     dead = _dead_robots(run)
     rounds = sorted({run.death_rounds[robot] for robot in dead if robot in run.death_rounds})
     when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MAX_PLACES]))}" if rounds else ""
@@ -80,7 +80,7 @@ def _dead_robots(run: RunHistory) -> list[int]:
 
 
 class _LastRound:
-    """The team in the last round, and what led to it; methods without a verb find one kind of cause each."""
+    """The team in the last round, and its history. Each method without a verb finds one kind of cause."""
 
     def __init__(self, run: RunHistory) -> None:
         self.run, self.state = run, run.states[run.last_round]
@@ -109,7 +109,7 @@ class _LastRound:
         self.named: set[int] = set()  # by the causes found so far
 
     def causes(self) -> list[Cause]:
-        """All causes, in the order in which they are told."""
+        """All causes, in the order in which they are listed."""
         found: list[Cause] = []
         of_models = (self.accused, self.answers, self.plans, self.steps)
         for find in (*of_models, self.dead, self.ended, self.links, self.blocked):
@@ -135,7 +135,7 @@ class _LastRound:
         return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
 
     def rules_failed(self) -> str:
-        """What the rules did not do."""
+        """A sentence on what the rules failed to do."""
         if self.alone:
             own = (
                 "each robot kept its own plan"
@@ -153,7 +153,7 @@ class _LastRound:
         return len({plan for plan, _ in claims}) > 1 or len(set(claims)) < len(claims)
 
     def fact(self) -> tuple[Cause | None, tuple[int, str] | None]:
-        """What was wrong in the last round, and who is worth a look; None where nothing was."""
+        """What was wrong in the last round, and a robot worth a look; None if nothing was wrong."""
         robots: Sequence[int] = ()
         kind, when = "plan", self.run.last_round
         if self.without:
@@ -197,7 +197,7 @@ class _LastRound:
         return Cause(". ".join(told[:MAX_TOLD]) + ".", tuple(sorted(self.run.accused))) if told else None
 
     def answers(self) -> Cause | None:
-        """Models of which at least half of the answers were of no use, or that are no longer asked."""
+        """Models with at least half of their answers unusable, or that are no longer asked."""
         run, hopeless = self.run, 0.5
         counts = {robot: run.call_counts.get(robot, CallCounts()) for robot in self.awake}
         poor = [robot for robot in self.awake if 0 < counts[robot].unusable >= hopeless * counts[robot].asked]
@@ -211,28 +211,28 @@ class _LastRound:
         last = next((counts[k].last for k in reversed(robots) if counts[k].last), "").strip()
         quoted = f" The last reason: {sentence(last, 160)}" if last else ""
         calls = f"{unusable} of {counted(asked, 'call')}"
-        said = f"{begun(robots_text(robots))}: {self.models(robots)} gave no usable answer in {calls}.{quoted}"
-        refused = [
+        text = f"{begun(robots_text(robots))}: {self.models(robots)} gave no usable answer in {calls}.{quoted}"
+        failed = [
             entry
             for k in robots
             for kind in ("plan", "step")
             for entry in run.last_calls(k, kind, run.last_round)
             if entry.error is not None or entry.rejected is not None
         ]
-        shown = run.last_calls(refused[-1].robot, refused[-1].kind, refused[-1].round) if refused else ()
-        return Cause(said, tuple(robots), shown[-1].round if shown else None, shown)
+        last_calls = run.last_calls(failed[-1].robot, failed[-1].kind, failed[-1].round) if failed else ()
+        return Cause(text, tuple(robots), last_calls[-1].round if last_calls else None, last_calls)
 
     def plans(self) -> Cause | None:
-        """Plans in use that are not the shape, by whoever proposed them."""
+        """Robots that proposed a plan in use that is off the shape."""
         most_points = 250  # the work grows with the square of a plan's places
         run, ideal = self.run, self.run.mission_at(self.run.last_round).ideal
         if not ideal or len(ideal) > most_points:
             return None
         wanted = _apart(ideal)
-        told, robots, shown = list[str](), dict[int, None](), None
+        texts, robots, first = list[str](), dict[int, None](), None
         for plan_id in dict.fromkeys(plan for robot in self.awake if (plan := self.state.plan_ids[robot]) is not None):
             plan = run.plans.get(plan_id)
-            if plan is None or len(plan.points) != len(ideal) or len(told) == MAX_TOLD:
+            if plan is None or len(plan.points) != len(ideal) or len(texts) == MAX_TOLD:
                 continue
             off = sum(abs(a - b) for a, b in zip(_apart(plan.points), wanted, strict=True)) / max(1, len(wanted))
             if off <= IN_SHAPE * self.spacing:
@@ -242,9 +242,9 @@ class _LastRound:
             who = "all flew it" if len(held) == len(self.awake) else f"{robots_text(held)} flew it"
             whose = "geometry" if run.made_by_geometry(plan_id) else self.models([plan.proposer])
             by = f"distances between its places by {off:.2g} units on average"
-            told.append(f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape ({by}), and {who}.")
-            shown = shown or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
-        return None if shown is None else shown._replace(text=" ".join(told), robots=tuple(robots))
+            texts.append(f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape ({by}), and {who}.")
+            first = first or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
+        return None if first is None else first._replace(text=" ".join(texts), robots=tuple(robots))
 
     def steps(self) -> Cause | None:
         """Models that led their robots away from their goals in many of the last steps."""
@@ -259,10 +259,10 @@ class _LastRound:
                 told[robot] = f"Robot {robot}: {self.models([robot])} {what}."
         return self.each(told, run.last_calls(next(iter(told)), "step", run.last_round) if told else ())
 
-    def each(self, told: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
-        """A cause of what is told of each of some robots in the last round; None without any."""
-        text = " ".join(list(told.values())[:MAX_TOLD])
-        return Cause(text, tuple(told), self.run.last_round, calls) if told else None
+    def each(self, sentences: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
+        """A cause from one sentence on each robot in the last round; None without any."""
+        text = " ".join(list(sentences.values())[:MAX_TOLD])
+        return Cause(text, tuple(sentences), self.run.last_round, calls) if sentences else None
 
     def led_away(self, robot: int, number: int) -> bool | None:
         """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
@@ -316,7 +316,7 @@ class _LastRound:
         return math.dist(before, goal) - math.dist(after, goal)
 
     def links(self) -> Cause | None:
-        """Robots that could not hear the others, and messages that were lost."""
+        """Robots out of touch with the others, and lost messages."""
         run, told, robots = self.run, list[str](), list[int]()
         parts = self.parts()
         apart = sorted(robot for part in parts[1:] for robot in part)
@@ -365,7 +365,7 @@ class _LastRound:
         )
 
     def blocked(self) -> Cause | None:
-        """Robots that agreed with all others, and were kept from their places by what was in the way."""
+        """Robots that agreed with all others, but found an obstacle or a robot in their way."""
         if self.without or len(self.groups) > 1 or self.shared:
             return None
         run, told = self.run, dict[int, str]()

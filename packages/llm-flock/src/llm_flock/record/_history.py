@@ -187,16 +187,16 @@ class RunHistory:
     def provenance(self, robot: int, number: int) -> list[PlanOrigin]:
         """How the plan that a robot follows in a round came to it, from the proposal on; empty without a plan."""
         plan_id = self.states[number].plan_ids[robot]
-        found: list[PlanOrigin] = []
+        hops: list[PlanOrigin] = []
         holder: int | None = robot
-        while plan_id is not None and holder is not None and len(found) <= self.n_robots:
+        while plan_id is not None and holder is not None and len(hops) <= self.n_robots:
             origins = self._origins.get((holder, plan_id), ())
             origin = next((one for one in reversed(origins) if one.round <= number), None)
             if origin is None:
                 break
-            found.append(origin)
+            hops.append(origin)
             number, holder = origin.round, origin.source
-        return found[::-1]
+        return hops[::-1]
 
     def made_by_geometry(self, plan_id: str) -> bool:
         """Whether geometry, and no model, made a plan."""
@@ -206,7 +206,7 @@ class RunHistory:
     def last_calls(self, robot: int, kind: str, number: int) -> tuple[LlmEntry, ...]:
         """The last call of a kind of a robot's model up to a round, and its retries: a path is flown without calls."""
         for k in range(number, -1, -1):
-            found = tuple(entry for entry in self.calls.get((k, robot), ()) if entry.kind == kind)
-            if found:
-                return found
+            calls = tuple(entry for entry in self.calls.get((k, robot), ()) if entry.kind == kind)
+            if calls:
+                return calls
         return ()

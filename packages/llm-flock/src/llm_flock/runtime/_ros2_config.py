@@ -1,4 +1,4 @@
-"""How a swarm or a flight appears in ROS 2: router, names, frame, units, and what it takes from there."""
+"""The settings of the bridge to ROS 2: router, names, frame, units, and accepted input."""
 
 from __future__ import annotations
 

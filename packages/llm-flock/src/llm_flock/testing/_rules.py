@@ -36,7 +36,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
     """Check that a consensus rule keeps the contract of `ConsensusRule`.
 
     A name; no choice among nothing; only messages that were heard and carry a plan are chosen; the same arguments
-    give the same choice, in whatever order the messages are; choosing settles (hearing the chosen message alone
+    give the same choice, in any order of the messages; choosing settles (hearing the chosen message alone
     again changes nothing more).
     """
     assert isinstance(name := getattr(rule, "name", None), str) and name, "a rule has a name"

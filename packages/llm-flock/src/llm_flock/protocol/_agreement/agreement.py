@@ -83,7 +83,7 @@ class Agreement(Situation):
         return not last or self.plan is None or places > len(self.plan)
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
-        """Follow a plan of one's own, if it may propose one; the provenance keeps the influence of this moment."""
+        """Follow an own plan, if it may propose one. The provenance keeps the influence of this moment."""
         if not self.may_propose(len(answer.plan)):
             return []
         origin = Provenance(
@@ -101,7 +101,7 @@ class Agreement(Situation):
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
 
     def _choose(self, own: Standing, heard: list[Message]) -> Message | None:
-        """What the rule chooses; it may be anybody's code: a FlockError where it fails, or returns anything else."""
+        """The rule's choice. A rule may be user code: raises FlockError if it fails, or returns another type."""
         rule = f"robot {self._robot}: the consensus rule {self._consensus.name!r}"
         try:
             chosen = self._consensus.choose(own, heard)
@@ -117,7 +117,7 @@ class Agreement(Situation):
         raise FlockError(f"{rule} returned {one_line(repr(chosen), MAX_SHOWN)}; expected {allowed}")
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
-        """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
+        """Follow another robot's plan. The same points with another origin leave claim and bids unchanged."""
         plan, origin = source.plan, source.provenance
         assert plan is not None and origin is not None, "they go together"
         if plan == self.plan:
@@ -129,14 +129,14 @@ class Agreement(Situation):
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _remember(self) -> None:
-        """Keep the plan in force, as it stands: of each proposer the last one, in case that later ones are void."""
+        """Remember the last plan of each proposer with the claim on it, in case later plans turn out void."""
         if self.plan is not None and self.provenance is not None:
             self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
 
     def _withdraw(self, plan: Plan, proposer: int) -> Note:
-        """Go on with the highest plan that it has followed and that is not void, as it stood then."""
-        known = [known for robot, known in self._followed.items() if robot not in self._void]
-        self.plan, self.provenance, self.claim = max(known, key=self._key, default=(None, None, Claim(slot=None)))
+        """Return to the highest plan followed so far that is not void, with the claim of that time."""
+        valid = [followed for robot, followed in self._followed.items() if robot not in self._void]
+        self.plan, self.provenance, self.claim = max(valid, key=self._key, default=(None, None, Claim(slot=None)))
         self._membership.begin_plan()
         self.listens = self.plan is None  # to the next exchange: others may have a plan that counts
         after = None if self.plan is None else self.plan.digest
@@ -177,7 +177,7 @@ class Agreement(Situation):
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
         `heard` has the newest message of each sender, in ascending order of ids; plans of `void` robots do not count.
-        Rules are pure, so they are not asked twice in a row with the same arguments.
+        Rules are pure: they are not called twice in a row with the same arguments.
         """
         self._void, self.listens = void, False
         withdrawn = list[Note]()

@@ -33,7 +33,7 @@ NONE = frozenset[int]()
 
 
 class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot can say about the slots of a plan."""
+    """A robot's knowledge of the slots of a plan, from sensors and heartbeats."""
 
     silent: frozenset[int] = NONE  #: Robots whose heartbeats have stopped; their slots are free.
     blocked: frozenset[int] = NONE  #: Slots that no robot can take, because a body that does not move stands there.
@@ -56,11 +56,11 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     mission: MissionStamp = NO_MISSION
     origin: Provenance | None = None  #: Where the plan comes from; None without provenance.
     roadmap: Roadmap | None = None  #: The ways round obstacles, for lengths; None where straight lines count.
-    occupancy: Occupancy | None = None  #: What sensors and heartbeats say about the slots; None except once a round.
-    #: Where the robots are that are to be assigned jointly; None where that is not known, or not new.
+    occupancy: Occupancy | None = None  #: What is known of the slots; given once a round, else None.
+    #: Positions of the robots to assign jointly; None if they are unknown or not new.
     positions: TeamPositions | None = None
     granted: BidTable | None = None  #: Entries that enough robots have signed together; None in a team without keys.
-    #: Of several slots of its own the robot keeps the one of highest precedence; None without keys.
+    #: Precedence of a slot: of several own slots the robot keeps the highest; None without keys.
     precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
     #: The robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
     draw: Callable[[int, int], float] | None = None
@@ -103,7 +103,7 @@ def _own_choice(now: AssignmentInput) -> int:
 
 @dataclass(frozen=True, slots=True)
 class IndexAssignment:
-    """The model's own choice (paper, line 119), kept whatever others claim; the baseline's rule."""
+    """The model's own choice (paper, line 119), even if others claim the same; the baseline's rule."""
 
     name: str = "index"
 

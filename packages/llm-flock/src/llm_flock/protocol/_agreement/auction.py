@@ -72,8 +72,8 @@ class AuctionAssignment:
     """CBAA with exchanges.
 
     A robot's bid for a slot is minus its distance to it, fixed when it adopts the plan: bids from moving positions
-    could overtake each other for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it
-    can still win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a
+    could overtake each other without end. Tables are merged slot by slot. A robot that is outbid claims the best slot
+    that it can win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a
     connected graph the team ends on distinct slots. The index named by the model is not used: it knows no other robot's
     distance.
 
@@ -100,7 +100,7 @@ class AuctionAssignment:
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
-        """Merge the tables heard; keep the slot, exchange it, or claim another one if it was lost."""
+        """Merge the tables heard. Then keep the slot, exchange it, or claim another one if it was lost."""
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
@@ -108,7 +108,7 @@ class AuctionAssignment:
             table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap), None)])
             touched |= more
         if now.granted is None:
-            table = with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)
+            table = with_occupancy(reclaim(now.robot, claim, table), now.occupancy)
         else:
             table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
@@ -120,15 +120,15 @@ class AuctionAssignment:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = _keep_one(now, table, among)
             if slot is None and offer is None:
-                table, slot = _best_won(now, bids, table, before=claim.slot)
+                table, slot = _claim_best(now, bids, table, before=claim.slot)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
-        claim = _accepted(claim, now) or claim
-        return claim if claim.offer is not None else _offered(claim, now)
+        claim = _accept(claim, now) or claim
+        return claim if claim.offer is not None else _make_offer(claim, now)
 
 
-def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
+def reclaim(robot: int, claim: Claim, table: BidTable) -> BidTable:
     """Take back a slot that others released because they had not heard of this robot for too long."""
     slot = claim.slot
     if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
@@ -138,16 +138,16 @@ def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
     return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
 
 
-def with_occupancy(table: BidTable, seen: Occupancy | None) -> BidTable:
+def with_occupancy(table: BidTable, occupancy: Occupancy | None) -> BidTable:
     """The table with the slots of silent robots free and those under still bodies blocked."""
-    if seen is None or not (seen.silent or seen.blocked or seen.clear):
+    if occupancy is None or not (occupancy.silent or occupancy.blocked or occupancy.clear):
         return table
     new: dict[int, BidEntry] = {}
     for a, (version, _, owner) in enumerate(table):
-        if a in seen.blocked:
+        if a in occupancy.blocked:
             if owner != BLOCKED:
                 new[a] = (version + 1, 0.0, BLOCKED)
-        elif owner in seen.silent or (owner == BLOCKED and a in seen.clear):
+        elif owner in occupancy.silent or (owner == BLOCKED and a in occupancy.clear):
             new[a] = (version + 1, 0.0, NO_OWNER)
     return changed(table, new)
 
@@ -169,14 +169,14 @@ def _keep_one(now: AssignmentInput, table: BidTable, among: Iterable[int]) -> tu
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def _best_won(
+def _claim_best(
     now: AssignmentInput, bids: tuple[float, ...], table: BidTable, before: int | None
 ) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
 
-    Where witnesses have freed its slot, it stays there, instead of taking another that its owner may return to. With
-    lots drawn, it outbids the owner of a slot that was freed where no other can be had: whoever claims first has no
-    right to it, or liars could keep slots from everybody.
+    Where witnesses have freed its slot, it stays there, instead of taking another that its owner may return to. If
+    bids are drawn by lot and no other slot is left, it outbids the owner of a freed slot: the first to claim it has no
+    right to it, because liars could then keep slots from all others.
     """
     robot, draw, freed = now.robot, now.draw, now.freed
     if before is not None and table[before][2] == NO_OWNER:
@@ -184,7 +184,7 @@ def _best_won(
         return changed(table, {before: (version, _bid(now, bids, before, version), robot)}), before
     for a in _preferred(bids):
         version, bid, owner = table[a]
-        # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
+        # The order of `rank`, spelled out for speed: this runs for many slots.
         if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
             return changed(table, {a: (version, _bid(now, bids, a, version), robot)}), a
     if draw is None or freed is None:
@@ -228,7 +228,7 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     return gain(now, there, claim.slot, slot, straight=flown_straight(claim.table, claim.slot))
 
 
-def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
+def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
     """Accept the best offer heard, if one is good enough and no offer of its own binds this robot."""
     table = claim.table or ()
     good: list[tuple[float, int, Offer]] = []
@@ -236,7 +236,7 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
         offer = message.offer
         if offer is None or offer.to != now.robot or offer.take != claim.slot:
             continue
-        # Two that offer each other the same exchange: the offer of the lower id stands.
+        # If two robots offer each other the same exchange, the offer of the lower id stands.
         crossing = claim.offer is not None and claim.offer.to == message.sender and message.sender < now.robot
         if claim.offer is not None and not crossing:
             continue
@@ -259,7 +259,7 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
     return Claim(slot=offer.give, table=changed(table, exchanged), bids=claim.bids)
 
 
-def _offered(claim: Claim, now: AssignmentInput) -> Claim:
+def _make_offer(claim: Claim, now: AssignmentInput) -> Claim:
     """Offer the best exchange to a neighbour without an offer, if one is good enough."""
     table, slot = claim.table or (), claim.slot
     assert slot is not None and claim.bids is not None

@@ -26,14 +26,14 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Why the model is asked again (None for an answer that fits), and what may be flown, clipped if need be."""
+    """The reason to ask the model again, None for an answer that fits; and the step to fly, clipped if need be."""
 
     reason: str | None
     fit: StepAnswer | None
 
 
 def step_faults(question: StepQuestion, waypoint: Point) -> dict[Fault, str]:
-    """All faults of a waypoint, each with the reason in words for the model.
+    """All faults of a waypoint, each with the reason for the model.
 
     - form: not a finite point of the mission's dimension; nothing else is checked then.
     - length: farther than `max_step`, with a tolerance for printed decimals.
@@ -103,20 +103,20 @@ def judge(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> Ver
 
 
 def _objection(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
-    """The reason to refuse an answer as it is, or None."""
+    """The reason to reject an answer as it is, or None."""
     if question.horizon == 1:
         faults = step_faults(question, answer.waypoint)
         return "; ".join(faults.values()) + "." if faults else None
     left_to_shield = {Fault.SEPARATION} if shield_on else set[Fault]()
-    seen = ""
+    origin = ""
     for number, waypoint in enumerate((answer.waypoint, *answer.path), start=1):
         faults = step_faults(question, waypoint)
         reasons = [reason for fault, reason in faults.items() if fault not in left_to_shield]
         if reasons:
-            return f"position {number} of the path{seen}: {'; '.join(reasons)}."
+            return f"position {number} of the path{origin}: {'; '.join(reasons)}."
         question = replace(question, position=waypoint)
         left_to_shield = {Fault.SEPARATION}
-        seen = f", counted from position {number} as yours"
+        origin = f", counted from position {number} as yours"
     return None
 
 
