@@ -104,7 +104,7 @@ class Agent:
 
     @property
     def hopeless(self) -> NoAnswer | None:
-        """Why its model's last plan was rejected; None if it has a plan, or its model is still asked for one."""
+        """The rejection of its model's last plan; None if it has a plan, or its model is still asked for one."""
         return self._proposals.hopeless
 
     @property

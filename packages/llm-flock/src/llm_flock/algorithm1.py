@@ -1,4 +1,4 @@
-"""The paper on one screen: influence, adoption of plans, and the nearest available place, runnable on three robots.
+"""The paper's Algorithm 1: influence, adoption of plans, and the nearest available place, with a runnable example.
 
 `python -m llm_flock.algorithm1` flies three robots that start with a plan each. The functions are those that the rules
 `influence`, `nearest` and `nearest-free` of a run use (`protocol._agreement`). Line numbers are those of the paper's

@@ -131,7 +131,7 @@ def quick_error(rows: Points, target: Points, enough: float = 0.0) -> float | No
     general. Call before `ShapeTarget.error` if an upper bound may be enough. Stops at the first correspondence with a
     mean of at most `enough`. Returns None if it finds no such rotation; the optimum is then unknown.
     """
-    x, y = _centred(rows), _centred(target)
+    x, y = _centre(rows), _centre(target)
     best: float | None = None
     for match in _candidates(x, y):
         mean = float(np.abs(x * (match.z / abs(match.z)) - y[match.columns]).mean())
@@ -156,9 +156,9 @@ def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Corresponde
         symmetry: as for `longest`.
 
     Returns:
-        None if no correspondence was found, or too many intervals were left.
+        None if there is no candidate, or too many intervals are left.
     """
-    x, y = _centred(rows), _centred(target)
+    x, y = _centre(rows), _centre(target)
     best = max(_candidates(x, y), key=lambda match: abs(match.z), default=None)
     if best is None:
         return None
@@ -211,7 +211,7 @@ def as_complex(rows: Points) -> Complex:
     return rows[:, 0] + 1j * rows[:, 1]
 
 
-def _centred(rows: Points) -> Complex:
+def _centre(rows: Points) -> Complex:
     points = as_complex(rows)
     return points - points.mean()
 
@@ -224,7 +224,7 @@ def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArr
         target: centred target points, shape (n, 3) [units].
     """
     # Every rotation is within 63 degrees of one of the 24 of a cube.
-    starts = [*scipy.spatial.transform.Rotation.create_group("O").as_matrix().round(), *_anchored(rows, target)]
+    starts = [*scipy.spatial.transform.Rotation.create_group("O").as_matrix().round(), *_from_anchors(rows, target)]
     fits = [_correspond(rows, target, rotation) for rotation in starts]
     order = sorted(range(len(fits)), key=lambda k: -fits[k][0])
     best_fit, best = fits[order[0]]
@@ -259,7 +259,7 @@ def _correspond(rows: Points, target: Points, rotation: NDArray[np.float64]) -> 
     return float(gain[index, columns].sum()), columns
 
 
-def _anchored(rows: Points, target: Points) -> list[NDArray[np.float64]]:
+def _from_anchors(rows: Points, target: Points) -> list[NDArray[np.float64]]:
     """Rotations of the planes of two robots onto the plane of two target points far from the centre."""
     radii = np.linalg.norm(target, axis=1)
     a = target[radii.argmax()]

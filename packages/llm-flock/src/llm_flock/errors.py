@@ -1,4 +1,4 @@
-"""Every exception the package raises on purpose, on one screen.
+"""All exceptions that the package raises on purpose.
 
 The class names the source of the fault: the operator's input, a peer's message, a model's answer, a provider's
 service, a robot, or a file on disk.
@@ -52,7 +52,7 @@ class InputError(FlockError):
         self.field = field
         self.value = value
         self.says = one_line(says or f"expected {allowed}")
-        given = "" if value is None else f" = {_shown(value)}"
+        given = "" if value is None else f" = {_value_text(value)}"
         super().__init__(f"{one_line(field)}{given}: {self.says}")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -82,7 +82,7 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     return f"unknown {what}; expected one of {', '.join(names) or '(there are none)'}"
 
 
-def _shown(value: object) -> str:
+def _value_text(value: object) -> str:
     """A value of any type, in one line."""
     try:
         return one_line(repr(value), MAX_SHOWN)

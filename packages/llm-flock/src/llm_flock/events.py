@@ -40,7 +40,7 @@ class Origin(StrEnum):
     HOLD = "hold"
 
 
-# Events: what happens to the robot.
+# Events that happen to a robot.
 
 
 class Sensed(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,7 +89,7 @@ class CommRoundBegan(msgspec.Struct, frozen=True):
 
 
 class Received(msgspec.Struct, frozen=True):
-    """A payload arrived by radio; `sender` is the robot that signed the transmission, where the transport knows."""
+    """A payload arrived by radio; `sender` is the robot that signed the transmission, if the transport knows it."""
 
     payload: bytes
     sender: int | None = None
@@ -132,7 +132,7 @@ Event: TypeAlias = (
     | Stopped
 )
 
-# Effects: what the runtime is to do for the robot.
+# Effects that a robot asks its runtime for.
 
 
 class AskPlan(msgspec.Struct, frozen=True):

@@ -1,4 +1,4 @@
-"""The one kind of message between robots, and its bytes: a version byte, then MessagePack.
+"""The message that robots exchange, and its encoding: a version byte, then MessagePack.
 
 A message carries all public knowledge about its sender: mission, influence, plan with its provenance, claimed slot and,
 for the auction, its bids. Long parts are named by a digest, and spelled out only where a neighbour may lack them
@@ -109,9 +109,9 @@ class _OnWire(msgspec.Struct, array_like=True, forbid_unknown_fields=True, froze
 
 
 class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, order=True):
-    """Identifies a mission: operator's time of the order, 0 for the first one, then content.
+    """Identifies a mission by the operator's time of the order, 0 for the first one, and by its content.
 
-    The mission with the higher stamp is in force, so that of the last order.
+    The mission with the higher stamp is in force: that of the last order.
     """
 
     counter: OrderTime
@@ -129,7 +129,7 @@ class Authorization(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Provenance(_OnWire, frozen=True, kw_only=True):
-    """Where a plan comes from: fixed when it is proposed, and carried along unchanged."""
+    """The origin of a plan: fixed when it is proposed, and passed on unchanged."""
 
     mission: OrderTime  #: Time of the order for the mission that the plan was made for.
     mission_digest: Digest  #: Content of that mission.
@@ -163,7 +163,7 @@ class Offer(_OnWire, frozen=True, kw_only=True):
 
 
 class Course(_OnWire, frozen=True, kw_only=True):
-    """Where a robot that others block will be in the next rounds."""
+    """The way that a blocked robot wants to fly in the next rounds."""
 
     #: Rises with the time for which the right of way has been missing.
     level: Annotated[int, msgspec.Meta(ge=0, le=MAX_LEVEL)]
@@ -173,7 +173,7 @@ class Course(_OnWire, frozen=True, kw_only=True):
 
 
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):
-    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`."""
+    """All public knowledge about one robot, as broadcast. On the wire, an array of the fields before `plan_class`."""
 
     sender: Id  #: Id of the robot.
     sequence: Counter  #: Counts the changes of the content; equal content is equal bytes.

@@ -328,7 +328,7 @@ class Mission(BaseModel):
         Raises:
             InputError: the shape does not exist for this number of places, or does not fit.
         """
-        return self if places == self.n_places else _resized(self, places)
+        return self if places == self.n_places else _resize(self, places)
 
     def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
@@ -360,7 +360,7 @@ class Mission(BaseModel):
             raise InputError("sense_range", self.sensing, allowed)
 
 
-def _unchecked(mission: Mission, **fields: Any) -> Mission:
+def _copy(mission: Mission, **fields: Any) -> Mission:
     """A changed copy without validation, and without the values of cached properties."""
     return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
 
@@ -369,20 +369,20 @@ def _unchecked(mission: Mission, **fields: Any) -> Mission:
 def _at(mission: Mission, round_: int) -> Mission:
     center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
     if round_ - mission.since >= mission.travel_rounds:
-        return _unchecked(mission, center=center, velocity=None, since=0)
-    return _unchecked(mission, center=center, since=max(round_, mission.since))
+        return _copy(mission, center=center, velocity=None, since=0)
+    return _copy(mission, center=center, since=max(round_, mission.since))
 
 
 @lru_cache(maxsize=256)
-def _resized(mission: Mission, places: int) -> Mission:
-    resized = _unchecked(mission, places=None if places == mission.n_robots else places)
+def _resize(mission: Mission, places: int) -> Mission:
+    resized = _copy(mission, places=None if places == mission.n_robots else places)
     # Only the shape depends on the number. Obstacles are not checked: a moving formation may be anywhere among them.
     resized.check_shape()
     return resized
 
 
 def build_mission(**fields: Any) -> Mission:
-    """A `Mission` from plain values. Call it where values come from an operator.
+    """A `Mission` from plain values. Call it for values from an operator.
 
     Raises:
         InputError: a field is invalid; names the first such field, its value, and what is allowed.

@@ -45,12 +45,12 @@ class StepQuestion:
 
     @property
     def goal(self) -> Point:
-        """Where to go: the own place, or `target`, or the next `corner` on the way [units; world frame]."""
+        """The point to fly to: own place, `target`, or next `corner` on the way [units; world frame]."""
         if self.corner is not None:
             return self.corner
         if self.target is not None:
             return self.target
-        assert self.slot is not None, "a robot without a place has a target"
+        assert self.slot is not None, "a robot without a place is told where to wait"
         return self.plan.points[self.slot]
 
 

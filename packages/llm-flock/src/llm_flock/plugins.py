@@ -49,8 +49,8 @@ def entries(kind: Kind) -> Mapping[str, EntryPoint]:
     """The plug-ins of a kind by name, in the order of their names. Imports none of them."""
     from importlib.metadata import entry_points  # takes longer to import than many commands take
 
-    found = entry_points(group=f"llm_flock.{kind}")
-    return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
+    installed = entry_points(group=f"llm_flock.{kind}")
+    return {entry.name: entry for entry in sorted(installed, key=lambda entry: entry.name)}
 
 
 def load(kind: Kind, name: str) -> Any:

@@ -21,7 +21,7 @@ FORMULA = "^[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]"
 
 
 def hidden(text: str) -> str | None:
-    """The first character that text for people must not hold, line breaks and tabs included; None without one."""
+    """The first hidden character of a text, line break or tab; None without one."""
     match = re.search(f"[\t\n]|{_HIDDEN.pattern}", text)
     return None if match is None else match[0]
 
@@ -32,13 +32,13 @@ def printable(text: str) -> str:
 
 
 def one_line(text: str, most: int = 1_000) -> str:
-    """As `printable`, in one line of at most `most` characters: text from outside must not begin a line."""
+    """As `printable`, in one line of at most `most` characters: foreign text must not begin a line."""
     text = printable(text[: most + 1]).replace("\n", "\\n").replace("\t", "\\t")
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
 def csv_cell(text: str) -> str:
-    """The text for a cell of a CSV file, after a quote where a spreadsheet would calculate it as a formula.
+    """The text for a cell of a CSV file, with a quote before it if a spreadsheet would read it as a formula.
 
     See OWASP, CSV injection. Only texts need it: a negative number is no formula.
     """

@@ -81,7 +81,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     table.add_column()
     rows = [
         ("protocol", rules_text(summary.consensus, summary.assignment, shield=summary.shield)),
-        ("formed", _formed(summary)),
+        ("formed", _formed_text(summary)),
         ("stopped", f"{summary.stopped}, after {summary.rounds} rounds"),
         ("plans in use", str(summary.plans_in_use)),
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
@@ -113,7 +113,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     return table
 
 
-def _formed(summary: Summary) -> str:
+def _formed_text(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
     if summary.formed:
         alone = "" if summary.formed_by_models else ", [bold]with help for the models[/]"
@@ -191,7 +191,7 @@ def _start(text: str) -> str:
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
     """Print every call of one robot, of one round, or both."""
-    found = [
+    calls = [
         entry
         for entry in record.llm
         if (robot is None or entry.robot == robot) and (round_number is None or entry.round == round_number)
@@ -201,7 +201,7 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         raise InputError("robot", robot, says=f"there are robots 0 to {n_robots - 1}")
     if round_number is not None and round_number > record.rounds:
         raise InputError("round", round_number, says=f"there are rounds 0 to {record.rounds}")
-    if not found:
+    if not calls:
         who = "" if robot is None else f" by robot {robot}"
         rounds = sorted({entry.round for entry in record.llm if robot in (None, entry.robot)})
         if not rounds:
@@ -210,7 +210,7 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
             "round", round_number, says=f"no model was asked{who} then; calls in rounds {rounds[0]} to {rounds[-1]}"
         )
     console = Screen()
-    for entry in found:
+    for entry in calls:
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
         for message in entry.messages:
             console.print(
@@ -240,10 +240,10 @@ def inspect(
     """Show a record: its summary, or the conversation of a robot with its model."""
     from llm_flock.record._reader import read_record
 
-    found = read_record(record)
+    run = read_record(record)
     if robot is None and round_number is None:
-        show_overview(found)
+        show_overview(run)
         for extension in extensions:
-            extension(found)
+            extension(run)
     else:
-        show_conversation(found, robot, round_number)
+        show_conversation(run, robot, round_number)

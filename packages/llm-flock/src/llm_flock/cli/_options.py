@@ -95,7 +95,7 @@ def _flag(field: str, info: FieldInfo, panel: str, *, hidden: bool) -> tuple[ins
 
     metavar, read = _form(info.annotation)
     flag = f"--{extra(info, 'flag') or field.replace('_', '-')}"
-    default = _shown(info.get_default(call_default_factory=True))
+    default = _default_text(info.get_default(call_default_factory=True))
     option = typer.Option(
         flag if metavar else f"{flag}/--no-{flag[2:]}",
         help=f"{info.description}  [default: {default}]" if default else info.description,
@@ -108,7 +108,7 @@ def _flag(field: str, info: FieldInfo, panel: str, *, hidden: bool) -> tuple[ins
     return inspect.Parameter(field, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation), read
 
 
-def _shown(value: object) -> str:
+def _default_text(value: object) -> str:
     """A default, as typed on the command line; empty where there is none."""
     if isinstance(value, bool):
         return "on" if value else "off"
@@ -181,15 +181,15 @@ def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     try:
         given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
-        found = json.loads(given)
+        value = json.loads(given)
     except json.JSONDecodeError as error:
         raise InputError(field, None, says=f"broken JSON: {error}") from None
     except (OSError, ValueError, RecursionError) as error:
         why = getattr(error, "strerror", None) or error
         raise InputError(field, text, f"a JSON list, or the name of a file with one ({why})") from None
-    if not isinstance(found, list):
+    if not isinstance(value, list):
         raise InputError(field, text, "a JSON list: [...]")
-    return cast("list[Any]", found)
+    return cast("list[Any]", value)
 
 
 def with_output_folder(settings: Config, kind: str = "", *, record: bool, typed: str | None = None) -> Config:

@@ -30,7 +30,7 @@ class BreakerState(StrEnum):
 
 
 class CircuitBreaker:
-    """Decides whether a robot asks its model; call `asks` before each question, then `usable` or `refused`."""
+    """Decides whether a robot asks its model; call `asks` before each question, and `usable` or `refused` after it."""
 
     def __init__(self, question: QuestionKind, *, enabled: bool) -> None:
         self.state = BreakerState.CLOSED

@@ -76,7 +76,7 @@ class Situation:
 
     @property
     def ways(self) -> Roadmap | None:
-        """The ways round obstacles; None where straight lines count, as for a formation that moves."""
+        """The ways round obstacles; None if straight lines count, as for a formation that moves."""
         return self.mission.roadmap if self.mission.velocity is None else None
 
 
@@ -85,7 +85,7 @@ class Membership:
 
     @property
     def beats(self) -> tuple[int, ...]:
-        """The highest heartbeat known of each robot, by id; empty where none are counted."""
+        """The highest known heartbeat of each robot, by id; empty if none are counted."""
         return ()
 
     @property
@@ -197,7 +197,7 @@ class Checker:
         return None
 
     def plan_class(self, mission: Mission, plan: Plan | None) -> int:
-        """The plan's class in the total order of plans; 0 for every plan where nothing is checked."""
+        """The plan's class in the total order of plans; 0 for every plan if nothing is checked."""
         return 0
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:

@@ -82,7 +82,7 @@ def next_stop(
 @lru_cache(maxsize=4096)
 def _hops(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None) -> Vector:
     """Cost of a hop to each place, shape (n,) [units]."""
-    return _counted(ways(here, plan.array, roadmap), spacing)
+    return _hop_costs(ways(here, plan.array, roadmap), spacing)
 
 
 @lru_cache(maxsize=256)
@@ -91,8 +91,8 @@ def _between(plan: Plan, spacing: float, roadmap: Roadmap | None) -> Pairwise:
     apart = graph.distances(plan.array)
     if roadmap is not None:
         apart = np.array([ways(place, plan.array, roadmap) for place in plan.points])
-    return np.asarray(scipy.sparse.csgraph.floyd_warshall(_counted(apart, spacing), directed=False))
+    return np.asarray(scipy.sparse.csgraph.floyd_warshall(_hop_costs(apart, spacing), directed=False))
 
 
-def _counted(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+def _hop_costs(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
     return lengths * np.maximum(1.0, lengths / (REACH * spacing))

@@ -28,7 +28,7 @@ class Proposals:
 
     @property
     def hopeless(self) -> NoAnswer | None:
-        """Why the model's last plan was rejected; None with a plan, or while the model is still asked for one."""
+        """The rejection of the model's last plan; None with a plan, or while the model is still asked for one."""
         breaker = self.breaker
         return breaker.reason if self._agreement.plan is None and breaker.is_open and breaker.refusals else None
 
@@ -72,7 +72,7 @@ class Proposals:
         return self._agreement.stamp, self._agreement.plan
 
     def _plan_by_geometry(self, question: PlanQuestion, failure: NoAnswer) -> list[Note]:
-        """Propose geometry's plan in place of the model's, where geometry stands in for whole plans."""
+        """Propose geometry's plan in place of the model's, if geometry stands in for whole plans."""
         if self._fallback != "geometry":
             return []
         from llm_flock.protocol._geometry import geometric_plan

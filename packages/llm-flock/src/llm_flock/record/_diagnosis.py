@@ -33,7 +33,7 @@ class Cause(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """Why a team did not form, the most important cause first; empty where nothing was flown."""
+    """Why a team did not form, the most important cause first; empty if no round was flown."""
 
     causes: tuple[Cause, ...] = ()
     robots: tuple[int, ...] = ()  # of all causes, also of those that are not listed
@@ -50,15 +50,15 @@ def diagnose(run: RunHistory) -> Diagnosis:
     if run.last_round < 1:
         return Diagnosis()
     end = _LastRound(run)
-    found = end.causes()
+    causes = end.causes()
     fact, look = end.fact()
-    if not found and fact is not None and not end.settles:
+    if not causes and fact is not None and not end.settles:
         return Diagnosis((Cause(f"No robot is to blame: {end.rules_failed()} {fact.text}"),), (), look)
-    if not found:
+    if not causes:
         only = fact or Cause("By the record, nothing was wrong in the last round.", round=run.last_round)
         return Diagnosis((only,), only.robots, look)
-    robots = tuple(dict.fromkeys(robot for cause in found for robot in cause.robots))
-    told = found[:MAX_TOLD]
+    robots = tuple(dict.fromkeys(robot for cause in causes for robot in cause.robots))
+    told = causes[:MAX_TOLD]
     if not end.settles and end.quarrel(robots):
         others = "The other robots did not agree either" if robots else "The robots did not agree"
         told.append(Cause(f"{others}, {'for' if end.alone else 'by'} {end.rules}.", round=run.last_round))
@@ -110,14 +110,14 @@ class _LastRound:
 
     def causes(self) -> list[Cause]:
         """All causes, in the order in which they are listed."""
-        found: list[Cause] = []
+        causes: list[Cause] = []
         of_models = (self.accused, self.answers, self.plans, self.steps)
         for find in (*of_models, self.dead, self.ended, self.links, self.blocked):
             cause = find()
             if cause is not None:
-                found.append(cause)
+                causes.append(cause)
                 self.named.update(cause.robots)
-        return found
+        return causes
 
     def claim(self, robot: int) -> tuple[str | None, int | None]:
         """The place that a robot claims, in its plan."""
@@ -129,7 +129,7 @@ class _LastRound:
         return 0.0 if goal is None else math.dist(self.state.positions[robot], goal)
 
     def models(self, robots: Sequence[int]) -> str:
-        """The models of some robots, by their names where the record has them."""
+        """The models of some robots, by name if the record has names."""
         names = dict.fromkeys(self.run.call_counts[robot].model for robot in robots if robot in self.run.call_counts)
         some = ", ".join([name for name in names if name][:MAX_TOLD])
         return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
@@ -265,7 +265,7 @@ class _LastRound:
         return Cause(text, tuple(sentences), self.run.last_round, calls) if sentences else None
 
     def led_away(self, robot: int, number: int) -> bool | None:
-        """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
+        """Whether a model's step ended farther from the goal than it began; None if no model chose the step."""
         state, before = self.run.states[number], self.run.states[number - 1]
         to, at = state.waypoints[robot], before.positions[robot]
         # A goal may change after the question: a step towards the one or the other is no mistake.

@@ -32,7 +32,7 @@ class PlanOrigin(NamedTuple):
     round: int
     robot: int
     source: int | None
-    by: str = "model"  # who made the plan, where it was proposed: `model` or `geometry`
+    by: str = "model"  # maker of the plan in a proposal: `model` or `geometry`
 
 
 @dataclass(slots=True)
@@ -54,7 +54,7 @@ class CallCounts:
 
 
 class RunHistory:
-    """A sink for the entries of one run; each round becomes visible when it is complete.
+    """A sink for the entries of one run. Each round becomes visible when it is complete.
 
     Another thread may write: entries are only ever appended, and `last_round` is raised last.
     """
@@ -115,7 +115,7 @@ class RunHistory:
             case SummaryMessage():
                 self.result = entry.result
             case _:
-                pass  # positions between rounds, and what concerns a flight as a whole
+                pass  # positions between rounds, and events of a flight as a whole
 
     def _take_event(self, event: ProtocolEvent) -> None:
         robot, detail = event.robot, event.detail
@@ -152,23 +152,23 @@ class RunHistory:
 
     @property
     def n_robots(self) -> int:
-        """Team size N; ask only when there is a mission."""
+        """Team size N. Call only when there is a mission."""
         return int(self.missions[0].mission["n_robots"])
 
     @property
     def rules(self) -> tuple[str, str]:
-        """The rules of consensus and of assignment; empty where the record does not say."""
+        """The rules of consensus and of assignment; empty if the record has none."""
         config = self._config("protocol")
         return str(config.get("consensus") or ""), str(config.get("assignment") or "")
 
     @property
     def without_models(self) -> bool:
-        """Whether geometry flew all robots, as was asked for."""
+        """Whether the configuration lets geometry fly all robots."""
         return self._config("model").get("model") == "geometry"
 
     @property
     def loss(self) -> float:
-        """Share of the messages that were lost in the end, as asked for."""
+        """Share of lost messages, as configured or last injected."""
         share = self._config("links").get("loss") if self._loss is None else self._loss
         return float(share) if isinstance(share, int | float) else 0.0
 
@@ -185,7 +185,7 @@ class RunHistory:
         return "-" if plan_id is None else letters(self.plan_numbers.get(plan_id, 0))
 
     def provenance(self, robot: int, number: int) -> list[PlanOrigin]:
-        """How the plan that a robot follows in a round came to it, from the proposal on; empty without a plan."""
+        """The hops by which a robot's plan in a round came to it, from the proposal on; empty without a plan."""
         plan_id = self.states[number].plan_ids[robot]
         hops: list[PlanOrigin] = []
         holder: int | None = robot
@@ -204,7 +204,7 @@ class RunHistory:
         return bool(origins) and origins[0].by == "geometry"
 
     def last_calls(self, robot: int, kind: str, number: int) -> tuple[LlmEntry, ...]:
-        """The last call of a kind of a robot's model up to a round, and its retries: a path is flown without calls."""
+        """The last call of a kind of a robot's model up to a round, with its retries."""
         for k in range(number, -1, -1):
             calls = tuple(entry for entry in self.calls.get((k, robot), ()) if entry.kind == kind)
             if calls:

@@ -77,7 +77,7 @@ class RunRecord:
 
     @property
     def errors(self) -> NDArray[np.float64]:
-        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN where it is not known."""
+        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN if it is not known."""
         means = [row.procrustes_mean for row in self.metrics]
         return np.array([np.nan if mean is None else mean for mean in means], dtype=np.float64)
 
@@ -113,7 +113,7 @@ class RunRecord:
         return f"RunRecord({self.path}, {self.positions.shape[1]} robots, {self.rounds} rounds, {state})"
 
     def html(self) -> str | None:
-        """The picture and the table that a notebook shows; None where nothing is installed that draws them."""
+        """The picture and the table that a notebook shows; None if no installed part draws them."""
         return plugins.load("views", "html")(self) if "html" in plugins.entries("views") else None
 
     def _repr_html_(self) -> str | None:
@@ -132,7 +132,7 @@ KINDS_OF_ROBOTS = {"robot": "Int64", "slot": "Int64", "plan_id": "String", "orig
 
 
 def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
-    """The columns of a table, all of one length; None where there is no value. Positions are true ones [units]."""
+    """The columns of a table, all of one length; None without a value. Positions are true ones [units]."""
     if table == "rounds":
         return {name: [getattr(row, name) for row in record.metrics] for name in KINDS}
     if table != "robots":

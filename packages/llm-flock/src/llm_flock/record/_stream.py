@@ -69,7 +69,7 @@ class _Team:
         self._n: int | None = None
         self._dim: int | None = None
         self.begun = False
-        self._seen: Counter[type[Entry]] = Counter()
+        self._counts: Counter[type[Entry]] = Counter()
         self._first: int | None = None
 
     def objection(self, entry: Entry) -> str | None:
@@ -84,13 +84,13 @@ class _Team:
             case PlanInfo(points=points):
                 return self._differs(None, *map(len, points))
             case State() | MetricsRow() | RoundEnd():
-                fault, due = None, self._seen[type(entry)]
-                self._seen[type(entry)] += 1
+                fault, due = None, self._counts[type(entry)]
+                self._counts[type(entry)] += 1
                 if isinstance(entry, State):
                     if self._first is None or self._first > entry.round:
                         return "a state before the first mission"
                     fault = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
-                elif isinstance(entry, RoundEnd) and not self._seen[State] == self._seen[MetricsRow] == due + 1:
+                elif isinstance(entry, RoundEnd) and not self._counts[State] == self._counts[MetricsRow] == due + 1:
                     return "not a record of a run: a round without /state or /metrics"
                 return fault or (None if entry.round == due else f"round {entry.round} where round {due} was due")
             case ProtocolEvent(robot=robot) | LlmEntry(robot=robot) if self._n is not None and robot >= self._n:
@@ -169,7 +169,7 @@ class RecordStream:
                         self.ended = True
                         return
         except (EndOfFile, RecordLengthLimitExceeded, FileNotFoundError):
-            return  # the rest of this record was not written (yet); what came before is whole
+            return  # the rest of this record is not written (yet); all before it is whole
         except OSError as error:
             raise RecordError(f"{self.path}: cannot be read ({error.strerror})") from None
         except (McapError, zstandard.ZstdError, struct.error, *_NO_MCAP) as error:

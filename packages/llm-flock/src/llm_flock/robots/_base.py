@@ -45,7 +45,7 @@ class DriverCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Equipment:
-    """A driver's knowledge of its robot from connecting; None where unknown.
+    """A driver's knowledge of its robot from connecting; None if unknown.
 
     Attributes:
         controller: name of the controller that makes the robot follow its set-point.

@@ -1,4 +1,4 @@
-"""The configuration of a run: one validated object, from a file, with flags that override it by field name."""
+"""The configuration of a run: one validated object from a file, whose fields flags override by name."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class ProtocolConfig(ConfigSection):
         return self
 
     def rules(self) -> Rules:
-        """The consensus and assignment rules by these names; `InputError` for an unknown one."""
+        """The consensus and assignment rules by these names. InputError for an unknown one."""
         return consensus_rule(self.consensus or ""), assignment_rule(self.assignment or "")
 
 
@@ -184,7 +184,7 @@ class RunConfig(ConfigSection):
         return self
 
     def schedule(self) -> Schedule:
-        """Deaths, joins and mission changes in flight, drawn from the seed where random; `InputError` if impossible."""
+        """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
 
     @property

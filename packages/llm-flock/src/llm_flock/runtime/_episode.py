@@ -1,4 +1,4 @@
-"""The part of a run in which one mission is in force: when the team formed, its shape error, its lower bound."""
+"""The part of a run with one mission: the round in which the team formed, its shape error, its lower bound."""
 
 from __future__ import annotations
 

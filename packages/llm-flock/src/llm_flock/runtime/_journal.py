@@ -167,7 +167,7 @@ class Journal:
         """The mission in force: the last one that was given."""
         return self.episodes[-1]
 
-    def mission_given(self, mission: Mission, flown: int, positions: Points) -> None:
+    def begin_mission(self, mission: Mission, flown: int, positions: Points) -> None:
         """A mission is in force from the next round on; its measurements start now."""
         first = flown + 1 if self.episodes else 0
         self._put(mission_info(mission, len(self.episodes), first))
@@ -211,7 +211,7 @@ class Journal:
             event = ProtocolEvent(round=round_number, comm_round=comm_round, robot=robot, kind=kind, detail=detail)
             self.writer.write(event)
 
-    def proposed(self, round_number: int, agent: Agent, by: str) -> None:
+    def record_proposal(self, round_number: int, agent: Agent, by: str) -> None:
         """Record the points of a robot's own plan once; `by` is the name of a model, or geometry."""
         plan = agent.plan
         assert plan is not None, "a robot follows its own proposal"

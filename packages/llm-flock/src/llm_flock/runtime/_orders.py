@@ -27,7 +27,7 @@ class RunOrders:
         self._kills = [f"{robot}@{when}" for when, robots in schedule.kills.items() for robot in robots]
         self._joins = [f"{robot}@{when}" for when, robots in schedule.joins.items() for robot in robots]
         self._changes = list(config.trial.changes)
-        self._given: set[int] = set()
+        self._ordered_rounds: set[int] = set()
         self._awake = [k for k in range(config.mission.n_robots) if k not in schedule.asleep]
         self._lock = threading.Lock()
         self.round = 0
@@ -45,17 +45,17 @@ class RunOrders:
             dead = self._schedule.kills.get(when, ())
             taker = next(robot for robot in self._awake if robot not in dead)
             # A second order for the next round replaces the first; the configuration's own changes stay.
-            before = [one for one in self._changes if one.round != when or when not in self._given]
+            before = [one for one in self._changes if one.round != when or when not in self._ordered_rounds]
             try:
                 self._reschedule(self._kills, [*before, Change(round=when, robot=taker, set=fields)])
             except InputError as error:
                 # The sender of the order knows the fields of a mission, but not the list of changes.
                 raise (error.__cause__ if isinstance(error.__cause__, InputError) else error) from None
-            self._given.add(when)
+            self._ordered_rounds.add(when)
             return taker
 
     def carry_out(self, trial: Trial) -> None:
-        """Call before each round, where a run is steered."""
+        """Carry out the orders. Call before each round."""
         with self._lock:
             self.round = trial.round + 1
             self._awake = list(trial.roster.awake)

@@ -47,7 +47,7 @@ class FlightFigures:
     min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
     tracking_rms_m: float | None  # root mean square distance of drones from their set-points `lag_s` ago at most
     tracking_max_m: float | None  # the largest of these distances
-    fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
+    fan_out_ms: float | None  # longest time to send all drones their targets; None if none was sent
     poses_refused: dict[str, int] | None = None  # poses from outside that were not sent, by drone and reason
     lag_s: float = 0.0  # longest delay of the drones behind their set-points, the same for all in a motion
 
@@ -58,7 +58,7 @@ def by_origin(counts: Mapping[str, int]) -> dict[str, int]:
 
 
 def waypoint_shares(counts: Mapping[str, int]) -> dict[str, float]:
-    """Waypoints by origin as shares of all; zeros where none was flown."""
+    """Waypoints by origin as shares of all; zeros if none was flown."""
     total = max(1, sum(counts.values()))
     return {origin: count / total for origin, count in counts.items()}
 

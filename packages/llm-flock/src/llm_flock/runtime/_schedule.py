@@ -30,7 +30,7 @@ class Stream(IntEnum):
 
 
 def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:
-    """The generator for one purpose, and one robot where each has its own."""
+    """The generator for one purpose, and for one robot if each has its own."""
     return np.random.default_rng(np.random.SeedSequence([seed, int(purpose), robot]))
 
 
@@ -197,7 +197,7 @@ def _asleep(events: Mapping[int, Sequence[tuple[int, str]]]) -> frozenset[int]:
 def _missions(
     mission: Mission, changes: Sequence[Change], awake: Callable[[int, int], bool], rounds: int
 ) -> dict[int, tuple[tuple[int, Mission], ...]]:
-    """The mission of each change, made from the one before as it is in that round."""
+    """The mission of each change, derived from the one in force in that round."""
     missions: dict[int, tuple[tuple[int, Mission], ...]] = {}
     for change in sorted(changes, key=lambda change: change.round):
         when, robot = change.round, change.robot

@@ -100,7 +100,7 @@ class Trial:
         self.bodies = bodies
         self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
         self.journal = journal
-        journal.mission_given(config.mission, 0, start)
+        journal.begin_mission(config.mission, 0, start)
         self.round = 0
         self.stopped = "rounds"
         self.reason: str | None = None
@@ -114,7 +114,7 @@ class Trial:
         """The last round of this run: as configured, or else the team's present deadline."""
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
-        after = self._noticed if self.schedule.last <= self.round else self.schedule.last
+        after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
         return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
 
     async def run(self) -> None:
@@ -147,7 +147,7 @@ class Trial:
 
     def find_end(self) -> bool:
         """Whether the run ends before its last round: formed, out of budget, or hopeless. Call after a round."""
-        if self._done:
+        if self._is_done:
             self.stopped = "formed"
         elif self.planners.exhausted:
             self.stopped = "budget"
@@ -173,7 +173,7 @@ class Trial:
         return True
 
     @property
-    def _noticed(self) -> int:
+    def _notice_round(self) -> int:
         """The round by which others have noticed the last death, and searched for the dead robot."""
         kills = self.schedule.kills
         if not kills:
@@ -185,12 +185,12 @@ class Trial:
         return max(kills) + time_out + rounds_to_look
 
     @property
-    def _done(self) -> bool:
+    def _is_done(self) -> bool:
         """Whether the formation is held, and no event is left in the schedule."""
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
-        return tracker.in_order and self.round >= self._noticed
+        return tracker.in_order and self.round >= self._notice_round
 
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""
@@ -206,7 +206,7 @@ class Trial:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
-            journal.mission_given(mission, number - 1, self.bodies.positions)
+            journal.begin_mission(mission, number - 1, self.bodies.positions)
             self._send(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
 
     async def _fly_round(self, number: int) -> None:
@@ -308,7 +308,7 @@ class Trial:
                 self.journal.note(self.round + 1, comm_round, robot, effect)
                 if effect.kind == "proposed":
                     by = self.planners.model_of(robot) if effect.detail["by"] == "model" else "geometry"
-                    self.journal.proposed(self.round + 1, self.roster.agents[robot], by)
+                    self.journal.record_proposal(self.round + 1, self.roster.agents[robot], by)
         return [effect for effect in effects if not isinstance(effect, Note)]
 
     def _report(self) -> None:

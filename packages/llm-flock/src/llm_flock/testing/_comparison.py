@@ -124,10 +124,10 @@ def _sizes(shape: str, sizes: Iterable[int]) -> list[int | None]:
     if chosen or shape.startswith("points:"):
         return chosen or [None]
     name = shape.partition(":")[0]
-    found = next((info for info in formations.shapes() if info.name.partition(":")[0] == name), None)
-    assert found is not None, f"there is no shape {name!r}: add it to llm_flock.shapes"
-    assert found.description and found.legal, f"{name} says in no words what it is, or which sizes it takes"
-    return list(found.examples)
+    info = next((one for one in formations.shapes() if one.name.partition(":")[0] == name), None)
+    assert info is not None, f"there is no shape {name!r}: add it to llm_flock.shapes"
+    assert info.description and info.legal, f"{name} says in no words what it is, or which sizes it takes"
+    return list(info.examples)
 
 
 def _check_distances(shape: str, mission: Mission, points: np.ndarray[Any, Any], *, custom: bool) -> None:

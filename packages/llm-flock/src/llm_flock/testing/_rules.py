@@ -99,7 +99,7 @@ def _check_team(rule: AssignmentRule, n: int, rng: np.random.Generator) -> None:
         idle = rule.update(claim, moment(i, []))
         assert idle.slot == claim.slot, f"{rule.name} changes its claim without hearing anything"
     for _ in range(10 * n + 10):
-        spoken = [_spoken(i, plan, claims[i], n) for i in range(n)]
+        spoken = [_message_of(i, plan, claims[i], n) for i in range(n)]
         before = [(c.slot, c.table, c.offer) for c in claims]
         claims = [rule.update(claims[i], moment(i, [m for m in spoken if m.sender != i])) for i in range(n)]
         for claim in claims:
@@ -113,7 +113,7 @@ def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
     assert claim.slot is None or 0 <= claim.slot < len(plan), f"{rule.name} claims slot {claim.slot} of {len(plan)}"
 
 
-def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
+def _message_of(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     """The claim as others hear it, through the wire format."""
     table = claim.table
     message = Message(

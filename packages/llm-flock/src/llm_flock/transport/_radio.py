@@ -101,17 +101,17 @@ class Radio:
         known = self._heard.get(sender)
         if known is None or beacon.stamp > known.stamp:
             self._heard[sender] = beacon
-            self.contradicted += self._refuted(sender, beacon)
+            self.contradicted += self._refutes(sender, beacon)
 
-    def _refuted(self, sender: int, beacon: Seen) -> bool:
+    def _refutes(self, sender: int, beacon: Seen) -> bool:
         """Whether the last reading of the sensors disproves the position in a beacon."""
         if self.position is None:
             return False
         # An honest beacon holds the position of a reading that may be as old as a beacon period.
         flown = self._speed * (abs(beacon.stamp - self._read_s) + self._fresh_s / FRESH_BEACONS + self._clock_error_s)
-        seen = self._sensed.get(sender)
-        if seen is not None:
-            return math.dist(seen.position, beacon.position) > flown
+        sighting = self._sensed.get(sender)
+        if sighting is not None:
+            return math.dist(sighting.position, beacon.position) > flown
         return math.dist(self.position, beacon.position) < self._sight - flown
 
     def frame(self, stamp: float, positions: Sequence[Point]) -> None:
@@ -145,7 +145,7 @@ class Radio:
         heard = (
             seen
             for j, seen in self._heard.items()
-            if j not in self._sensed and seen.stamp >= self._read_s and not self._refuted(j, seen)
+            if j not in self._sensed and seen.stamp >= self._read_s and not self._refutes(j, seen)
         )
         return [
             Sighting(position=seen.position, age_s=max(0.0, now - seen.stamp) + self._clock_error_s)

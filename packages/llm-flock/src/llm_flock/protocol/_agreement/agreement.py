@@ -1,4 +1,4 @@
-"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims."""
+"""One robot's part in the agreement: the mission in force, the plan that it follows, and the slot that it claims."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from llm_flock.protocol._parts import Parts, Situation
 
 
 class Agreement(Situation):
-    """The decisions of one robot about mission, plan and claim; the places of a plan stand still in its frame."""
+    """The decisions of one robot about mission, plan and claim, in the mission's frame, where places stand still."""
 
     def __init__(self, robot: int, mission: Mission, parts: Parts) -> None:
         super().__init__(mission)
@@ -59,7 +59,7 @@ class Agreement(Situation):
         return self._membership.still(self)
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
-        """Pursue another mission: plan and claim of the one before are void."""
+        """Begin another mission, which makes the present plan and claim void."""
         self.mission, self.stamp = mission, stamp
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
@@ -76,7 +76,7 @@ class Agreement(Situation):
         return 0 if self.provenance is None else min(self.provenance.epoch + 1, MAX_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
-        """Whether it may propose a plan of this size now: once in an epoch, in the last only one with more places."""
+        """Whether it may propose a plan of this size: once in an epoch, and in the last one only with more places."""
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False
         last = self.provenance is not None and self.provenance.epoch == MAX_EPOCHS
@@ -119,7 +119,7 @@ class Agreement(Situation):
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
         """Follow another robot's plan. The same points with another origin leave claim and bids unchanged."""
         plan, origin = source.plan, source.provenance
-        assert plan is not None and origin is not None, "they go together"
+        assert plan is not None and origin is not None, "a message has both or none"
         if plan == self.plan:
             self._remember()
             self.provenance = origin

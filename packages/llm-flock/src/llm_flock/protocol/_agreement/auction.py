@@ -37,12 +37,12 @@ def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
 
 
 def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -> BidTable:
-    """Slot by slot the claim of higher rank, of the slots `said` if given; associative, commutative and idempotent."""
+    """For each slot, or those of `said`, the claim of higher rank. Associative, commutative and idempotent."""
     return merged(mine, [(theirs, said)])[0]
 
 
 def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None]]) -> tuple[BidTable, set[int]]:
-    """`merge` with several tables, each with its slots that matter; also returns the slots that changed."""
+    """`merge` with several tables, each with its slots to compare. Also returns the slots that changed."""
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
         if said is None:
@@ -58,7 +58,7 @@ def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None
 
 
 def changed(table: BidTable, new: Mapping[int, BidEntry]) -> BidTable:
-    """The table with some entries replaced; the same object where there are none."""
+    """The table with some entries replaced; the same object if there are none."""
     if not new:
         return table
     entries = list(table)
@@ -112,7 +112,7 @@ class AuctionAssignment:
         else:
             table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
-        if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
+        if offer is not None and (bound <= 0 or _is_answered(offer, now.robot, table)):
             offer = None
         if table is claim.table and claim.slot is not None:
             slot = claim.slot
@@ -129,7 +129,7 @@ class AuctionAssignment:
 
 
 def reclaim(robot: int, claim: Claim, table: BidTable) -> BidTable:
-    """Take back a slot that others released because they had not heard of this robot for too long."""
+    """Take back a slot that others released while they heard nothing of this robot."""
     slot = claim.slot
     if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
         return table
@@ -152,14 +152,14 @@ def with_occupancy(table: BidTable, occupancy: Occupancy | None) -> BidTable:
     return changed(table, new)
 
 
-def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
-    """Whether an offer was answered or refused: either slot has moved on in the table."""
+def _is_answered(offer: Offer, robot: int, table: BidTable) -> bool:
+    """Whether an offer was accepted or has lapsed: the table has another version or owner of either slot."""
     mine, theirs = table[offer.give], table[offer.take]
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
 def _keep_one(now: AssignmentInput, table: BidTable, among: Iterable[int]) -> tuple[BidTable, int | None]:
-    """Of slots owned (of `among`), keep that of highest version, bid and lowest index, or of signed precedence."""
+    """Of the robot's slots in `among`, keep the one of highest version, then bid; with keys, of highest precedence."""
     robot, precedence = now.robot, now.precedence
     if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
@@ -182,14 +182,14 @@ def _claim_best(
     if before is not None and table[before][2] == NO_OWNER:
         version = table[before][0]
         return changed(table, {before: (version, _bid(now, bids, before, version), robot)}), before
-    for a in _preferred(bids):
+    for a in _by_falling_bid(bids):
         version, bid, owner = table[a]
         # The order of `rank`, spelled out for speed: this runs for many slots.
         if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
             return changed(table, {a: (version, _bid(now, bids, a, version), robot)}), a
     if draw is None or freed is None:
         return table, None
-    for a in _preferred(bids):
+    for a in _by_falling_bid(bids):
         version, _, owner = table[a]
         if version > 0 and owner >= 0 and freed(a, version):
             mine = version, draw(a, version), robot
@@ -203,13 +203,13 @@ def _bid(now: AssignmentInput, bids: tuple[float, ...], slot: int, version: int)
 
 
 @lru_cache(maxsize=1024)
-def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
+def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
     """Slots by falling bid, those of equal bids by index."""
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """How much an exchange with a robot at `there` lowers the sum of squared ways [units^2], straight or by places."""
+    """Gain of an exchange with a robot at `there`: the fall in the sum of squared ways [units^2]."""
 
     def left(here: Point) -> list[float]:
         if straight:
@@ -221,7 +221,7 @@ def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight
 
 
 def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
-    """The gain of exchanging with a peer on `slot`; minus infinity where the peer is not sensed."""
+    """The gain of an exchange with a peer on `slot`; minus infinity if the peer is not sensed."""
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf

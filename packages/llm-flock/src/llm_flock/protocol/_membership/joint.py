@@ -1,8 +1,8 @@
-"""Joint assignment: robots in touch report positions, and one that knows enough of them assigns all their slots.
+"""Joint assignment: robots in touch report positions, and a robot that knows enough of them assigns all their slots.
 
-As C-CAPT (Turpin, Michael, Kumar, IJRR 2014); see membership.md in the docs. The version of these claims is the number
-of robots that they place, and below that a digest of the positions: of two tables the one that places more wins as a
-whole, and of two that place as many the same one everywhere.
+As C-CAPT (Turpin, Michael, Kumar, IJRR 2014); see membership.md in the docs. The version of these claims combines
+the number of placed robots and a digest of the positions. So a table that places more robots wins as a whole, and
+between tables that place equally many every robot prefers the same one.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class JointAssignment:
             self._forget()
 
     def wait(self, *, there: bool) -> None:
-        """Count a round of waiting; `there` says whether the robot has reached the point where it waits."""
+        """Count a round of waiting; `there` says whether the robot has reached its waiting point."""
         self._waited += there
 
     def hear(self, reports: Mapping[int, PositionReport]) -> None:
@@ -106,7 +106,7 @@ class JointAssignment:
     def report(
         self, mission: Mission, plan: Plan | None, table: BidTable | None, position: Point, *, greeting: bool
     ) -> dict[int, PositionReport] | None:
-        """The reports to broadcast: new ones, and all that are known in the `greeting`, the first broadcast of a round.
+        """The reports to broadcast: new ones, and in the `greeting`, the first broadcast of a round, all known ones.
 
         None if nothing is to be sent: the table places all robots, or there is no circle to wait on.
         """
@@ -120,12 +120,12 @@ class JointAssignment:
             if point is None:
                 return None
             here, marks = point, not mark and self._round > SECOND * self._n
-            mark = _rounded(here) if marks else mark
-            due = marks or not before or math.dist(_rounded(here), before) > MOVED * mission.spacing
+            mark = _round_point(here) if marks else mark
+            due = marks or not before or math.dist(_round_point(here), before) > MOVED * mission.spacing
         if due:
             # After a restart, a robot continues the count of its earlier reports.
             stamp = 0 if self._starting else min(max(self._round, stamp + 1), LAST_ROUND)
-            self.hear({self._robot: (stamp, _rounded(here), mark)})
+            self.hear({self._robot: (stamp, _round_point(here), mark)})
         reports, self._news = dict(self.known if greeting else self._news), {}
         return reports or None
 
@@ -157,14 +157,14 @@ def placed(table: BidTable | None) -> int:
     return max((version for version, _, _ in table or ()), default=0) // VERSION
 
 
-def _rounded(point: Point) -> Point:
+def _round_point(point: Point) -> Point:
     return tuple(round(x, DECIMALS) for x in point)
 
 
 def _towards(here: Point, goal: Point, longest: float) -> Point:
     away = math.dist(here, goal)
     share = 1.0 if away <= longest else longest / away
-    return _rounded(tuple(x + share * (y - x) for x, y in zip(here, goal, strict=True)))
+    return _round_point(tuple(x + share * (y - x) for x, y in zip(here, goal, strict=True)))
 
 
 @lru_cache(maxsize=64)

@@ -41,7 +41,7 @@ def sight(mission: Mission) -> float:
 
 
 def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blocked: bool) -> Occupancy:
-    """The occupancy of a plan's slots; `knows_blocked` is whether the own table has blocked ones. Call once a round.
+    """The occupancy of a plan's slots. `knows_blocked`: whether the own table has blocked ones. Call once a round.
 
     A slot is neither blocked nor clear if an unidentified body stands there, or if it is too far away to see. Living
     robots will move away. A robot declares no other dead while it hears no messages, or if its formation is not

@@ -18,7 +18,7 @@ from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
 
 HOLLOW = 0.5  # shapes have a circle if their nearest place is at least at this share of the farthest one's distance
-ENOUGH = 0.5  # robots fly to their places once this share of a plan's slots is taken
+ENOUGH = 0.5  # share of a plan's slots that must be taken before robots fly to their places
 WITHIN = 0.95  # the radius of the circle on which robots wait, as a share: a smaller circle closes more easily
 NEAR = 1.0  # a robot within this many spacings of the circle is on it
 HOLD = 0.8  # waiting robots spread out to at most this share of the radio range
@@ -47,7 +47,7 @@ def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
 
 
 def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
-    """The point on the circle at which to wait for unknown robots; None where there is no such circle.
+    """The point on the circle at which to wait for unknown robots; None if there is no such circle.
 
     Known robots (at `others`) that follow each other on the circle within radio range spread out evenly around their
     mean position, up to `HOLD` apart, so that the ends of such a chain meet others.
@@ -58,7 +58,7 @@ def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Po
         return point
     radius, direction = _polar(point, mission.center)
     seen = (_polar(place, mission.center) for place in others)
-    arcs = sorted(radius * _wrapped(angle - direction) for away, angle in seen if abs(away - radius) <= near)
+    arcs = sorted(radius * _wrap_angle(angle - direction) for away, angle in seen if abs(away - radius) <= near)
     along = _spread(arcs, math.tau * radius, mission.comm_range)
     return _at(mission.center, radius, direction + min(max(along, -mission.spacing), mission.spacing) / radius)
 
@@ -96,7 +96,7 @@ def _at(center: Point, radius: float, direction_rad: float) -> Point:
     return center[0] + radius * math.cos(direction_rad), center[1] + radius * math.sin(direction_rad)
 
 
-def _wrapped(angle_rad: float) -> float:
+def _wrap_angle(angle_rad: float) -> float:
     return (angle_rad + math.pi) % math.tau - math.pi
 
 

@@ -70,7 +70,7 @@ def advance(
     slot, table, center, spacing = now.claim.slot, now.claim.table, now.mission.center, now.mission.spacing
     assert slot is not None and table is not None, "a robot without a place does not search"
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
-    search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
+    search = _update(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
     if not vacant or not (strangers or silent or without_plan):  # a team in touch fills its vacant slots by agreement
         return replace(search, way=(), waited=0, gaps=(), looked=())
     most = LOOKS if strangers or without_plan else LOOKS_FOR_SILENT
@@ -93,7 +93,7 @@ def advance(
     return replace(search, way=(*tour, center) if without_plan or looks >= LOOKS // 2 else tour)
 
 
-def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
+def _update(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
     """The search with the present vacant slots. With `many` robots missing, news neither end a tour nor the wait."""
     digest, before = search.known
     if digest != plan.digest or (vacant != before and not many):
@@ -114,7 +114,7 @@ def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
 
 
 def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
-    """Vacant places, each time the nearest to the one before."""
+    """A tour of the vacant places, always to the nearest one left."""
     places = plan.array[due]
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     to_each = np.linalg.norm(places - plan.array[slot], axis=1)

@@ -40,8 +40,8 @@ class Channel:
         return Counter()
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Verify and decode a payload, signed by `sender` where known; a MessageError as `decode`, or `own_id`."""
-        inbound = _decoded(payload, self._n_robots, self._dim)
+        """Verify and decode a payload, signed by `sender` if known. Raises MessageError as `decode`, or `own_id`."""
+        inbound = _decode(payload, self._n_robots, self._dim)
         self._check_sender(inbound.message)
         return inbound
 
@@ -63,7 +63,7 @@ class Channel:
         return frozenset()
 
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
-        """Check that a mission was given by the operator; without keys any robot may pass one on."""
+        """Check that the operator gave a mission. Without keys, any robot may pass one on."""
 
     def keep_order(self, authorization: Authorization | None) -> None:
         """Keep the order for the mission in force."""
@@ -74,7 +74,7 @@ class Channel:
 
 
 @lru_cache(maxsize=256)
-def _decoded(payload: bytes, n_robots: int, dim: int) -> Inbound:
+def _decode(payload: bytes, n_robots: int, dim: int) -> Inbound:
     """Decode a broadcast; cached, as a simulation has many receivers of the same bytes."""
     message = decode(payload, n_robots, dim)
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

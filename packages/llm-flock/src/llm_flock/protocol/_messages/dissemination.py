@@ -58,7 +58,7 @@ class Dissemination:
         self._heard.add(message.sender)
 
     def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
-        """The plan that a message names; None if it names none, or one that never arrived in full."""
+        """The plan that a message names; None if it names none, or one that has not arrived in full."""
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")

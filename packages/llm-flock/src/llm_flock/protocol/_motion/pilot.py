@@ -99,7 +99,7 @@ class Pilot:
         if self._fallback == "hold":
             step = self._waypoint(answer)
         else:
-            answer = self._usable(answer)
+            answer = self._check_answer(answer)
             if isinstance(answer, NoAnswer):
                 notes = [*self.breaker.refused(scene.round, answer)]
                 if self._fallback == "geometry" or self.breaker.is_open:
@@ -110,12 +110,12 @@ class Pilot:
             else:
                 notes, step = [*self.breaker.usable()], answer.waypoint
         if self._horizon > 1:
-            kept = _shifted(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
+            kept = _shift(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
             self._committed = CommittedPath.of(self._relative(), kept, scene.sensed)
         by_geometry = isinstance(answer, StepAnswer) and answer.by == "geometry"
         return [*notes, *self._move(step, asked, by_geometry=by_geometry)]
 
-    def _usable(self, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
+    def _check_answer(self, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
         """The answer, clipped if that suffices, or the reason why it cannot be used."""
         if isinstance(answer, NoAnswer):
             return answer
@@ -218,7 +218,7 @@ class Pilot:
         return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=origin)]
 
 
-def _shifted(answer: StepAnswer, by: Point, share: float = 1.0) -> StepAnswer:
+def _shift(answer: StepAnswer, by: Point, share: float = 1.0) -> StepAnswer:
     """The same waypoints in a frame displaced by `share` times `by`."""
     if not by:
         return answer

@@ -23,20 +23,13 @@ from llm_flock.obstacles import clearance
 from llm_flock.roadmap import on_sphere
 from llm_flock.shapes import ring
 
-STALLED = 3
-"""Rounds without progress towards the goal after which a robot that bodies block asks for its way."""
-
-KEPT = 2
-"""Rounds for which a robot that was blocked keeps its course."""
-
-RISES = 8
-"""Rounds of waiting for the first rank above the lowest; each further one takes twice as long."""
-
-WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5
-"""Half the width of a way of the lowest rank, what each rank adds, and the most, in safe distances."""
+STALLED = 3  # rounds without progress towards the goal after which a blocked robot asks for its way
+KEPT = 2  # rounds for which a robot that was blocked keeps its course
+RISES = 8  # rounds of waiting for the first rank above the lowest; each further one takes twice as long
+WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5  # half the width of a way: lowest rank, more per rank, limit [safe distances]
 
 HEEDED_ROUNDS = 32
-"""Rounds in a mission for which a robot gives way to one that asks; for twice as long it then heeds no course of it."""
+"""Rounds in a mission for which a robot gives way to one that asks. For twice as long it then ignores that robot."""
 
 BETWEEN = 4
 """Most rounds between two requests that count as rounds of asking: a robot that gives way may lose sight of one."""
@@ -46,7 +39,7 @@ Rank: TypeAlias = tuple[int, int, bool, int]
 
 
 def rank(sender: int, level: int, of: int) -> Rank:
-    """The rank of a robot that asks in the name of `of`; higher ones compare greater."""
+    """The rank of a robot that asks by the right of `of`. Higher ranks compare greater."""
     return level, -of, sender == of, -sender
 
 
@@ -159,7 +152,7 @@ class RightOfWay:
             self._ask(path, self._level, self._robot)
 
     def pass_on(self, path: Sequence[Point], way: Way) -> None:
-        """Ask for the own way, or that to a refuge, by the right of the robot for which this one makes way."""
+        """Ask for the own way, or the way to a refuge, by the right of the robot to which this one gives way."""
         self._ask(path, way.rank[0], -way.rank[1])
 
     def _ask(self, path: Sequence[Point], level: int, of: int) -> None:

@@ -16,7 +16,7 @@ from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, clip, ne
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """The last known position of another body [units; world frame], and how old this is."""
+    """The last known position of another body [units; world frame], and its age."""
 
     position: Point
     age_s: float

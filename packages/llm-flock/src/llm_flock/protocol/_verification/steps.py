@@ -98,7 +98,7 @@ def judge(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> Ver
         cut = _cut_path(question, answer)
         if cut is not None and _objection(question, cut, shield_on=shield_on) is None:
             return Verdict(reason=reason, fit=cut)
-    waypoint = _clipped(question, answer.waypoint, shield_on=shield_on)
+    waypoint = _clip(question, answer.waypoint, shield_on=shield_on)
     return Verdict(reason=reason, fit=None if waypoint is None else replace(answer, waypoint=waypoint, path=()))
 
 
@@ -149,7 +149,7 @@ def towards(here: Point, target: Point, longest: float) -> Point:
     return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
 
 
-def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
+def _clip(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
     """A waypoint without faults but those of the shield: as it is, or clipped; None for a wrong direction."""
     mission, faults = question.mission, step_faults(question, waypoint)
     if not faults:
