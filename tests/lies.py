@@ -23,7 +23,7 @@ from toy_keys import ToyKeys
 from llm_flock.arrays import Point
 from llm_flock.message import (
     BLOCKED,
-    HIGHEST,
+    MAX_LEVEL,
     MAX_STOPS,
     NO_OWNER,
     UNSAID,
@@ -287,7 +287,7 @@ def asks_for_ways(gang: Gang, member: int) -> list[Said]:
     assert gang.known is not None and gang.known.plan is not None
     places = nearest_first(gang.known.plan.points, gang.members.index(member))
     path = gang.rng.choice((places[::2], places[1::2], gang.rng.sample(places, len(places))))[:MAX_STOPS]
-    course = Course(level=HIGHEST, of=gang.rng.choice((member, *gang.honest)), path=tuple(path))
+    course = Course(level=MAX_LEVEL, of=gang.rng.choice((member, *gang.honest)), path=tuple(path))
     return [gang.message(member, course=None if gang.rounds % 165 >= 150 else course)]
 
 

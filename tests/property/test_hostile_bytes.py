@@ -276,7 +276,7 @@ def watched(path: Path) -> None:
         return
     assert run.description
     history = run.history
-    for number in range(history.rounds + 1):
+    for number in range(history.last_round + 1):
         assert all(events.in_words(event, history.plan_name) for event in history.events[number])
         data.event_lines(history, number)
         for robot in range(history.n_robots):

@@ -21,9 +21,9 @@ from llm_flock.llm import _own as own
 from llm_flock.llm._own import OwnModel
 from llm_flock.llm._port import Call, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import parse_model
-from llm_flock.own_code import load_own
 from llm_flock.runtime._rules import consensus_rule
 from llm_flock.testing import check_model
+from llm_flock.user_code import load_own
 from llm_flock_swarm import SwarmConfig
 
 CALL = Call(robot=0, round=1, kind="plan", attempt=0, messages=(ChatMessage("user", "Plan?"),))

@@ -81,7 +81,7 @@ def test_faults_and_missions_happen_in_flight_and_are_recorded(tmp_path: Path) -
             if event.kind == "injected"}  # fmt: skip
     assert (2, HALLUCINATING, None) in told and (0, None, 0.4) in told
     assert {entry.model for entry in record.llm} == {"simulated:ideal", HALLUCINATING}
-    assert flight.recording.history.rounds == record.rounds
+    assert flight.recording.history.last_round == record.rounds
 
 
 def test_senseless_order_says_why_before_it_is_given(tmp_path: Path) -> None:

@@ -200,8 +200,8 @@ def test_pages_notebooks_and_the_command_line_say_the_same(tmp_path: Path) -> No
 def test_a_cause_has_the_round_and_the_call_behind_it(tmp_path: Path) -> None:
     run = paper(tmp_path, "simulated:malformed")
     cause = diagnose(run).causes[0]
-    assert cause.robots == (2,) and cause.round == run.rounds
-    assert {(entry.robot, entry.round) for entry in cause.calls} == {(2, run.rounds)}
+    assert cause.robots == (2,) and cause.round == run.last_round
+    assert {(entry.robot, entry.round) for entry in cause.calls} == {(2, run.last_round)}
     assert all(entry.rejected for entry in cause.calls)
 
 

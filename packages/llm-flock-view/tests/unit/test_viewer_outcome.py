@@ -75,7 +75,7 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     # While it flies there is no result: what was measured says the same.
     run.history.result, run.open = None, True
     assert [part.formed for part in mission_parts(run.history)] == [given[0]["formed"], given[1]["formed"]]
-    run.write(ProtocolEvent(round=run.history.rounds, comm_round=0, robot=1, kind="killed", detail={}))
+    run.write(ProtocolEvent(round=run.history.last_round, comm_round=0, robot=1, kind="killed", detail={}))
     assert mission_parts(run.history)[1].formed is None, "the team has to form again"
     # Older records count from the last mission only.
     run.history.result = {"formed": True, "rounds_to_formed": took}

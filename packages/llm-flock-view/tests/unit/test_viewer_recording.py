@@ -30,7 +30,7 @@ def replayed(path: Path) -> Recording:
 
 def test_a_record_is_shown_whole(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=4))
-    assert (run.history.rounds, run.open, run.failure, run.history.n_robots) == (4, False, None, 5)
+    assert (run.history.last_round, run.open, run.failure, run.history.n_robots) == (4, False, None, 5)
     newest = news(run, 0, 0, 0)
     assert newest["last"] == 4 and len(newest["plans"]) == 5 and len(newest["figures"]["procrustes_mean"]) == 5
     assert newest["marks"]["1"] == {"plans": 5}
@@ -67,8 +67,8 @@ def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> N
     whole = path.read_bytes()
     path.write_bytes(whole[: whole.rindex(b'"round":5')])
     run = replayed(path)
-    assert 0 <= run.history.rounds < 6 and not run.open and run.failure is None
-    assert len(frames(run.history, 0, 100)) == run.history.rounds + 1
+    assert 0 <= run.history.last_round < 6 and not run.open and run.failure is None
+    assert len(frames(run.history, 0, 100)) == run.history.last_round + 1
 
 
 @pytest.mark.parametrize("content", [b"", b"not a record", b"\x89MCAP0\r\n"])
@@ -166,7 +166,7 @@ def test_a_live_run_shows_no_half_round(tmp_path: Path) -> None:
         fake.write(writer, finish=False)
         writer.write(ProtocolEvent(round=2, comm_round=0, robot=0, kind="killed", detail={}))
         run = replayed(tmp_path / "run.mcap")
-    assert run.history.rounds == 1 and "2" not in news(run, 0, 0, 0)["marks"]
+    assert run.history.last_round == 1 and "2" not in news(run, 0, 0, 0)["marks"]
 
 
 def test_flight_events_are_told_and_marked_unless_routine(tmp_path: Path) -> None:
@@ -196,9 +196,11 @@ def test_an_open_circuit_breaker_is_shown_in_words_and_marked(tmp_path: Path) ->
     assert breakers(run.history, 0, 0) == breakers(run.history, 1, opened) == []
     assert frames(run.history, opened, 1)[0]["b"] == [0] and frames(run.history, 0, 1)[0]["b"] == []
     assert run.marks[opened]["fallbacks"] > 0
-    assert any(call.probe for k in range(run.history.rounds + 1) for call in run.history.calls[k, 0])
+    assert any(call.probe for k in range(run.history.last_round + 1) for call in run.history.calls[k, 0])
     words = [
-        in_words(event, run.history.plan_name) for k in range(run.history.rounds + 1) for event in run.history.events[k]
+        in_words(event, run.history.plan_name)
+        for k in range(run.history.last_round + 1)
+        for event in run.history.events[k]
     ]
     assert any("was helped by geometry, for its model gave no usable step" in text for text in words)
     work = work_text(run.history.result or {})

@@ -1,8 +1,8 @@
 """One robot's decision process: a state machine that takes events and returns effects.
 
-It knows only itself and what events report; there is no clock, network or model in it. Every runtime drives this same
-machine, whether it runs all robots in one process or one robot per process. `llm_flock.events` has the table
-of legal events.
+It knows only itself and the content of events: it has no clock, network or model. Every runtime drives this same
+machine, whether it runs all robots in one process or one robot per process. `llm_flock.events` has the table of legal
+events.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Agent:
         }
         self._fallback: Fallback = fallback
         self._scene: Observation | None = None
-        self._seen: tuple[int, events.Sensed] | None = None
+        self._last_sensed: tuple[int, events.Sensed] | None = None
         self._asked_about: object = None
 
     @property
@@ -104,7 +104,7 @@ class Agent:
 
     @property
     def hopeless(self) -> NoAnswer | None:
-        """Why its model's last plan was refused, for a robot without a plan whose model is not asked for one."""
+        """The rejection of its model's last plan; None if it has a plan, or its model is still asked for one."""
         return self._proposals.hopeless
 
     @property
@@ -129,7 +129,7 @@ class Agent:
 
     @property
     def rejected(self) -> Counter[str]:
-        """Messages and claims refused on receipt, by reason."""
+        """Number of messages and claims rejected on receipt, by reason."""
         return self._messaging.rejected
 
     @property
@@ -170,7 +170,7 @@ class Agent:
             case events.RoundBegan():
                 phase, effects = self._begin(event)
             case events.Sensed():
-                self._look_about(event)
+                self._sense_between_rounds(event)
             case events.Planned():
                 phase, effects = Phase.AGREEING, list[Effect](self._proposals.take(event.answer))
             case events.AgreementEnded():
@@ -189,7 +189,7 @@ class Agent:
 
     def _begin(self, event: events.RoundBegan) -> tuple[Phase, list[Effect]]:
         listening = event.degree > 0 and (self._agreement.listens or (self._scene is None and event.round > 1))
-        self._look(event.round, event)
+        self._sense(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
@@ -198,28 +198,28 @@ class Agent:
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None, int | None]:
-        """What a question is about: its answer is useful as long as this stays the same."""
+        """The subject of a question. Its answer is useful as long as mission, plan and slot stay the same."""
         return self._agreement.stamp, self.plan, self.claim.slot
 
     def _begin_period(self, number: int) -> None:
         """Count a heartbeat, find silent robots, and greet neighbours."""
-        assert self._seen is not None, "a robot looks before it greets"
+        assert self._last_sensed is not None, "a robot looks before it greets"
         self._period = number
-        agreement, event = self._agreement, self._seen[1]
+        agreement, event = self._agreement, self._last_sensed[1]
         reach = self.mission.comm_range
         near = frozenset(j for j, x in event.sensed.items() if math.dist(x, event.position) <= reach)
         agreement.begin_round(event.degree)
         self._membership.begin_round(number, near, agreement, cannot_fly=self._pilot.breaker.is_open)
         self._messaging.begin_round()
 
-    def _look_about(self, event: events.Sensed) -> None:
+    def _sense_between_rounds(self, event: events.Sensed) -> None:
         """Take sensor values between rounds; a pending step will be flown from these."""
-        self._look(1 if self._scene is None else self._scene.round, event)
+        self._sense(1 if self._scene is None else self._scene.round, event)
         if self.phase is Phase.DECIDING and self._scene is not None:
             self._pilot.look(self._scene)
 
     def _settle(self) -> tuple[Phase, list[Effect]]:
-        """Decide on what was heard. If that changes plan or slot, the pending step is asked for again."""
+        """Decide on the messages of a communication round. If plan or slot change, ask for a pending step again."""
         heard = self._messaging.drain()
         notes: list[Effect] = [*self._agreement.settle(heard, void=self._messaging.channel.void(self._agreement.stamp))]
         if self.phase is not Phase.DECIDING or self._topic == self._asked_about:
@@ -234,7 +234,7 @@ class Agent:
         phase, effects = self._decide()
         return phase, [Note("stale_answer", {"about": "step"}), *effects]
 
-    def _look(self, number: int, event: events.Sensed) -> None:
+    def _sense(self, number: int, event: events.Sensed) -> None:
         """Take sensor values, in the frame of the mission in force."""
         mission = self.mission
         moving = mission.velocity is not None
@@ -249,7 +249,7 @@ class Agent:
             still=self._agreement.bodies,
             period=self._period if self._own_clock else None,
         )
-        self._seen = number, event
+        self._last_sensed = number, event
         sensed = {j: scene.seen(x) for j, x in event.sensed.items()} if moving else event.sensed
         self._agreement.sense(scene.here, sensed)
 
@@ -265,8 +265,8 @@ class Agent:
         notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
         if self.mission is not before:
             self._begin_mission()
-        if self.mission is not before and self._seen is not None:
-            self._look(*self._seen)
+        if self.mission is not before and self._last_sensed is not None:
+            self._sense(*self._last_sensed)
         return notes
 
     def _begin_mission(self) -> None:
@@ -279,14 +279,14 @@ class Agent:
         membership, agreement = self._membership, self._agreement
         assert scene is not None, "a round has begun"
         effects, target, idle = list[Effect](), None, None
-        refused = self._fallback != "hold" and self._proposals.breaker.refusals > 0
-        if refused if plan is None else slot is None and membership.lost:
-            # It goes where others will look for it: it has no plan, or what it knows of the places is old.
-            away = membership.seek(agreement)
-            if away is not None:
-                return Phase.MOVING, self._pilot.seek(scene, self.mission, away)
+        unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
+        if unanswered if plan is None else slot is None and membership.lost:
+            # Fly where others will look for it: it has no plan, or its knowledge of the places is old.
+            meeting_point = membership.seek(agreement)
+            if meeting_point is not None:
+                return Phase.MOVING, self._pilot.seek(scene, self.mission, meeting_point)
         if plan is None:
-            idle = "no plan yet: waiting to be found" if refused else "no plan yet"
+            idle = "no plan yet: waiting to be found" if unanswered else "no plan yet"
         elif slot is None:
             # A spare robot waits near the formation, and travels along with it.
             target = membership.wait(agreement)
@@ -297,7 +297,7 @@ class Agent:
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
-        told = self.mission.at(scene.round).resized(len(plan))
+        mission = self.mission.at(scene.round).resized(len(plan))
         self._asked_about = self._topic
-        effects.extend(self._pilot.decide(scene, told, plan, slot, target))
+        effects.extend(self._pilot.decide(scene, mission, plan, slot, target))
         return (Phase.DECIDING if isinstance(effects[-1], events.AskStep) else Phase.MOVING), effects

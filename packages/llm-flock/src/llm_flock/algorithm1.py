@@ -1,4 +1,4 @@
-"""The paper on one screen: influence, adoption of plans, and the nearest available place, runnable on three robots.
+"""The paper's Algorithm 1: influence, adoption of plans, and the nearest available place, with a runnable example.
 
 `python -m llm_flock.algorithm1` flies three robots that start with a plan each. The functions are those that the rules
 `influence`, `nearest` and `nearest-free` of a run use (`protocol._agreement`). Line numbers are those of the paper's
@@ -27,7 +27,7 @@ READINGS = ("nearest", "nearest-free")
 
 
 class Heard(Protocol):
-    """What a robot tells its neighbours (line 133): its plan, and by its degree its influence."""
+    """A broadcast of a robot (line 133): its plan, and its degree, which gives its influence."""
 
     @property
     def sender(self) -> int:
@@ -86,7 +86,7 @@ def nearest_available(position: Point, plan: Sequence[Point], taken: Collection[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DemoRobot:
-    """One robot of the demonstration: what it broadcasts, and where it is [units]."""
+    """One robot of the demonstration: its broadcast, and its position [units]."""
 
     sender: int
     position: Point
@@ -101,13 +101,13 @@ class DemoRobot:
 
 
 def consensus_round(team: Sequence[DemoRobot], comm_range: float, reading: str) -> list[DemoRobot]:
-    """One round of Algorithm 1: for all robots i in parallel, from what all of them broadcast at its beginning."""
+    """One round of Algorithm 1, for all robots i in parallel, from the broadcasts at its beginning."""
     positions = [robot.position for robot in team]
     around = [neighbors(positions, i, comm_range) for i in range(len(team))]
-    said = [replace(robot, degree=len(near)) for robot, near in zip(team, around, strict=True)]
+    broadcasts = [replace(robot, degree=len(near)) for robot, near in zip(team, around, strict=True)]
     after: list[DemoRobot] = []
-    for i, robot in enumerate(said):
-        heard = [said[j] for j in around[i]]
+    for i, robot in enumerate(broadcasts):
+        heard = [broadcasts[j] for j in around[i]]
         k = adopt(robot.degree, robot.plan, heard)
         plan = robot.plan if k is None else k.plan
         claims = {j.sender: j.slot for j in heard if j.plan == plan} if reading == "nearest-free" else {}
@@ -138,7 +138,7 @@ def three_robots() -> list[DemoRobot]:
 
 
 def main(arguments: Sequence[str] = ()) -> None:
-    """Fly three robots by one of the two readings, `nearest` if none is given, and print what each of them decides."""
+    """Fly three robots by one of the two readings, `nearest` if none is given, and print the decisions of each."""
     reading = arguments[0] if arguments else "nearest"
     if reading not in READINGS:
         raise SystemExit(f"reading = {reading!r}: must be {' or '.join(READINGS)}")

@@ -1,4 +1,4 @@
-"""How large missions may be. Missions and those who show records of them share these; nothing heavy is imported."""
+"""Limits on the size of missions, shared by missions and readers of records. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ MIN_LENGTH = 1e-3  #: Smallest length that a mission accepts [units]: plans are 
 MAX_LENGTH = 1e9  #: Largest length in a mission [units]: far more than any arena, and small enough to be squared.
 
 TIME_OUT = 10
-"""Default of the rounds without a heartbeat, by whatever route, after which a robot counts as dead; some flights leave
+"""Default of the rounds without a heartbeat, by any route, after which a robot counts as dead; some flights leave
 every other robot's range for a while."""
 
 
 def max_places(n_robots: int) -> int:
-    """Most places of a mission. Messages of a larger one would exceed their own limit, and no robot would hear any."""
+    """Most places of a mission. Messages of a larger one would exceed their size limit, and would be rejected."""
     return 48 + 6 * n_robots

@@ -5,8 +5,8 @@ Its best rotation is the argument of z_pi, and its sum of squares is sum |x_i|^2
 problem is to find the longest z_pi. All z_pi lie in a convex polygon, and one linear assignment problem yields the
 corner that is farthest in a given direction. Between two such directions, the polygon lies within the triangle of the
 two corners and the intersection of their support lines. So a branch and bound on intervals of directions ends after
-finitely many corners (`longest`). It takes the cube of the number of points, many times; nearest target points decide
-quickly if a team matches a shape, or not at all (`quick_error`, `proven_match`).
+finitely many corners (`longest`). Each corner costs O(n^3). `quick_error` and `proven_match` are faster: they use
+nearest target points, but may find no answer.
 
 In space (`best_in_space`), alternating between the best correspondence for a rotation and the best rotation for a
 correspondence never gets worse, but may end in a local optimum. So it starts from rotations spread over all
@@ -36,11 +36,12 @@ Complex: TypeAlias = NDArray[np.complex128]
 ROUNDING = 4 * float(np.finfo(np.float64).eps)
 """Gains below this share, times the number of robots, count as rounding."""
 
-PIECES = 5
-"""Initial intervals of directions in the full circle, each less than 90 degrees so that support lines intersect."""
+PIECES = 5  # initial intervals of directions in the full circle: below 90 degrees each, so that support lines intersect
+INTERVALS, MAX_INTERVALS = 64, 8192  # initial intervals of directions, and the number after which the search gives up
 
-INTERVALS, MAX_INTERVALS = 64, 8192
-"""Initial number of intervals of directions, and the number after which the search gives up."""
+MAX_PARTNERS = 16  # target points onto which the outermost point is turned
+MAX_ANCHORED = 24  # pairs of robots that are turned onto the two anchor points
+MAX_REFINED = 6  # starting rotations that are refined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,14 +127,14 @@ def quick_error(rows: Points, target: Points, enough: float = 0.0) -> float | No
     """Mean distance from the shape [units], an upper bound for the optimum, if a correspondence is easy to find.
 
     Rotations turn the outermost point onto target points at about the same radius. If every point then has a different
-    nearest target point, that correspondence determines the final rotation. The cost is n log n, against n^3 for
-    the general case. Call before `ShapeTarget.error` if an upper bound may settle the matter. Stops at the first
-    correspondence with a mean of at most `enough`. Returns None if no such rotation was found; nothing is known then.
+    nearest target point, that correspondence determines the final rotation. The cost is O(n log n), against O(n^3) in
+    general. Call before `ShapeTarget.error` if an upper bound may be enough. Stops at the first correspondence with a
+    mean of at most `enough`. Returns None if it finds no such rotation; the optimum is then unknown.
     """
-    x, y = _centred(rows), _centred(target)
+    x, y = _centre(rows), _centre(target)
     best: float | None = None
-    for found in _candidates(x, y):
-        mean = float(np.abs(x * (found.z / abs(found.z)) - y[found.columns]).mean())
+    for match in _candidates(x, y):
+        mean = float(np.abs(x * (match.z / abs(match.z)) - y[match.columns]).mean())
         best = mean if best is None else min(best, mean)
         if best <= enough:
             break
@@ -144,9 +145,10 @@ def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Corresponde
     """The best correspondence, as from `longest`, if nearest target points suffice to prove it best.
 
     For a given rotation, no correspondence is better than the nearest target point of each point, and a rotation by
-    less than an angle h moves a point by less than h times its radius. So an interval of directions is settled if the
-    points are too far from their nearest target points in all of it; or if these are the same in all of it and all
-    different, which is then the best correspondence there. Other intervals are halved.
+    less than an angle h moves a point by less than h times its radius. An interval of directions is settled in two
+    cases. Either the points stay so far from their nearest targets that no better correspondence exists there. Or each
+    point keeps the same nearest target and no two points share one; that correspondence is then the best there. Other
+    intervals are halved.
 
     Args:
         rows: shape (n, 2) [units], n >= 2.
@@ -154,10 +156,10 @@ def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Corresponde
         symmetry: as for `longest`.
 
     Returns:
-        None if no correspondence was found, or too many intervals were left.
+        None if there is no candidate, or too many intervals are left.
     """
-    x, y = _centred(rows), _centred(target)
-    best = max(_candidates(x, y), key=lambda found: abs(found.z), default=None)
+    x, y = _centre(rows), _centre(target)
+    best = max(_candidates(x, y), key=lambda match: abs(match.z), default=None)
     if best is None:
         return None
     reach, tree = np.abs(x), scipy.spatial.KDTree(_columns(y))
@@ -171,8 +173,8 @@ def proven_match(rows: Points, target: Points, symmetry: int = 1) -> Corresponde
         angle, width = intervals.pop()
         turned = _columns(x * cmath.rect(1.0, angle))
         slack = reach * width
-        off = np.asarray(tree.query(turned)[0])
-        if float((np.maximum(off - slack, 0.0) ** 2).sum()) > least:
+        distance = np.asarray(tree.query(turned)[0])
+        if float((np.maximum(distance - slack, 0.0) ** 2).sum()) > least:
             continue
         distances, nearest = map(np.asarray, tree.query(turned, k=2))
         columns = nearest[:, 0]
@@ -190,7 +192,7 @@ def _candidates(x: Complex, y: Complex) -> Iterator[Correspondence]:
     if outermost == 0.0:
         return
     tree = scipy.spatial.KDTree(_columns(y))
-    partners = np.argsort(np.abs(np.abs(y) - abs(outermost)), kind="stable")[:16]
+    partners = np.argsort(np.abs(np.abs(y) - abs(outermost)), kind="stable")[:MAX_PARTNERS]
     for partner in y[partners]:
         turn = complex(partner) / complex(outermost)
         if turn == 0.0:
@@ -209,7 +211,7 @@ def as_complex(rows: Points) -> Complex:
     return rows[:, 0] + 1j * rows[:, 1]
 
 
-def _centred(rows: Points) -> Complex:
+def _centre(rows: Points) -> Complex:
     points = as_complex(rows)
     return points - points.mean()
 
@@ -222,18 +224,17 @@ def best_in_space(rows: Points, target: Points) -> tuple[NDArray[np.intp], NDArr
         target: centred target points, shape (n, 3) [units].
     """
     # Every rotation is within 63 degrees of one of the 24 of a cube.
-    starts = [*scipy.spatial.transform.Rotation.create_group("O").as_matrix().round(), *_anchored(rows, target)]
+    starts = [*scipy.spatial.transform.Rotation.create_group("O").as_matrix().round(), *_from_anchors(rows, target)]
     fits = [_correspond(rows, target, rotation) for rotation in starts]
-    order = sorted(range(len(fits)), key=lambda k: (-fits[k][0], k))
+    order = sorted(range(len(fits)), key=lambda k: -fits[k][0])
     best_fit, best = fits[order[0]]
-    for k in order[:6]:
+    for k in order[:MAX_REFINED]:
         fit, columns = fits[k]
-        while True:
+        gained = True
+        while gained:
             better, refined = _correspond(rows, target, proper_rotation(rows, target[columns]))
             gained = better > fit * (1 + 1e-12)
             fit, columns = better, refined
-            if not gained:
-                break
         if fit > best_fit:
             best_fit, best = fit, columns
     return best, proper_rotation(rows, target[best])
@@ -258,7 +259,7 @@ def _correspond(rows: Points, target: Points, rotation: NDArray[np.float64]) -> 
     return float(gain[index, columns].sum()), columns
 
 
-def _anchored(rows: Points, target: Points) -> list[NDArray[np.float64]]:
+def _from_anchors(rows: Points, target: Points) -> list[NDArray[np.float64]]:
     """Rotations of the planes of two robots onto the plane of two target points far from the centre."""
     radii = np.linalg.norm(target, axis=1)
     a = target[radii.argmax()]
@@ -270,7 +271,7 @@ def _anchored(rows: Points, target: Points) -> list[NDArray[np.float64]]:
     apart = np.linalg.norm(rows[:, None] - rows[None], axis=2)
     cost = (out - np.linalg.norm(a))[:, None] ** 2 + (out - np.linalg.norm(b))[None] ** 2
     cost += (apart - np.linalg.norm(a - b)) ** 2
-    cheapest = np.argsort(cost, axis=None, kind="stable")[:24]
+    cheapest = np.argsort(cost, axis=None, kind="stable")[:MAX_ANCHORED]
     pairs = [divmod(int(k), len(rows)) for k in cheapest]
     frames = [frame for i, j in pairs if (frame := _frame(rows[i], rows[j])) is not None]
     goal = _frame(a, b)

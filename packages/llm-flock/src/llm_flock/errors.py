@@ -1,4 +1,4 @@
-"""Every exception the package raises on purpose, on one screen.
+"""All exceptions that the package raises on purpose.
 
 The class names the source of the fault: the operator's input, a peer's message, a model's answer, a provider's
 service, a robot, or a file on disk.
@@ -28,7 +28,7 @@ MAX_SHOWN = 300
 
 
 MAX_LISTED = 30
-"""Most names that an error lists where none is near the one that was given."""
+"""Most names that an error lists if none is near the given one."""
 
 
 class FlockError(Exception):
@@ -38,21 +38,21 @@ class FlockError(Exception):
 class InputError(FlockError):
     """A value given by the operator is not allowed.
 
-    Reads `n_robots = 0: expected at least 1`, or with `says` as it is put there. The command line writes a flag in
-    place of the field where one was typed.
+    Reads `n_robots = 0: expected at least 1`, or ends with `says`. The command line names a flag instead of the field
+    if one was typed.
 
     Attributes:
         field: name of the offending field, as written in the configuration file.
-        value: the value that was given; None where nothing was, or where showing it helps nobody.
+        value: the value that was given; None if there was none, or if showing it does not help.
         says: what is wrong, as the part of the sentence after the field.
     """
 
     def __init__(self, field: str, value: object, allowed: str = "", *, says: str = "") -> None:
-        """`allowed` is what is allowed instead, as a phrase that follows "expected"; `says` is for all else."""
+        """`allowed` is a phrase that follows "expected". For any other text, give `says`."""
         self.field = field
         self.value = value
         self.says = one_line(says or f"expected {allowed}")
-        given = "" if value is None else f" = {_shown(value)}"
+        given = "" if value is None else f" = {_value_text(value)}"
         super().__init__(f"{one_line(field)}{given}: {self.says}")
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -82,8 +82,8 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     return f"unknown {what}; expected one of {', '.join(names) or '(there are none)'}"
 
 
-def _shown(value: object) -> str:
-    """The value in one line, whatever it is."""
+def _value_text(value: object) -> str:
+    """A value of any type, in one line."""
     try:
         return one_line(repr(value), MAX_SHOWN)
     except (ValueError, RecursionError):  # thousands of digits, or endless nesting
@@ -100,7 +100,7 @@ class MessageError(FlockError):
 
 
 class AnswerError(FlockError):
-    """A model's answer cannot be used; the message gives the reason in words that the model can act on."""
+    """A model's answer cannot be used. The message is a reason that the model can act on."""
 
 
 class ModelError(FlockError):

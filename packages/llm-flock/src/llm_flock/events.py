@@ -40,7 +40,7 @@ class Origin(StrEnum):
     HOLD = "hold"
 
 
-# Events: what happens to the robot.
+# Events that happen to a robot.
 
 
 class Sensed(msgspec.Struct, frozen=True, kw_only=True):
@@ -89,7 +89,7 @@ class CommRoundBegan(msgspec.Struct, frozen=True):
 
 
 class Received(msgspec.Struct, frozen=True):
-    """A payload arrived by radio; `sender` is the robot that signed the transmission, where the transport knows."""
+    """A payload arrived by radio; `sender` is the robot that signed the transmission, if the transport knows it."""
 
     payload: bytes
     sender: int | None = None
@@ -132,7 +132,7 @@ Event: TypeAlias = (
     | Stopped
 )
 
-# Effects: what the robot wants done.
+# Effects that a robot asks its runtime for.
 
 
 class AskPlan(msgspec.Struct, frozen=True):
@@ -214,8 +214,7 @@ class Note(msgspec.Struct, frozen=True):
 Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
 
 AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, CommRoundBegan, Received, CommRoundEnded)
-"""Events that are legal in every phase: a robot communicates and senses also while its model thinks and while its
-body flies."""
+"""Events that are legal in every phase: robots also communicate and sense while models think and bodies fly."""
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
     (Phase.IDLE, RoundBegan): frozenset({Phase.PLANNING, Phase.AGREEING}),
@@ -227,4 +226,4 @@ TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {
     (Phase.DECIDING, CommRoundEnded): frozenset({Phase.DECIDING, Phase.MOVING}),
     **{(phase, Stopped): frozenset({Phase.STOPPED}) for phase in Phase if phase is not Phase.STOPPED},
 }
-"""Every legal (phase, event), and the phases it may lead to; any other event is a fault of the runtime."""
+"""Every legal (phase, event), and the phases it may lead to. Any other event is a fault of the runtime."""

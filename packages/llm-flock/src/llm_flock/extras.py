@@ -1,4 +1,4 @@
-"""The optional parts of an installation: what each is for, and the one line that names a missing one."""
+"""The optional parts of an installation, their purposes, and the error that names a missing one."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class ExtraMissing(FieldError):
 
 
 def require(extra: str, what: str) -> None:
-    """ExtraMissing if an extra is not installed, which `what` the operator asked for needs."""
+    """Raise ExtraMissing if an extra is not installed that `what`, the operator's request, needs."""
     if EXTRAS[extra].missing:
         raise ExtraMissing(what, extra)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 try:
     import fcntl
-except ImportError:  # pragma: no cover - systems without flock: nobody learns that a file is in use
+except ImportError:  # pragma: no cover - systems without flock cannot tell that a file is in use
     fcntl = None
 
 

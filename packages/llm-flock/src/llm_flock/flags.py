@@ -116,10 +116,10 @@ def _metavar(parameter: object) -> str:
 
 def _word(value: object) -> str:
     """A value as typed in a shell, on one line."""
-    return shlex.quote(one_line(_typed(value), MAX_SHOWN))
+    return shlex.quote(one_line(_typed_text(value), MAX_SHOWN))
 
 
-def _typed(value: object) -> str:
+def _typed_text(value: object) -> str:
     if isinstance(value, list | tuple):
-        return ",".join(map(_typed, cast("Sequence[object]", value)))
+        return ",".join(map(_typed_text, cast("Sequence[object]", value)))
     return f"{value:g}" if isinstance(value, float) else str(value)

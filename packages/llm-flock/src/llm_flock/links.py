@@ -71,7 +71,7 @@ class MemoryTransport:
                 self._due[self._tick + late].append((receiver, payload))
 
     def deliver(self) -> list[tuple[int, bytes]]:
-        """What arrives in this communication round, as (receiver, payload) in the order of arrival; begins the next."""
+        """The messages of this communication round, as (receiver, payload) in order of arrival. Begins the next."""
         arriving = self._due.pop(self._tick, [])
         self._tick += 1
         self.traffic.delivered += len(arriving)

@@ -1,6 +1,6 @@
-"""The one kind of message between robots, and its bytes: a version byte, then MessagePack.
+"""The message that robots exchange, and its encoding: a version byte, then MessagePack.
 
-A message carries everything public about its sender: mission, influence, plan with its provenance, claimed slot and,
+A message carries all public knowledge about its sender: mission, influence, plan with its provenance, claimed slot and,
 for the auction, its bids. Long parts are named by a digest, and spelled out only where a neighbour may lack them
 (`llm_flock.protocol._messages.dissemination`). Positions of neighbours are sensed; reports of positions are for
 joint assignments. The types of the fields hold the bounds of what a stranger may send, and `decode` checks the rest.
@@ -44,7 +44,7 @@ class OperatorClock:
         self._last = 0
 
     def witness(self, time: int) -> None:
-        """Take note of the time of another order, of this operator's in an earlier life for instance."""
+        """Take note of the time of another order, for example one that this operator gave before a restart."""
         if time <= order_time(self._now_ms() + MAX_AHEAD_MS):
             self._last = max(self._last, time)
 
@@ -55,7 +55,7 @@ class OperatorClock:
 
 
 def time_text(time: int) -> str:
-    """An order's time in words; the first mission, and rounds of a simulation, count from 1970 too."""
+    """An order's time as text. The first mission, and rounds of a simulation, count from 1970 too."""
     moment = datetime.fromtimestamp((time >> LOGICAL_BITS) / 1000.0, UTC)
     count = time & ((1 << LOGICAL_BITS) - 1)
     return f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 1000:03} UTC" + (f" ({count})" if count else "")
@@ -70,7 +70,7 @@ BLOCKED = -2  #: Owner of a slot that no robot can take, because a body that doe
 LAST_ROUND = 1023  #: Largest round number in a position report.
 MAX_LOOKS = 64  #: Largest number of visits to a vacant slot in an entry.
 MAX_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each other.
-HIGHEST = 15  #: Highest level of a right of way.
+MAX_LEVEL = 15  #: Highest level of a right of way.
 MAX_STOPS = 4  #: Most points of a course.
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
@@ -109,9 +109,9 @@ class _OnWire(msgspec.Struct, array_like=True, forbid_unknown_fields=True, froze
 
 
 class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=True, order=True):
-    """Identifies a mission: operator's time of the order, 0 for the first one, then content.
+    """Identifies a mission by the operator's time of the order, 0 for the first one, and by its content.
 
-    The mission with the higher stamp is in force, so that of the last order.
+    The mission with the higher stamp is in force: that of the last order.
     """
 
     counter: OrderTime
@@ -129,7 +129,7 @@ class Authorization(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Provenance(_OnWire, frozen=True, kw_only=True):
-    """Where a plan comes from: fixed when it is proposed, and carried along unchanged."""
+    """The origin of a plan: fixed when it is proposed, and passed on unchanged."""
 
     mission: OrderTime  #: Time of the order for the mission that the plan was made for.
     mission_digest: Digest  #: Content of that mission.
@@ -163,17 +163,17 @@ class Offer(_OnWire, frozen=True, kw_only=True):
 
 
 class Course(_OnWire, frozen=True, kw_only=True):
-    """Where a robot that others block will be in the next rounds."""
+    """The way that a blocked robot wants to fly in the next rounds."""
 
     #: Rises with the time for which the right of way has been missing.
-    level: Annotated[int, msgspec.Meta(ge=0, le=HIGHEST)]
+    level: Annotated[int, msgspec.Meta(ge=0, le=MAX_LEVEL)]
     of: Id  #: The robot whose right it is: the sender, or one that the sender makes way for.
     #: Next corners of the sender's way [units; world frame].
     path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MAX_STOPS)]
 
 
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):
-    """Everything public about one robot, as broadcast; on the wire, an array of the fields before `plan_class`."""
+    """All public knowledge about one robot, as broadcast. On the wire, an array of the fields before `plan_class`."""
 
     sender: Id  #: Id of the robot.
     sequence: Counter  #: Counts the changes of the content; equal content is equal bytes.
@@ -248,7 +248,7 @@ def _entry(version: int, bid: float, owner: int) -> BidEntry:
 
 
 def claims_in(table: BidTable, slots: Iterable[int] | None = None) -> Claims:
-    """A bid table as a message spells it out: all of it, or these slots.
+    """The entries of a bid table for a message: all of them, or those of some slots.
 
     A bid of 0, as in joint assignments, takes one byte as an integer, and nine as a float.
     """
@@ -284,7 +284,7 @@ def max_payload_bytes(n_robots: int) -> int:
 
 
 def encode(message: Message) -> bytes:
-    """The message as bytes: without what it does not have at its end, nor the digest of a plan that it spells out."""
+    """The message as bytes, without absent fields at its end, and without the digest of a plan that it spells out."""
     fields: list[object] = [*astuple(message)[:_WIRE_FIELDS]]
     if message.plan is not None:
         fields[_PLAN_DIGEST] = None
@@ -366,7 +366,7 @@ def mission_text(mission: Mission) -> str:
 def received_mission(message: Message, own: Mission) -> Mission:
     """The mission that a message spells out, with the limits and surroundings of the robot's own mission.
 
-    A sender with other limits announces another digest, so its mission is refused.
+    A sender with other limits announces another digest, so its mission is rejected.
 
     Raises:
         MessageError: with reason `malformed` unless it is a JSON object of `MISSION_FIELDS`, or `other_mission`.

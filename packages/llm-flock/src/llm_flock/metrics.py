@@ -80,8 +80,8 @@ def bottleneck_distance(start: ArrayLike, goals: ArrayLike, ways: Ways = straigh
         partner = scipy.sparse.csgraph.maximum_bipartite_matching(
             scipy.sparse.csr_array(apart <= candidates[middle]), perm_type="column"
         )
-        found = int((np.asarray(partner) >= 0).sum())
-        low, high = (middle + 1, high) if found < wanted else (low, middle)
+        matched = int((np.asarray(partner) >= 0).sum())
+        low, high = (middle + 1, high) if matched < wanted else (low, middle)
     return float(candidates[low])
 
 
@@ -94,7 +94,7 @@ def lower_bound_rounds(
     within: float = 0.0,
     ways: Ways = straight,
 ) -> int:
-    """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and nobody in the way.
+    """Smallest number of rounds from the start to the agreed plan, with a perfect assignment and no robot in the way.
 
     Args:
         start: positions at the start.
@@ -105,7 +105,7 @@ def lower_bound_rounds(
         within: distance at which a robot counts as at its goal [units].
         ways: lengths of ways to a plan that stands still: round obstacles, for instance.
     """
-    rounding = 1e-9  # a bound that exceeds a whole number of rounds by less is rounded down
+    rounding = 1e-9  # a bound less than this above a whole number of rounds is rounded down
     if drift is None:
         return max(0, math.ceil((bottleneck_distance(start, plan_points, ways) - within) / max_step - rounding))
     points = np.asarray(plan_points, dtype=np.float64)
@@ -278,7 +278,7 @@ class StartSeparation:
 
 
 LARGE = 300
-"""Number of points above which `proven_match` is tried first, since `longest` takes the cube of it, many times."""
+"""Number of points above which `proven_match` is tried first, because `longest` costs O(n^3) many times."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,7 +299,7 @@ class ShapeError:
 
 
 class ShapeTarget:
-    """An ideal shape for comparison with many teams; computes once whatever depends on the shape alone.
+    """An ideal shape for comparison with many teams; computes only once what depends on the shape alone.
 
     Args:
         target: ideal points, shape (n, d) [units], d = 2 or 3, in any position and orientation.

@@ -95,7 +95,7 @@ class Mission(BaseModel):
         given = cast("dict[str, Any]", data)
         points = given.get("points")
         if not isinstance(points, Sized):
-            return given  # absent, or of a type that the field's own validation refuses
+            return given  # absent, or of a type that the field's own validation rejects
         if not len(points):
             raise InputError("points", points, "at least one point")
         filled = {"shape": "points", "n_robots": len(points), **given}
@@ -147,14 +147,14 @@ class Mission(BaseModel):
             )
 
     def check_shape(self) -> None:
-        """Check the shape alone. Call after a change of `places`; construction does it by itself.
+        """Check the shape alone. Call after a change of `places`; the constructor calls it too.
 
         Raises:
             InputError: the shape does not exist for this number of places, violates the safe distance, or does not
                 fit into the arena.
         """
-        if (found := hidden(self.shape)) is not None:
-            raise InputError("shape", self.shape, f"letters that everybody sees, not {found!a}")
+        if (letter := hidden(self.shape)) is not None:
+            raise InputError("shape", self.shape, f"visible letters only, not {letter!a}")
         if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
             says = "given, although the shape is another; they belong to shape 'points'"
             if not self.points:
@@ -197,10 +197,10 @@ class Mission(BaseModel):
             )
 
     def placements(self, angle_rad: float = 0.0) -> Iterator[Points]:
-        """The ideal points, shape (n, d) [units], wherever obstacles leave room for all of them; none without an ideal.
+        """Placements of the ideal points, shape (n, d) [units], that keep clear of obstacles; none without an ideal.
 
-        Turned about the centre by `angle_rad` first, then in `ORIENTATIONS` evenly spaced steps, then the same slightly
-        shifted. Without obstacles every orientation comes.
+        The first is turned about the centre by `angle_rad`. Then come `ORIENTATIONS` evenly spaced steps, then the same
+        slightly shifted. Without obstacles, all orientations come.
         """
         if self.ideal is None:
             return
@@ -219,7 +219,7 @@ class Mission(BaseModel):
     def regions_of(self, points: Iterable[Point]) -> frozenset[int]:
         """Regions of the plane between obstacles and walls in which these points are; robots cannot change regions.
 
-        Empty without obstacles and in space, where everything is in reach of everything.
+        Empty without obstacles and in space, where robots can reach every point.
         """
         if not self.obstacles or self.dim != 2:
             return frozenset()
@@ -273,13 +273,13 @@ class Mission(BaseModel):
 
     @cached_property
     def ideal(self) -> tuple[Point, ...] | None:
-        """Ideal target points of the shape in its reference orientation [units]; None for a shape in words."""
+        """Ideal target points of the shape in its reference orientation [units]; None for a shape described in text."""
         try:
             points = formations.ideal_points(self.shape, self.n_places, self.center, self.spacing, self.points)
         except InputError as error:
             if error.field != "n_robots" or self.places is None:
                 raise
-            # The field that sets the number.
+            # Name the field that sets this number.
             raise InputError("places", error.value, says=error.says.replace("robots", "places")) from None
         return None if points is None else tuple(tuple(row) for row in points.tolist())
 
@@ -328,7 +328,7 @@ class Mission(BaseModel):
         Raises:
             InputError: the shape does not exist for this number of places, or does not fit.
         """
-        return self if places == self.n_places else _resized(self, places)
+        return self if places == self.n_places else _resize(self, places)
 
     def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
@@ -360,7 +360,7 @@ class Mission(BaseModel):
             raise InputError("sense_range", self.sensing, allowed)
 
 
-def _unchecked(mission: Mission, **fields: Any) -> Mission:
+def _copy(mission: Mission, **fields: Any) -> Mission:
     """A changed copy without validation, and without the values of cached properties."""
     return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
 
@@ -369,20 +369,20 @@ def _unchecked(mission: Mission, **fields: Any) -> Mission:
 def _at(mission: Mission, round_: int) -> Mission:
     center = tuple(c + d for c, d in zip(mission.center, mission.drift(round_), strict=True))
     if round_ - mission.since >= mission.travel_rounds:
-        return _unchecked(mission, center=center, velocity=None, since=0)
-    return _unchecked(mission, center=center, since=max(round_, mission.since))
+        return _copy(mission, center=center, velocity=None, since=0)
+    return _copy(mission, center=center, since=max(round_, mission.since))
 
 
 @lru_cache(maxsize=256)
-def _resized(mission: Mission, places: int) -> Mission:
-    resized = _unchecked(mission, places=None if places == mission.n_robots else places)
+def _resize(mission: Mission, places: int) -> Mission:
+    resized = _copy(mission, places=None if places == mission.n_robots else places)
     # Only the shape depends on the number. Obstacles are not checked: a moving formation may be anywhere among them.
     resized.check_shape()
     return resized
 
 
 def build_mission(**fields: Any) -> Mission:
-    """A `Mission` from plain values. Call it where values come from an operator.
+    """A `Mission` from plain values. Call it for values from an operator.
 
     Raises:
         InputError: a field is invalid; names the first such field, its value, and what is allowed.

@@ -16,7 +16,7 @@ from llm_flock.errors import InputError
 
 
 def cross(a: Point, b: Point, c: Point) -> float:
-    """Twice the signed area of the triangle a, b, c: positive where it turns left [units^2]."""
+    """Twice the signed area of the triangle a, b, c: positive for a left turn [units^2]."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
@@ -76,7 +76,7 @@ def convex_pieces(polygon: Sequence[Point]) -> tuple[tuple[Point, ...], ...]:
         triangles.append(_around(corners, k))
         del corners[k]
     triangles.append(tuple(corners))
-    return _merged([t for t in triangles if cross(t[0], t[1], t[2]) > 0.0])
+    return _merge([t for t in triangles if cross(t[0], t[1], t[2]) > 0.0])
 
 
 def _around(corners: Sequence[Point], k: int) -> tuple[Point, Point, Point]:
@@ -92,19 +92,19 @@ def _is_ear(corners: Sequence[Point], k: int) -> bool:
     return not any(cross(a, b, p) >= 0.0 and cross(b, c, p) >= 0.0 and cross(c, a, p) >= 0.0 for p in others)
 
 
-def _merged(pieces: list[tuple[Point, ...]]) -> tuple[tuple[Point, ...], ...]:
+def _merge(pieces: list[tuple[Point, ...]]) -> tuple[tuple[Point, ...], ...]:
     """Join pieces along common sides as long as the results are convex."""
     while True:
         pairs = ((i, j) for i in range(len(pieces)) for j in range(i))
-        found = next(((i, j, whole) for i, j in pairs if (whole := _joined(pieces[i], pieces[j])) is not None), None)
-        if found is None:
+        pair = next(((i, j, whole) for i, j in pairs if (whole := _join(pieces[i], pieces[j])) is not None), None)
+        if pair is None:
             return tuple(pieces)
-        i, j, whole = found
+        i, j, whole = pair
         pieces[j] = whole
         del pieces[i]
 
 
-def _joined(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...] | None:
+def _join(one: tuple[Point, ...], two: tuple[Point, ...]) -> tuple[Point, ...] | None:
     """The union of two pieces with a common side if it is convex, None otherwise."""
     for k, (a, b) in enumerate(edges(one)):
         if b in two and two[(two.index(b) + 1) % len(two)] == a:
@@ -207,7 +207,7 @@ def _nearest_on_outline(corners: tuple[Point, ...], point: Point, *, inside: boo
     """The nearest point of a polygon's boundary; `corners` run counterclockwise."""
     foot, a, b = min(
         ((nearest_on_segment(point, a, b), a, b) for a, b in edges(corners)),
-        key=lambda found: math.dist(found[0], point),
+        key=lambda side: math.dist(side[0], point),
     )
     gap = math.dist(point, foot)
     if gap > 1e-9:  # nearer counts as on the boundary

@@ -22,12 +22,12 @@ class PlanQuestion:
     neighbors: tuple[Point, ...]
     #: Positions of sensed bodies that no longer move; no place may lie on one [units; world frame].
     still: tuple[Point, ...] = ()
-    probe: bool = False  #: Whether the planner gets one try only, because its last answers could not be used.
+    probe: bool = False  #: Whether the planner gets a single attempt, because its last answers could not be used.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StepQuestion:
-    """Choose the next waypoint, or several. Fields as in PlanQuestion, and further ones."""
+    """Choose the next waypoint, or several. Has the fields of PlanQuestion except `still`, and more."""
 
     mission: Mission
     robot: int
@@ -45,7 +45,7 @@ class StepQuestion:
 
     @property
     def goal(self) -> Point:
-        """Where to go: the own place, or `target`, or the next `corner` on the way [units; world frame]."""
+        """The point to fly to: own place, `target`, or next `corner` on the way [units; world frame]."""
         if self.corner is not None:
             return self.corner
         if self.target is not None:
@@ -80,7 +80,7 @@ class NoAnswer:
     """The planner could not answer this time."""
 
     cause: str  #: `answer` (never usable), `budget`, or the kind of a ModelError (`timeout`, `server`, ...).
-    reason: str  #: The full reason in words, for the record.
+    reason: str  #: The full reason, for the record.
     #: The last waypoint that could be read but was rejected [units; world frame]; None without one.
     waypoint: Point | None = None
 

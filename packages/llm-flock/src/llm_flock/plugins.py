@@ -1,4 +1,4 @@
-"""What is installed beside the core: parts announce it as entry points, and only this file reads them.
+"""Plug-ins installed beside the core. Parts announce them as entry points, which only this file reads.
 
 An entry point of the group `llm_flock.KIND` is one thing of that kind, under its name:
 
@@ -49,8 +49,8 @@ def entries(kind: Kind) -> Mapping[str, EntryPoint]:
     """The plug-ins of a kind by name, in the order of their names. Imports none of them."""
     from importlib.metadata import entry_points  # takes longer to import than many commands take
 
-    found = entry_points(group=f"llm_flock.{kind}")
-    return {entry.name: entry for entry in sorted(found, key=lambda entry: entry.name)}
+    installed = entry_points(group=f"llm_flock.{kind}")
+    return {entry.name: entry for entry in sorted(installed, key=lambda entry: entry.name)}
 
 
 def load(kind: Kind, name: str) -> Any:

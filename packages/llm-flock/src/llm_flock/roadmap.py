@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     import shapely  # imported where it is used: missions without obstacles start faster without it
 
 ARC = 64
-"""Sides of a quarter of a circle. Outlines of grown obstacles lie inside the exact ones, by less than 1e-4 radii: a gap
-that is a hair too narrow may count as passable, one that is wide enough always does."""
+"""Sides of a quarter of a circle. Outlines of grown obstacles lie inside the exact ones, by less than 1e-4 radii. A gap
+that is wide enough always counts as passable, and one that is slightly too narrow may."""
 
 
 @lru_cache(maxsize=256)
@@ -72,10 +72,10 @@ SLACK = 1e-9
 """Ways count as clear that come nearer to an obstacle than allowed by less than this [units]."""
 
 HOP = 0.25
-"""Each corner of a way counts like this share of a body's diameter: of two ways nearly as long, take the straighter."""
+"""Extra length for each corner, as a share of a body's diameter: of two similar ways, prefer the straighter one."""
 
 MEETING = 1e-6
-"""Points nearer to each other than this are one [units]."""
+"""Points nearer to each other than this count as one [units]."""
 
 
 class Roadmap:
@@ -83,7 +83,7 @@ class Roadmap:
 
     Args:
         arena: two opposite corners of the flight space [units].
-        obstacles: what stands in it, all of the same dimension.
+        obstacles: the obstacles in it, all of the same dimension.
         radius: smallest distance of a body's centre from obstacles [units].
         exact: in the plane, give lengths to within 0.4 % of the part that leads round obstacles, at the price of ways
             with many corners; for lower bounds.
@@ -115,35 +115,35 @@ class Roadmap:
         inside = ((corners >= low - SLACK) & (corners <= high + SLACK)).all(axis=1)
         free = inside & self._clear(corners, corners, radius)
         self._nodes, self._normals, self._bends = corners[free], normals[free], bends[free]
-        self._links = self._connected()
+        self._links = self._connect()
         self._left = lru_cache(maxsize=1024)(self._left_to)
 
     def _corners(self, dim: int, arena: tuple[Point, Point]) -> tuple[Points, Points, Vector]:
-        """Points round every obstacle, the directions away from it, and sines of the angles that each goes round."""
-        found: list[tuple[Points, Points, Vector]] = [(np.empty((0, dim)), np.empty((0, dim)), np.empty(0))]
+        """Points round every obstacle, the directions away from it, and the sines of the angles that they cover."""
+        rings: list[tuple[Points, Points, Vector]] = [(np.empty((0, dim)), np.empty((0, dim)), np.empty(0))]
         for obstacle in self._obstacles:
             if obstacle.polygon is not None:
                 sector = self._sector(self._reach)
                 for at in _turns(obstacle.polygon):
-                    found.append(_round_corner(at, self._reach, sector))
-                    self._out_angular = max(self._out_angular, math.dist(found[-1][0][0], at[0]))
-                    found.append(_at_walls(at, self._reach, sector, arena))
+                    rings.append(_round_corner(at, self._reach, sector))
+                    self._out_angular = max(self._out_angular, math.dist(rings[-1][0][0], at[0]))
+                    rings.append(_at_walls(at, self._reach, sector, arena))
                 continue
             assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a disc or a polygon"
             out = obstacle.radius + self._reach
             if dim == 2:
                 whole = (obstacle.center, 0.0, 2.0 * math.pi)
-                found.append(_round_corner(whole, out, self._sector(out)))
-                self._out.append(math.dist(found[-1][0][0], obstacle.center))
-                found.append(_at_walls(whole, out, self._sector(out), arena))
+                rings.append(_round_corner(whole, out, self._sector(out)))
+                self._out.append(math.dist(rings[-1][0][0], obstacle.center))
+                rings.append(_at_walls(whole, out, self._sector(out), arena))
             else:
-                found.append(_round_ball(obstacle.center, out))
-                self._out.append(math.dist(found[-1][0][0], obstacle.center))
-        corners, normals, bends = zip(*found, strict=True)
+                rings.append(_round_ball(obstacle.center, out))
+                self._out.append(math.dist(rings[-1][0][0], obstacle.center))
+        corners, normals, bends = zip(*rings, strict=True)
         return np.concatenate(corners), np.concatenate(normals), np.concatenate(bends)
 
     def _sector(self, out: float) -> float:
-        """Largest angle that one corner goes round at this distance [rad]: few corners, or exact lengths."""
+        """Largest angle that one corner covers at this distance [rad]: few corners, or exact lengths."""
         return math.pi / 18 if self._exact else 2.0 * math.acos(out / (out + 0.5 * self._radius))
 
     def _clear(self, starts: Points, ends: Points, radius: float) -> NDArray[np.bool_]:
@@ -176,7 +176,7 @@ class Roadmap:
         slant = np.abs((towards * self._normals).sum(axis=1))
         return slant <= self._bends * gaps + SLACK
 
-    def _connected(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
+    def _connect(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Vector]:
         """Pairs of corners that see each other, and their distances."""
         count = len(self._nodes)
         touching = np.array([self._touching(node) for node in self._nodes], dtype=np.bool_).reshape(count, count)
@@ -185,10 +185,10 @@ class Roadmap:
         first, second = first[clear], second[clear]
         return first, second, np.linalg.norm(self._nodes[first] - self._nodes[second], axis=1)
 
-    def _seen(self, point: Point) -> tuple[NDArray[np.int64], Vector]:
+    def _visible_corners(self, point: Point) -> tuple[NDArray[np.int64], Vector]:
         """Corners that a body at a point can fly to straight, and their distances.
 
-        A body that is too near an obstacle sees whatever does not lead nearer to one.
+        A body that is too near an obstacle sees all places that do not lead nearer to one.
         """
         here = np.array(point)
         candidates = np.flatnonzero(self._touching(here))
@@ -203,7 +203,7 @@ class Roadmap:
         return segment_clearance(here, goal, self._obstacles) >= room - SLACK
 
     def length(self, here: Point, goal: Point) -> float:
-        """Length of the shortest way, with the extra for corners [units]; infinite where there is none."""
+        """Length of the shortest way, with the extra for corners [units]; infinite if there is none."""
         if self.straight(here, goal):
             return math.dist(here, goal)
         return self._way(here, goal)[0]
@@ -227,7 +227,7 @@ class Roadmap:
         return lengths
 
     def next_stop(self, here: Point, goal: Point) -> Point:
-        """The next corner of the shortest way; `goal` itself where it can be flown to straight, or not at all."""
+        """The next corner of the shortest way; `goal` itself if the way is straight, or if there is none."""
         if self.straight(here, goal):
             return goal
         corner = self._way(here, goal)[1]
@@ -239,7 +239,7 @@ class Roadmap:
     def _way(self, here: Point, goal: Point) -> tuple[float, Point | None]:
         """Length of the shortest way through at least one corner, and its first corner."""
         left = self._left(goal)
-        seen, gaps = self._seen(here)
+        seen, gaps = self._visible_corners(here)
         if not len(seen):
             return math.inf, None
         lengths = gaps + left[seen]
@@ -253,7 +253,7 @@ class Roadmap:
     def _left_to(self, goal: Point) -> Vector:
         """Length of the shortest way from each corner to a goal, the extra for corners included, shape (corners,)."""
         count = len(self._nodes)
-        seen, gaps = self._seen(goal)
+        seen, gaps = self._visible_corners(goal)
         first, second, lengths = self._links
         rows = np.concatenate([first, np.full(len(seen), count)])
         columns = np.concatenate([second, seen])
@@ -287,16 +287,16 @@ def shortest_ways(
 
 
 def _turns(outline: Sequence[Point]) -> Iterable[tuple[Point, float, float]]:
-    """The convex corners of a polygon: where, from which direction away from it, and round by how much [rad]."""
+    """The convex corners of a polygon: position, first direction away from it, and angle to go round [rad]."""
     corners = outline if signed_area(outline) > 0.0 else outline[::-1]
     for k, corner in enumerate(corners):
         before, after = corners[k - 1], corners[(k + 1) % len(corners)]
         turn = cross(before, corner, after)
         if turn <= 0.0:
             continue
-        came = math.atan2(corner[1] - before[1], corner[0] - before[0])
-        goes = math.atan2(after[1] - corner[1], after[0] - corner[0])
-        yield corner, came - math.pi / 2.0, (goes - came) % (2.0 * math.pi)
+        incoming = math.atan2(corner[1] - before[1], corner[0] - before[0])
+        outgoing = math.atan2(after[1] - corner[1], after[0] - corner[0])
+        yield corner, incoming - math.pi / 2.0, (outgoing - incoming) % (2.0 * math.pi)
 
 
 def _round_corner(at: tuple[Point, float, float], reach: float, sector: float) -> tuple[Points, Points, Vector]:
@@ -312,19 +312,19 @@ def _round_corner(at: tuple[Point, float, float], reach: float, sector: float) -
 def _at_walls(
     at: tuple[Point, float, float], reach: float, sector: float, arena: tuple[Point, Point]
 ) -> tuple[Points, Points, Vector]:
-    """Where the circle through those points meets walls: the ones beyond a wall are of no use to who stands at it."""
+    """Points at which the circle through those points meets walls: bodies cannot use points beyond a wall."""
     corner, start, turn = at
     half = turn / math.ceil(turn / sector - 1e-9) / 2.0
     far = reach / math.cos(half)
-    found: list[tuple[float, float]] = []
+    at_walls: list[tuple[float, float]] = []
     for axis, wall in ((axis, bound[axis]) for axis in (0, 1) for bound in arena):
         gap = wall - corner[axis]
         if abs(gap) < far:
             side = math.sqrt(far * far - gap * gap)
             met = [(gap, s) if axis == 0 else (s, gap) for s in (side, -side)]
-            found += [(x, y) for x, y in met if (math.atan2(y, x) - start) % (2.0 * math.pi) <= turn]
-    offsets = np.array(found, dtype=np.float64).reshape(len(found), 2)
-    return np.array(corner) + offsets, offsets / far, np.full(len(found), math.sin(half))
+            at_walls += [(x, y) for x, y in met if (math.atan2(y, x) - start) % (2.0 * math.pi) <= turn]
+    offsets = np.array(at_walls, dtype=np.float64).reshape(len(at_walls), 2)
+    return np.array(corner) + offsets, offsets / far, np.full(len(at_walls), math.sin(half))
 
 
 def _round_ball(center: Point, out: float) -> tuple[Points, Points, Vector]:

@@ -165,8 +165,8 @@ class ShapeInfo:
 
     Attributes:
         name: specification of the shape, with its argument in capitals: `circle`, `polygon:K`.
-        legal: its legal team sizes, in words that follow "N is".
-        description: the shape in words that follow "form".
+        legal: its legal team sizes, as text that follows "N is".
+        description: the shape as text that follows "form".
         examples: a few legal team sizes (for `polygon:K`: with K = 5).
         layout: its points, by n and the argument K (0 without one); None if they are given otherwise.
         is_legal: whether it exists for n and K.
@@ -272,7 +272,7 @@ def _argument(spec: str) -> int:
 
 
 def describe(spec: str) -> str:
-    """The shape in words that follow "form": `a circle`; for `text:DESCRIPTION`, the description itself.
+    """The shape as text that follows "form": `a circle`; for `text:DESCRIPTION`, the description itself.
 
     Raises:
         InputError: no shape has this name, or its argument is not allowed.

@@ -1,7 +1,4 @@
-"""Bodies of a team as a trial needs them, and simulated ones.
-
-Those are point masses that fly straight to their waypoint within a round, with their sensors.
-"""
+"""Bodies of a team with their sensors; simulated ones are points that fly straight to their waypoints in a round."""
 
 from __future__ import annotations
 
@@ -19,7 +16,7 @@ from llm_flock.obstacles import clearance
 
 StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
-MAX_DRAWS = 10_000  #: Tries to place one robot before the arena counts as full.
+MAX_DRAWS = 10_000  #: Draws of one robot's position before the arena counts as full.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -116,7 +113,7 @@ def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
 
 
 class Readings:
-    """Positions of all robots (`places`, shape (n, d) [units; world frame]), and what each robot reads of them.
+    """Positions of all robots (`places`, shape (n, d) [units; world frame]), and the robots' readings of them.
 
     Each reading adds a uniform vector in the ball of radius `noise` [units].
     """
@@ -128,7 +125,7 @@ class Readings:
         self.place(positions.copy())
 
     def place(self, places: Points) -> None:
-        """Put all robots somewhere, and compute the ranges, once per round."""
+        """Set the positions of all robots, and compute which are in range. Call once per round."""
         self.places = places
         self._distances: Pairwise = graph.distances(places)
         self._rows: list[Point] = [tuple(row) for row in places.tolist()]
@@ -156,7 +153,7 @@ class Readings:
         return Sensing(position=readings.pop(robot), sensed=readings)
 
     def others(self, robot: int) -> tuple[Point, ...]:
-        """Readings of all other robots, in ascending order of ids, whatever their range (`observe = "all"`)."""
+        """Readings of all other robots, in ascending order of ids, at any distance (`observe = "all"`)."""
         return tuple(self._reading(j) for j in range(len(self._rows)) if j != robot)
 
     def _reading(self, robot: int) -> Point:
@@ -183,7 +180,7 @@ class Bodies(Protocol):
 
     @property
     def readings(self) -> Readings:
-        """What the robots read of each other now, and who is within range of whom."""
+        """The present readings of all robots, and which robots are in range of which."""
         ...
 
     async def fly(self, displacements: Points) -> None:

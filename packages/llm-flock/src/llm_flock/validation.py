@@ -1,4 +1,4 @@
-"""Turns pydantic's errors into sentences of this package: which field, and what is expected of it."""
+"""Turns pydantic's errors into sentences of this package, which name the field and the expected value."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _EXPECTED: Mapping[str, str] = {
     "model_type": "a table",
     "model_attributes_type": "a table",
 }
-"""What is expected, by pydantic's type of error; its own words serve for all others."""
+"""The expected value by pydantic's type of error. Other types keep pydantic's text."""
 
 
 def input_error(error: ValidationError, model: type[BaseModel], within: str = "") -> InputError:
@@ -51,8 +51,8 @@ def input_error(error: ValidationError, model: type[BaseModel], within: str = ""
     kind, value, context = first["type"], first.get("input"), first.get("ctx", {})
     if kind in ("extra_forbidden", "missing") and isinstance(first["loc"][-1], str):
         return _field_error(first["loc"], model, within, missing=kind == "missing")
-    place = _known(first["loc"], model)[0]
-    field = _dotted([within, *place] if within else _flat(place)) or "value"
+    place = _resolve(first["loc"], model)[0]
+    field = _place_text([within, *place] if within else _flat(place)) or "value"
     if kind == "literal_error" and isinstance(value, str):
         return InputError(field, value, says=unknown("choice", value, re.findall("'([^']*)'", context["expected"])))
     if kind == "string_pattern_mismatch" and (form := _form(first["loc"], model)) is not None:
@@ -63,20 +63,20 @@ def input_error(error: ValidationError, model: type[BaseModel], within: str = ""
 
 
 def _form(loc: Sequence[int | str], model: type[BaseModel]) -> str | None:
-    """What a field's text has to look like, in words, where its definition has them (`expected`)."""
+    """The form of a field's text, as its definition describes it (`expected`); None if it does not."""
     *where, name = loc
-    info = fields_of(_known(where, model)[1]).get(str(name))
+    info = fields_of(_resolve(where, model)[1]).get(str(name))
     return None if info is None else extra(info, "expected")
 
 
 def _field_error(loc: Sequence[int | str], model: type[BaseModel], within: str, *, missing: bool) -> FieldError:
-    """The error of a field that is not there, or of one that nobody knows."""
-    where, kind = _known(loc[:-1], model)
+    """The error of a missing or unknown field."""
+    where, kind = _resolve(loc[:-1], model)
     name, fields = str(loc[-1]), fields_of(kind)
     in_list = any(isinstance(part, int) for part in where)
-    table = _dotted([*filter(None, [within]), *where])
-    there = f" in {_dotted(_flat(where))}" if in_list and not within else f" in [{table}]" if table else ""
-    field = _dotted(_flat([*where, name]))
+    table = _place_text([*filter(None, [within]), *where])
+    there = f" in {_place_text(_flat(where))}" if in_list and not within else f" in [{table}]" if table else ""
+    field = _place_text(_flat([*where, name]))
     if missing:
         section = not there and _is_table(fields[name].annotation)
         return FieldError(
@@ -107,35 +107,35 @@ def unknown_section(name: str, model: type[BaseModel]) -> FieldError:
 
 def fields_of(annotation: Any) -> Mapping[str, FieldInfo]:
     """The fields of the model that a type is, or holds, by the name that a file gives them; none for other types."""
-    found = _model_in(annotation)
-    return {} if found is None else {info.alias or name: info for name, info in found.model_fields.items()}
+    model = _model_in(annotation)
+    return {} if model is None else {info.alias or name: info for name, info in model.model_fields.items()}
 
 
 def extra(info: FieldInfo, key: str) -> str | None:
     """A text that the definition of a field has in its `json_schema_extra`: `expected`, or the name of its `flag`."""
     extras: object = info.json_schema_extra
-    said = cast("dict[str, object]", extras).get(key) if isinstance(extras, dict) else None
-    return said if isinstance(said, str) else None
+    text = cast("dict[str, object]", extras).get(key) if isinstance(extras, dict) else None
+    return text if isinstance(text, str) else None
 
 
-def _known(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[int | str], Any]:
+def _resolve(loc: Sequence[int | str], model: type[BaseModel]) -> tuple[list[int | str], Any]:
     """The part of a place that names fields, keys and indices, without pydantic's names of alternatives; its type."""
     place: list[int | str] = []
-    found: Any = model
+    kind: Any = model
     for name in loc:
-        fields = fields_of(found)
-        if get_origin(found) is dict:
-            found = get_args(found)[1]
+        fields = fields_of(kind)
+        if get_origin(kind) is dict:
+            kind = get_args(kind)[1]
         elif isinstance(name, str) and name in fields:
-            found = fields[name].annotation
+            kind = fields[name].annotation
         elif isinstance(name, str):
             continue
         place.append(name)
-    return place, found
+    return place, kind
 
 
-def _dotted(place: Sequence[int | str]) -> str:
-    """A place as text. A name may come from a message or a file, with whatever letters."""
+def _place_text(place: Sequence[int | str]) -> str:
+    """A place as text. A name may come from a message or a file, with any letters."""
     return ".".join(name if name.isprintable() else ascii(name) for name in map(str, place))
 
 
@@ -147,4 +147,4 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     """The model that a type is, or holds: that of `tuple[Change, ...]` is Change."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for part in get_args(annotation) if (found := _model_in(part)) is not None), None)
+    return next((model for part in get_args(annotation) if (model := _model_in(part)) is not None), None)

@@ -8,10 +8,10 @@ from typing import TypeAlias, cast
 
 from llm_flock import plugins
 from llm_flock.errors import InputError, unknown
-from llm_flock.own_code import load_own
 from llm_flock.robots import Position, Robot
 from llm_flock.runtime import Stream, stream
 from llm_flock.simulate import draw_start
+from llm_flock.user_code import load_own
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.sections import DroneConfig
 

@@ -13,11 +13,12 @@ from typing import Any, Literal, TypeAlias
 import msgspec
 
 from llm_flock import runtime
+from llm_flock.cancellation import is_cancelled
 from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, Spent, habits_of
-from llm_flock.own_code import is_cancelled, shown
 from llm_flock.record import Entry, MetricsRow, SummaryMessage
 from llm_flock.runtime import RECORD_NAME, run_async
+from llm_flock.user_code import describe_exception
 from llm_flock_lab._experiments.grid import Earlier, TrialSpec
 
 KeepRecords: TypeAlias = Literal["all", "failed", "none"]
@@ -108,7 +109,7 @@ async def fly(
             isinstance(reason, asyncio.CancelledError) and is_cancelled()
         ):
             raise
-        error = shown(reason)
+        error = describe_exception(reason)
     summary = None if metrics.result is None else {**metrics.result, "record": None}
     formed = summary is not None and summary["formed"] and error is None
     record = None if out is None or (formed and keep == "failed") else Path(out) / RECORD_NAME

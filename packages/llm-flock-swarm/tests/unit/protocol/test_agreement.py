@@ -27,7 +27,7 @@ from llm_flock.planner import StepAnswer
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.auction import BOUND_ROUNDS, AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
-from llm_flock.protocol._messages.dissemination import REMEMBERED_PLANS
+from llm_flock.protocol._messages.dissemination import MAX_KNOWN_PLANS
 
 
 def kinds(effects: list[Effect]) -> list[str]:
@@ -100,9 +100,9 @@ def test_plan_named_by_digest_is_followed_if_it_came_in_full() -> None:
 def test_a_flood_of_plans_costs_bounded_memory() -> None:
     driven = DrivenAgent(make())
     driven.begin()
-    for k in range(REMEMBERED_PLANS + 1):
+    for k in range(MAX_KNOWN_PLANS + 1):
         driven.agent.handle(Received(says(1, plan=Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]))))
-    first, last = (Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]) for k in (0, REMEMBERED_PLANS))
+    first, last = (Plan.of([[float(k), 0.0], [0.0, 9.0], [9.0, 0.0]]) for k in (0, MAX_KNOWN_PLANS))
     driven.agent.handle(CommRoundEnded())
     assert driven.agent.plan == last
     driven.comm_round(says(2, plan=first, named_only=True))

@@ -31,10 +31,10 @@ from llm_flock.message import (
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol._agreement.auction import AuctionAssignment, gain, merge, rank, reclaimed
+from llm_flock.protocol._agreement.auction import AuctionAssignment, gain, merge, rank, reclaim
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._membership.joint import (
-    LARGEST,
+    MAX_WAITING,
     MOVED,
     PATIENCE,
     ROUNDS,
@@ -197,8 +197,8 @@ def test_robot_moves_to_its_new_place_though_its_old_is_free() -> None:
     assert late.slot == 0, "the rule without it bids on"
     freed: BidTable = ((1, 0.0, NO_OWNER), (1, 0.0, 0), UNSAID, UNSAID)
     held = Claim(slot=0, table=freed, bids=(0.0, -10.0, -20.0, -30.0))
-    assert reclaimed(0, held, freed) is freed
-    assert reclaimed(0, held, (freed[0], *EMPTY[1:]))[0] == (2, 0.0, 0), "nobody gave it another one"
+    assert reclaim(0, held, freed) is freed
+    assert reclaim(0, held, (freed[0], *EMPTY[1:]))[0] == (2, 0.0, 0), "nobody gave it another one"
 
 
 def test_robot_unplaced_by_any_joint_table_takes_a_free_place() -> None:
@@ -355,8 +355,8 @@ def test_a_robot_waits_until_no_unknown_robot_was_heard_for_long() -> None:
 
 
 def test_the_largest_teams_do_not_wait() -> None:
-    assert after(n=LARGEST).waiting and not after(n=LARGEST + 1).waiting
-    assert told(after(ROUNDS, LARGEST + 1), (0.0, 1.0)) == {0: (0, (0.0, 1.0), ())}
+    assert after(n=MAX_WAITING).waiting and not after(n=MAX_WAITING + 1).waiting
+    assert told(after(ROUNDS, MAX_WAITING + 1), (0.0, 1.0)) == {0: (0, (0.0, 1.0), ())}
 
 
 def test_surplus_places_stay_free_and_surplus_robots_get_no_slot() -> None:

@@ -14,7 +14,7 @@ from llm_flock.events import MissionGiven, Received
 from llm_flock.message import Course, decode, encode, mission_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._agreement.messaging import COURSE_ROUNDS, REMEMBERED_PAYLOADS, REMEMBERED_REFUSALS
+from llm_flock.protocol._agreement.messaging import COURSE_ROUNDS, MAX_REJECTED_PLANS, MAX_REPEATED
 from llm_flock.protocol._messages.channel import Inbound
 
 
@@ -134,14 +134,14 @@ def test_a_flood_of_payloads_costs_bounded_memory() -> None:
     driven = DrivenAgent(make())
     opened = Opened(driven.agent)
     driven.begin()
-    flood = [says(1, plan=PLAN, sequence=k) for k in range(2 * REMEMBERED_PAYLOADS)]
+    flood = [says(1, plan=PLAN, sequence=k) for k in range(2 * MAX_REPEATED)]
     assert opened.during(lambda: driven.comm_round(*flood)) == len(flood)
-    assert opened.during(lambda: driven.comm_round(*flood)) == len(flood) - REMEMBERED_PAYLOADS
+    assert opened.during(lambda: driven.comm_round(*flood)) == len(flood) - MAX_REPEATED
 
 
 def test_refused_plan_is_noted_once_and_a_flood_bounds_memory() -> None:
     refused = make()._messaging
-    plans = [Plan.of([[float(k), 0.0]]) for k in range(REMEMBERED_REFUSALS + 1)]
+    plans = [Plan.of([[float(k), 0.0]]) for k in range(MAX_REJECTED_PLANS + 1)]
     for plan in plans:
         (note,) = refused._reject_plan(plan, "too small")
         assert note.kind == "rejected_message" and note.detail["reason"] == "unverified_plan"

@@ -29,7 +29,7 @@ from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment
 from llm_flock.protocol._agreement.messaging import MAX_BAD_PLANS
 from llm_flock.protocol._membership.team import with_visits
-from llm_flock.protocol._messages.channel import Authorization, _decoded
+from llm_flock.protocol._messages.channel import Authorization, _decode
 from llm_flock.protocol._verification.plans import _verdict, check_plan
 from llm_flock_swarm._signed.assignment import SignedAssignment
 from llm_flock_swarm._signed.certificates import (
@@ -174,9 +174,9 @@ def test_bad_plans_are_verified_a_few_times_a_round(team: SignedTeam, liar: Liar
 
 def test_signed_messages_fill_no_cache(team: SignedTeam, liar: Liar) -> None:
     """That of decoded messages is for simulations; a flood of large plans would fill it."""
-    _decoded.cache_clear()
+    _decode.cache_clear()
     team.fly(1, lambda: [liar.says()])
-    assert _decoded.cache_info().currsize == 0
+    assert _decode.cache_info().currsize == 0
     before = _verdict.cache_info().misses
     assert check_plan(MISSION, Plan.of([(50.0, 50.0)] * 900)) is not None
     assert _verdict.cache_info().misses == before

@@ -97,7 +97,7 @@ def about(run: Recording) -> dict[str, Any]:
 def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, Any]:
     """Everything but the robots after the rounds (the start counted), plans and missions that the page knows."""
     history = run.history
-    last = history.rounds
+    last = history.last_round
     rows = history.rows[rounds : last + 1]
     return {
         "last": last,
@@ -116,7 +116,7 @@ def news(run: Recording, rounds: int, plans: int, missions: int) -> dict[str, An
 
 def frames(run: RunHistory, first: int, count: int) -> list[dict[str, Any]]:
     """The robots in at most MAX_FRAMES rounds; fewer where the run has fewer."""
-    end = min(first + min(count, MAX_FRAMES), run.rounds + 1)
+    end = min(first + min(count, MAX_FRAMES), run.last_round + 1)
     return [_frame(run, run.states[k]) for k in range(max(0, first), end)]
 
 

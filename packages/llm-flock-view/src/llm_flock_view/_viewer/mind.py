@@ -42,7 +42,7 @@ class HeardClaim(NamedTuple):
 
 def mind(run: RunHistory, robot: int, number: int) -> dict[str, Any] | None:
     """A robot's plan, its conversation with its model, and the claims it heard; None without such a robot or round."""
-    if not (0 <= robot < run.n_robots and 0 <= number <= run.rounds):
+    if not (0 <= robot < run.n_robots and 0 <= number <= run.last_round):
         return None
     state = run.states[number]
     plan, slot, phase = state.plan_ids[robot], state.slots[robot], state.phases[robot].replace("_", " ")

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, cast
 from llm_flock.record import (
     IN_SHAPE,
     SILENT,
+    CallCounts,
     Diagnosis,
     RunHistory,
     begun,
@@ -72,13 +73,13 @@ def _formation_round(run: RunHistory, k: int, entries: Sequence[object], last: i
         # An older record: the result is about the last mission only, and counts from when it was given.
         took = run.result.get("rounds_to_formed")
         return since + took if run.result.get("formed") and isinstance(took, int) else None
-    return _formed_by_rows(run, run.missions[k].round, run.rounds if last is None else min(last, run.rounds))
+    return _formed_by_rows(run, run.missions[k].round, run.last_round if last is None else min(last, run.last_round))
 
 
 def _formed_by_rows(run: RunHistory, first: int, last: int) -> int | None:
     """The first of three rounds in order after the team last changed, as measured: for a run that still flies."""
     held = 0
-    since = run.disturbed if run.disturbed <= last else 0
+    since = run.last_disturbance_round if run.last_disturbance_round <= last else 0
     for number in range(max(1, first, since), last + 1):
         row, info = run.rows[number], run.mission_at(number)
         awake = sum(phase not in SILENT for phase in run.states[number].phases)
@@ -143,10 +144,10 @@ def stop_text(run: RunHistory) -> str:
     if run.result is None:
         return "the record ends early"
     stopped = str(run.result.get("stopped", "ended"))
-    if stopped == "rounds" and run.rounds < 2:
-        return "the only round was used up" if run.rounds else "no round was flown"
+    if stopped == "rounds" and run.last_round < 2:
+        return "the only round was used up" if run.last_round else "no round was flown"
     if stopped == "rounds":
-        return f"all {run.rounds} rounds were used up"
+        return f"all {run.last_round} rounds were used up"
     return _STOPPED.get(stopped, stopped)
 
 
@@ -162,16 +163,32 @@ def interesting(run: RunHistory, found: Diagnosis) -> dict[str, Any]:
     """
     if found.robots:
         return {"robot": found.robots[0], "why": "it kept the team from forming"}
-    worst = max(run.tallies, key=lambda robot: (run.tallies[robot].trouble, -robot), default=None)
-    if worst is not None and run.tallies[worst].trouble:
-        return {"robot": worst, "why": run.tallies[worst].words}
+    worst = max(run.call_counts, key=lambda robot: (_problems(run.call_counts[robot]), -robot), default=None)
+    if worst is not None and _problems(run.call_counts[worst]):
+        return {"robot": worst, "why": _problems_text(run.call_counts[worst])}
     if found.look is not None:
         return {"robot": found.look[0], "why": found.look[1]}
     proposer = (run.result or {}).get("plan_robot")
-    plans = {plan for plan in run.states[run.rounds].plan_ids if plan is not None}
+    plans = {plan for plan in run.states[run.last_round].plan_ids if plan is not None}
     if not isinstance(proposer, int) and len(plans) == 1:
-        steps = run.provenance(0, run.rounds)
+        steps = run.provenance(0, run.last_round)
         proposer = steps[0].robot if steps else None
     if isinstance(proposer, int) and 0 <= proposer < run.n_robots:
         return {"robot": proposer, "why": "it proposed the plan in force"}
     return {"robot": 0, "why": "nothing stands out"}
+
+
+def _problems(counts: CallCounts) -> int:
+    """Number of problems with a robot's model; an opened circuit breaker counts as five."""
+    return counts.unusable + counts.fallbacks + 5 * counts.breaker_openings
+
+
+def _problems_text(counts: CallCounts) -> str:
+    """The problems as a phrase."""
+    parts = [
+        (counts.rejected, "answer was rejected", "answers were rejected"),
+        (counts.failed, "call failed", "calls failed"),
+        (counts.fallbacks, "time helped", "times helped"),
+    ]
+    phrases = [f"{count} {one if count == 1 else more}" for count, one, more in parts if count]
+    return ", ".join([*phrases, "its circuit breaker opened"] if counts.breaker_openings else phrases)

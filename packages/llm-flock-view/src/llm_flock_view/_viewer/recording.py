@@ -108,7 +108,7 @@ class Recording:
 
     @property
     def ready(self) -> bool:
-        return self.history.rounds >= 0 and bool(self.history.missions)
+        return self.history.last_round >= 0 and bool(self.history.missions)
 
     @property
     def description(self) -> str:

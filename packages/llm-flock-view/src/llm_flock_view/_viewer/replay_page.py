@@ -52,10 +52,10 @@ def write_page(record: Path, target: Path) -> int:
 
 def page(run: Recording) -> str:
     history = run.history
-    size = history.n_robots * (history.rounds + 1)
+    size = history.n_robots * (history.last_round + 1)
     if size > MAX_ROBOT_ROUNDS:
         most = MAX_ROBOT_ROUNDS // history.n_robots
-        raise InputError("rounds", history.rounds, f"at most {most} for a page of {history.n_robots} robots")
+        raise InputError("rounds", history.last_round, f"at most {most} for a page of {history.n_robots} robots")
     script, style = bundle(PLAYER), css()
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; img-src data:; "
@@ -77,13 +77,13 @@ def _content(run: Recording) -> dict[str, Any]:
     """The run as a page asks for it. Conversations are left out: they are most of a record."""
     kept: list[dict[str, Any]] = []
     history = run.history
-    for first in range(0, history.rounds + 1, MAX_FRAMES):
+    for first in range(0, history.last_round + 1, MAX_FRAMES):
         kept += frames(history, first, MAX_FRAMES)
     return {
         "about": {**about(run), "export": False},
         "news": {**news(run, 0, 0, 0), "open": False},
         "frames": kept,
-        "events": [event_lines(history, number) for number in range(history.rounds + 1)],
+        "events": [event_lines(history, number) for number in range(history.last_round + 1)],
     }
 
 

@@ -42,7 +42,7 @@ def run_row(run: Recording) -> dict[str, Any]:
     history = run.history
     result = history.result or {}
     found = outcome(history, over=not run.open)
-    rounds, bound = history.rounds, _number(result.get("lower_bound_rounds"))
+    rounds, bound = history.last_round, _number(result.get("lower_bound_rounds"))
     took = _number(result.get("rounds_to_formed"))
     calls = _number(result.get("model_calls"))
     info = history.info
@@ -67,7 +67,7 @@ def run_row(run: Recording) -> dict[str, Any]:
 
 def _thumbnail(run: RunHistory) -> list[list[Any]]:
     """Places from 0 to 1 within the team's own width, and a colour, of each robot in the last round."""
-    state = run.states[run.rounds]
+    state = run.states[run.last_round]
     colours = ("#9a9a9a" if plan is None else plan_look(run.plan_numbers[plan]).fill for plan in state.plan_ids)
     return [[x, y, colour] for (x, y), colour in zip(in_unit_square(state.positions), colours, strict=True)][:MAX_DOTS]
 

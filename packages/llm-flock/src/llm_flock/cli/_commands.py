@@ -1,4 +1,4 @@
-"""The commands by name. Each is built when it is called: its flags may come from classes that take long to import."""
+"""The commands by name. Each is built when it is called, because classes that give its flags import slowly."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class _Built(Mapping[str, Any]):
     """The commands with all their flags, each built when it is looked up."""
 
     def __getitem__(self, name: str) -> Any:
-        found = _find(name)
-        if isinstance(found, typer.Typer):
-            group = found
+        command = _find(name)
+        if isinstance(command, typer.Typer):
+            group = command
         else:
             group = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-            group.command(name, cls=PlainHelp)(add_config_flags(with_extensions(found)))
+            group.command(name, cls=PlainHelp)(add_config_flags(with_extensions(command)))
         built = typer.main.get_command(group)
         built.name = name
         return built
@@ -58,7 +58,7 @@ class _Built(Mapping[str, Any]):
 
 
 class Commands(TyperGroup):
-    """Lists commands by their first line of help alone, and builds the one that is called."""
+    """Lists commands by their first lines of help, and builds only the one that is called."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes)
@@ -69,15 +69,15 @@ class Commands(TyperGroup):
         return _names()
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """What a list of commands shows of one; None if there is none of this name."""
+        """A command for lists, with its help alone; None if there is none of this name."""
         if cmd_name not in _names():
             return None
-        found = _find(cmd_name)
-        text = str(found.info.help) if isinstance(found, typer.Typer) else found.__doc__
+        command = _find(cmd_name)
+        text = str(command.info.help) if isinstance(command, typer.Typer) else command.__doc__
         return TyperCommand(cmd_name, help=text)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command that is called, with all its flags, and the arguments that are left for it."""
+        """The called command with all its flags, and its arguments."""
         absent = next((extra for extra in EXTRAS.values() if args[0] in extra.commands), None)
         if absent is not None and args[0] not in _names():
             raise FieldError("extra", absent.name, says=f"{args[0]} needs the extra {absent.name}: {absent.install}")

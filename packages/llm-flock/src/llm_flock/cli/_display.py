@@ -1,4 +1,4 @@
-"""Shows a run in the terminal: a live line while it flies, a table when it is over, and what its record holds."""
+"""Shows a run in the terminal: a live line while it flies, a table at its end, and its record."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
 MAX_MESSAGE = 100_000
-"""Longest message that is shown of a conversation [characters]; the record has all of it."""
+"""Characters shown of a message of a conversation; the record has all of it."""
 
 
 def live_line(
@@ -38,8 +38,8 @@ def live_line(
 ) -> tuple[AbstractContextManager[None], Callable[[TrialProgress], None]]:
     """A context manager that shows a run on stderr while it is open, and a function to call after each round.
 
-    A terminal redraws one line; a log or a pipe gets a line per round. `waiting` says what is waited for until then;
-    nothing is printed before the context is entered.
+    A terminal redraws one line; a log or a pipe gets a line per round. `waiting` is the text until then. Nothing is
+    printed before the context is entered.
     """
     console = Screen(stderr=True)
     redraws = enabled and console.is_terminal
@@ -63,7 +63,7 @@ def live_line(
             yield
 
     def show(now: TrialProgress) -> None:
-        if not now.n_robots:  # nobody is there yet
+        if not now.n_robots:  # no robot is there yet
             return
         bar.update(task, description=now.text, completed=now.at_goal, total=now.n_robots)
         if enabled and not redraws:
@@ -73,7 +73,7 @@ def live_line(
 
 
 def summary_table(summary: Summary, safe_distance: float) -> Table:
-    """The result of a run, in words and numbers."""
+    """The result of a run as a table."""
     simulated = " (simulated language models)" if summary.simulated else ""
     title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
@@ -81,7 +81,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     table.add_column()
     rows = [
         ("protocol", rules_text(summary.consensus, summary.assignment, shield=summary.shield)),
-        ("formed", _formed(summary)),
+        ("formed", _formed_text(summary)),
         ("stopped", f"{summary.stopped}, after {summary.rounds} rounds"),
         ("plans in use", str(summary.plans_in_use)),
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
@@ -113,7 +113,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     return table
 
 
-def _formed(summary: Summary) -> str:
+def _formed_text(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
     if summary.formed:
         alone = "" if summary.formed_by_models else ", [bold]with help for the models[/]"
@@ -170,7 +170,7 @@ def show_overview(record: RunRecord) -> None:
 
 
 def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
-    """Say which records end early. Call before they are drawn, or `done` otherwise."""
+    """Warn of records that end early. Call before they are drawn, or `done` otherwise."""
     for record in records:
         if not record.complete:
             text = f"{record.path} ends early (the run was stopped): {done} up to round {record.rounds}"
@@ -178,20 +178,20 @@ def note_broken(records: Iterable[RunRecord], done: str = "drawn") -> None:
 
 
 def note_replaced(path: Path) -> None:
-    """Say that a file is there already. Call before it is written over."""
+    """Warn of a file that will be replaced. Call before it is written over."""
     if path.exists():
         say(f"warning: {path} was there and is replaced", error=True)
 
 
 def _start(text: str) -> str:
-    """A message of a conversation, cut where nobody reads on."""
+    """A message of a conversation, cut at MAX_MESSAGE characters."""
     more = len(text) - MAX_MESSAGE
     return printable(text[:MAX_MESSAGE]) + (f"\n... and {more:,} more characters" if more > 0 else "")
 
 
 def show_conversation(record: RunRecord, robot: int | None, round_number: int | None) -> None:
     """Print every call of one robot, of one round, or both."""
-    found = [
+    calls = [
         entry
         for entry in record.llm
         if (robot is None or entry.robot == robot) and (round_number is None or entry.round == round_number)
@@ -201,7 +201,7 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         raise InputError("robot", robot, says=f"there are robots 0 to {n_robots - 1}")
     if round_number is not None and round_number > record.rounds:
         raise InputError("round", round_number, says=f"there are rounds 0 to {record.rounds}")
-    if not found:
+    if not calls:
         who = "" if robot is None else f" by robot {robot}"
         rounds = sorted({entry.round for entry in record.llm if robot in (None, entry.robot)})
         if not rounds:
@@ -210,7 +210,7 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
             "round", round_number, says=f"no model was asked{who} then; calls in rounds {rounds[0]} to {rounds[-1]}"
         )
     console = Screen()
-    for entry in found:
+    for entry in calls:
         title = f"robot {entry.robot} · round {entry.round} · {entry.kind} · attempt {entry.attempt} · {entry.model}"
         for message in entry.messages:
             console.print(
@@ -240,10 +240,10 @@ def inspect(
     """Show a record: its summary, or the conversation of a robot with its model."""
     from llm_flock.record._reader import read_record
 
-    found = read_record(record)
+    run = read_record(record)
     if robot is None and round_number is None:
-        show_overview(found)
+        show_overview(run)
         for extension in extensions:
-            extension(found)
+            extension(run)
     else:
-        show_conversation(found, robot, round_number)
+        show_conversation(run, robot, round_number)

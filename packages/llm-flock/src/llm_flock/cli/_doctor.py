@@ -1,4 +1,4 @@
-"""`llm-flock doctor`, `shapes` and `models`: what is installed, can be reached, can be flown, and can be asked."""
+"""`llm-flock doctor`, `shapes` and `models`: lists the installation, the formations and the model providers."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def doctor(
     users: defaultdict[str, list[str]] = defaultdict(list)
     for info in PROVIDERS.values():
         users[info.key_env].append(info.name)
-    found = [
+    findings = [
         Finding("base", "llm-flock", True, versions()["llm-flock"]),
         Finding("base", "Python", sys.version_info >= (3, 11), python),
         Finding("base", "system", True, f"{platform.system()} {platform.release()}, {platform.machine()}"),
@@ -46,11 +46,11 @@ def doctor(
         *(Finding("key", name, is_set(name), ", ".join(providers)) for name, providers in users.items()),
     ]
     for extension in extensions:
-        found += extension()
+        findings += extension()
     if json_output:
-        say(json.dumps([asdict(finding) for finding in found]))
+        say(json.dumps([asdict(finding) for finding in findings]))
         return
-    for part, rows in groupby(found, key=lambda finding: finding.part):
+    for part, rows in groupby(findings, key=lambda finding: finding.part):
         table = Table("name", "there", "what", title=part, title_justify="left")
         for row in rows:
             table.add_row(escape(row.name), "[green]yes[/]" if row.ok else "[dim]no[/]", escape(row.detail))

@@ -1,4 +1,4 @@
-"""Shows what a run will probably use, before anything is asked of a model."""
+"""Shows the expected calls, tokens and cost of a run, before any model is asked."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ def show_expected_run(config: RunConfig, *, as_json: bool, quiet: bool) -> None:
     """Rehearse a run with stand-ins, and print the calls, tokens and money to expect. Nothing is written."""
     bar, on_round = live_line("rehearsal", enabled=not quiet and not as_json)
     with bar:
-        found = expect_run(config, on_round)
+        expected = expect_run(config, on_round)
     rehearsed = stand_in(config).model.model != config.model.model
     models = list(dict.fromkeys(parse_models(config.model.model, config.mission.n_robots)))
     if as_json:
-        say(json.dumps({"models": models, "expected": asdict(found), "rehearsed": rehearsed}, allow_nan=False))
+        say(json.dumps({"models": models, "expected": asdict(expected), "rehearsed": rehearsed}, allow_nan=False))
         return
     table = Table(title=escape(", ".join(models)), title_justify="left", show_header=False)
     for name, value in (
-        ("calls", f"{short(found.calls)} (at most {short(found.at_most)})"),
-        ("tokens", f"{short(found.tokens_input)} in, {short(found.tokens_output)} out"),
-        ("cost", cost_text(found.cost_usd, " USD")),
+        ("calls", f"{short(expected.calls)} (at most {short(expected.at_most)})"),
+        ("tokens", f"{short(expected.tokens_input)} in, {short(expected.tokens_output)} out"),
+        ("cost", cost_text(expected.cost_usd, " USD")),
     ):
         table.add_row(name, value)
     console = Screen()
@@ -46,7 +46,7 @@ def show_expected_run(config: RunConfig, *, as_json: bool, quiet: bool) -> None:
 
 
 def cost_text(cost_usd: float | None, unit: str = "") -> str:
-    """A cost to expect, or that it is not known."""
+    """An expected cost, or `not known`."""
     return "not known" if cost_usd is None else f"{cost_usd:,.2f}{unit}"
 
 

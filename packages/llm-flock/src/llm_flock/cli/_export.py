@@ -64,7 +64,7 @@ NEEDS_PATH = "export needs the path of a record or of a directory of results; on
 
 
 def needed(record: Path | None) -> Path:
-    """The record that an export writes; `FieldError` if there is none."""
+    """The record to export. FieldError if there is none."""
     if record is None:
         raise FieldError("path", says=NEEDS_PATH)
     return record

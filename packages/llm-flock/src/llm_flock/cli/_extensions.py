@@ -1,6 +1,6 @@
 """Commands that plug-ins extend: each plug-in of a kind is a function whose keyword parameters become flags.
 
-Those that show runs while they fly take the configuration and their flags, and return a context manager of a sink.
+Plug-ins that show runs in flight take the configuration and their flags, and return a context manager of a sink.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from llm_flock.runtime._trial import Trial
 
 PACE = 2.0
-"""Rounds a second at most while a run is shown: simulated models would be over before anybody looks."""
+"""Rounds a second at most while a run is shown: runs of simulated models would be too fast to watch."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,11 +51,11 @@ class Finding:
     part: str  # base, extra, key or reach
     name: str
     ok: bool
-    detail: str  # what was found, or what to do
+    detail: str  # the finding, or the remedy
 
 
 def chosen(extensions: Sequence[Extension]) -> list[Extension]:
-    """The plug-ins that are switched on; `InputError` where one has other flags, and is not."""
+    """The plug-ins that are switched on. InputError if one that is not has other flags."""
     for extension in extensions:
         defaults = {p.name: p.default for p in _flags(extension.function)}
         for field, value in extension.flags.items():
@@ -100,19 +100,19 @@ def with_extensions(command: Callable[..., None]) -> Callable[..., None]:
 def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """The keyword parameters of a plug-in, with evaluated annotations; those of its other parameters may be strings."""
     scope = vars(inspect.getmodule(function))
-    found = inspect.signature(function).parameters.values()
-    return [p.replace(annotation=eval(p.annotation, scope)) for p in found if p.kind is p.KEYWORD_ONLY]
+    parameters = inspect.signature(function).parameters.values()
+    return [p.replace(annotation=eval(p.annotation, scope)) for p in parameters if p.kind is p.KEYWORD_ONLY]
 
 
 def refuse(sinks: Sequence[Extension], where: str) -> None:
-    """Refuse them, where there are any, for a command that shows nothing there."""
+    """Refuse sinks that were switched on, for a command that shows nothing."""
     for sink in sinks:
         raise InputError(next(iter(sink.flags)), None, says=f"has no effect in {where}")
 
 
 @contextmanager
 def showing(sinks: Sequence[Extension], config: RunConfig) -> Generator[RecordSink | None]:
-    """Open them while a run flies; one sink for all, None without any."""
+    """Open the sinks of a run. Yields one sink for all, None without any."""
     from llm_flock.record import both
 
     with ExitStack() as stack:

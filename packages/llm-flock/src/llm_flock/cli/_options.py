@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Config = TypeVar("Config", bound="RunConfig")
 Command: TypeAlias = Callable[..., None]
 Reader: TypeAlias = Callable[[str, Any], Any]
-"""Makes a value of the configuration from the field's name and what was typed."""
+"""Makes a value of the configuration from the field's name and the typed text."""
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -41,7 +41,7 @@ def with_config_flags(
     shown: Collection[str],
     without: Collection[str] = (),
 ) -> Callable[[Command], Command]:
-    """Ask for a flag for each field of a configuration, for a command that takes the values typed as `**flags`.
+    """Give a command a flag for each field of a configuration; it gets the typed values as `**flags`.
 
     `config` is the module and name of its class, which takes long to import; `--help` lists the flags of the fields
     `shown`. `without` are fields that get no flag, and sections, such as `[links]`, whose fields get none.
@@ -55,7 +55,7 @@ def with_config_flags(
 
 
 def add_config_flags(command: Command) -> Command:
-    """The command with the flags that it asks for by `with_config_flags`. Call when it is looked up."""
+    """The command with the flags of `with_config_flags`. Call when it is looked up."""
     if "config_flags" not in vars(command):
         return command
     config, shown, without = vars(command)["config_flags"]
@@ -95,7 +95,7 @@ def _flag(field: str, info: FieldInfo, panel: str, *, hidden: bool) -> tuple[ins
 
     metavar, read = _form(info.annotation)
     flag = f"--{extra(info, 'flag') or field.replace('_', '-')}"
-    default = _shown(info.get_default(call_default_factory=True))
+    default = _default_text(info.get_default(call_default_factory=True))
     option = typer.Option(
         flag if metavar else f"{flag}/--no-{flag[2:]}",
         help=f"{info.description}  [default: {default}]" if default else info.description,
@@ -108,7 +108,7 @@ def _flag(field: str, info: FieldInfo, panel: str, *, hidden: bool) -> tuple[ins
     return inspect.Parameter(field, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation), read
 
 
-def _shown(value: object) -> str:
+def _default_text(value: object) -> str:
     """A default, as typed on the command line; empty where there is none."""
     if isinstance(value, bool):
         return "on" if value else "off"
@@ -118,7 +118,7 @@ def _shown(value: object) -> str:
 
 
 def _form(annotation: Any) -> tuple[str | None, Reader]:
-    """What help shows in place of a value of this type, nothing for a switch; and how the value is read."""
+    """The placeholder for a value of this type in the help, empty for a switch; and the reader of the value."""
     from pydantic import BaseModel
 
     kind = _bare(annotation)
@@ -143,7 +143,7 @@ def _bare(annotation: Any) -> Any:
 
 
 def _text(field: str, value: Any) -> Any:
-    """The value as it was typed: the configuration reads numbers."""
+    """The typed value: the configuration reads numbers."""
     return value
 
 
@@ -181,19 +181,19 @@ def _json_list(field: str, text: str) -> list[Any]:
     """A JSON list, or the name of a file that holds one."""
     try:
         given = text if text.lstrip()[:1] in ("[", "{") else Path(text).read_text(encoding="utf-8")
-        found = json.loads(given)
+        value = json.loads(given)
     except json.JSONDecodeError as error:
         raise InputError(field, None, says=f"broken JSON: {error}") from None
     except (OSError, ValueError, RecursionError) as error:
         why = getattr(error, "strerror", None) or error
         raise InputError(field, text, f"a JSON list, or the name of a file with one ({why})") from None
-    if not isinstance(found, list):
+    if not isinstance(value, list):
         raise InputError(field, text, "a JSON list: [...]")
-    return cast("list[Any]", found)
+    return cast("list[Any]", value)
 
 
 def with_output_folder(settings: Config, kind: str = "", *, record: bool, typed: str | None = None) -> Config:
-    """The configuration with an output folder: its own, or else a new one under runs/; with none if not recorded."""
+    """The configuration with its output folder, or a new one under runs/; without one if nothing is recorded."""
     if typed is not None and not record:
         raise InputError("out", typed, says="has no effect with --no-record")
     folder = settings.trial.out

@@ -1,4 +1,4 @@
-"""The only place of the command line that writes to the terminal: nothing leaves it that drives one."""
+"""The only module that writes to the terminal. No text that leaves it can control one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ P = TypeVar("P")
 
 
 class Screen(Console):
-    """rich's console: its own colours and movements pass, those in the text do not."""
+    """rich's console, without control characters in the text; its own colours and movements pass."""
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """The segments to be written, with cleaned text."""
@@ -28,19 +28,18 @@ class Screen(Console):
             yield segment if segment.control else segment._replace(text=printable(segment.text))
 
     def on_broken_pipe(self) -> None:
-        """End the program if nobody reads standard output any more; on standard error raise BrokenPipeError.
+        """End the program if standard output is closed; raise BrokenPipeError if it was standard error.
 
-        rich would take standard output away in both cases.
+        rich would redirect standard output in both cases.
         """
         if self.stderr:
-            raise BrokenPipeError(errno.EPIPE, "nobody reads standard error")
+            raise BrokenPipeError(errno.EPIPE, "standard error is closed")
         super().on_broken_pipe()
 
     def show(self, table: Table, copied: Collection[str] = ()) -> None:
-        """Print a table of texts; where it cannot stand without cutting words, print a list of its rows instead.
+        """Print a table of texts, or a list of its rows if the table would cut words.
 
-        Columns whose header is in `copied` hold what is to be copied: no line break goes into them, nor into those
-        that do not wrap.
+        Columns whose header is in `copied` hold text to copy: these, and those that do not wrap, get no line break.
         """
         heads = [Text.from_markup(str(column.header)) for column in table.columns]
         columns = [[Text.from_markup(str(cell)) for cell in column.cells] for column in table.columns]
@@ -70,7 +69,7 @@ class Screen(Console):
 def _widths(
     heads: Sequence[Text], columns: Sequence[Sequence[Text]], whole: Sequence[bool], room: int
 ) -> list[int] | None:
-    """Widths of columns that cut no word, and of `whole` ones no line; None if there is not enough room."""
+    """Widths of columns that cut no word, and no line of `whole` columns; None if there is not enough room."""
     least: list[int] = []
     most: list[int] = []
     for head, cells, uncut in zip(heads, columns, whole, strict=True):
@@ -91,7 +90,7 @@ def say(text: object, *, error: bool = False) -> None:
 
 
 def while_shown(show: Callable[[P], None]) -> Callable[[P], None]:
-    """A function that shows what `show` does, on standard error; once nobody can read it, it vanishes without error."""
+    """A function that calls `show`, which writes to standard error, and does nothing once that is closed."""
 
     def shown(what: P) -> None:
         try:

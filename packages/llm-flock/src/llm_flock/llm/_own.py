@@ -12,10 +12,11 @@ from typing import Self, TypeAlias, cast
 
 from pydantic import TypeAdapter, ValidationError
 
+from llm_flock.cancellation import is_cancelled
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._port import Answers, Call, Reply
 from llm_flock.llm._providers import habits_of, model_forms, parse_model
-from llm_flock.own_code import is_cancelled, load_own, shown
+from llm_flock.user_code import describe_exception, load_own
 
 logger = logging.getLogger(__name__)
 
@@ -56,7 +57,7 @@ class OwnModel:
         try:
             model = make()
         except Exception as error:  # a user's code may raise anything
-            allowed = f"a class that is called without arguments ({shown(error)})"
+            allowed = f"a class that is called without arguments ({describe_exception(error)})"
             raise InputError("model", name, allowed) from error
         return cls(model, name=name)
 
@@ -69,14 +70,14 @@ class OwnModel:
         except TimeoutError as error:
             raise ModelError("timeout", f"{self.name}: {error or 'no answer in time'}") from error
         except OSError as error:
-            raise ModelError("connection", f"{self.name}: {shown(error)}") from error
+            raise ModelError("connection", f"{self.name}: {describe_exception(error)}") from error
         except (Exception, SystemExit, asyncio.CancelledError) as error:  # a user's code may raise anything
             if isinstance(error, asyncio.CancelledError) and is_cancelled():
                 raise
             if not self._logged:
                 self._logged = True
                 logger.warning("robot %d, %s failed", call.robot, self.name, exc_info=True)
-            raise ModelError("refused", f"{self.name} failed: {shown(error)}") from error
+            raise ModelError("refused", f"{self.name} failed: {describe_exception(error)}") from error
         whole = Reply(text=reply, model=self.name) if isinstance(reply, str) else reply
         if (fault := _fault(whole)) is not None:
             raise ModelError("garbage", f"{self.name} returned {fault}")
@@ -92,7 +93,7 @@ class OwnModel:
             except (Exception, SystemExit, asyncio.CancelledError) as error:  # the run is over already
                 if isinstance(error, asyncio.CancelledError) and is_cancelled():
                     raise
-                logger.warning("%s could not be closed: %s", self.name, shown(error))
+                logger.warning("%s could not be closed: %s", self.name, describe_exception(error))
 
     @property
     def unrepeatable(self) -> str:

@@ -1,7 +1,7 @@
-"""The circuit breaker between a robot and its model: one whose answers stay unusable is asked no longer, or rarely.
+"""The circuit breaker between a robot and its model. It stops questions to a model whose answers stay unusable.
 
-The pattern is Nygard's (Release It!, 2007): open, geometry answers; half-open, one question without a second try is a
-probe; a usable answer closes it, and another refusal opens it for twice as long.
+The pattern is Nygard's (Release It!, 2007). While the breaker is open, geometry answers. While it is half-open, one
+question without retries is a probe: a usable answer closes the breaker, another failure opens it for twice as long.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from llm_flock.events import Note
 from llm_flock.planner import NoAnswer
 
 Fallback: TypeAlias = Literal["breaker", "hold", "geometry"]
-"""What a robot does without a usable answer: see `CircuitBreaker`, hold its position, or always answer by geometry."""
+"""Without a usable answer a robot uses a `CircuitBreaker`, holds its position, or always answers by geometry."""
 
 QuestionKind: TypeAlias = Literal["plan", "step"]
 
-THRESHOLD = 2  # refused questions in a row, each asked again with the reason, that open a closed breaker
-RECOVERY = 0.25  # part of a refusal that a usable answer makes up for: four make up for one
-FIRST_WAIT = 2  # rounds from the opening of a breaker to the first probe; each refused probe doubles the wait
+THRESHOLD = 2  # failed questions in a row, each with its retries, that open a closed breaker
+RECOVERY = 0.25  # failures that a usable answer makes up for
+FIRST_WAIT = 2  # rounds from the opening of a breaker to the first probe; each failed probe doubles the wait
 MAX_WAIT_ROUNDS = 64  # longest wait for a probe [rounds]
 
 
@@ -30,17 +30,17 @@ class BreakerState(StrEnum):
 
 
 class CircuitBreaker:
-    """Decides whether a robot asks its model; call `asks` before each question, then `usable` or `refused`."""
+    """Decides whether a robot asks its model; call `asks` before each question, and `usable` or `refused` after it."""
 
     def __init__(self, question: QuestionKind, *, enabled: bool) -> None:
         self.state = BreakerState.CLOSED
-        self.refusals = 0  # since the last usable answer
-        self.reason: NoAnswer | None = None  # of the last of them
+        self.refusals = 0  # failed questions since the last usable answer
+        self.reason: NoAnswer | None = None  # of the last one
         self._question, self._enabled = question, enabled
         self._wait = FIRST_WAIT
         self._due = 0
         self._doubted = False
-        self._score = 0.0  # refusals, less what usable answers have made up for
+        self._score = 0.0  # failures, less those that usable answers have made up for
 
     @property
     def is_open(self) -> bool:
@@ -54,14 +54,14 @@ class CircuitBreaker:
         return self.state is not BreakerState.OPEN
 
     def begin_mission(self) -> None:
-        """Another mission, so other questions: forget the refusals, and if the breaker is open, probe at once."""
+        """Another mission, with other questions: forget the failures, and if the breaker is open, probe at once."""
         self.refusals, self._due, self._score = 0, 0, 0.0
 
     def usable(self) -> list[Note]:
         """The model's answer could be used. Returns a note if that closes the breaker."""
         closes = self.is_open
         self.state = BreakerState.CLOSED
-        # A model that has just recovered is doubted until its second good answer: one refusal opens the breaker again.
+        # A model that has just recovered is doubted until its second good answer: one failure opens the breaker again.
         self._doubted = closes
         if not closes:
             self._wait = FIRST_WAIT

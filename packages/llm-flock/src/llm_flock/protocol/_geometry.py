@@ -24,10 +24,10 @@ def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Point
 
 
 def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer | NoAnswer:
-    """The ideal points, and the place with the robot's id (modulo the places); the same answer every time.
+    """The ideal points, and the place with the robot's id (modulo the number of places). Deterministic.
 
     They are turned by `angle_rad`, or else to the first orientation from there, and the first small shift, that passes
-    `check_proposal`. No answer for a shape in words, whose points are unknown, or if nothing passes.
+    `check_proposal`. No answer for a shape given as text, whose points are unknown, or if nothing passes.
     """
     mission, reason = question.mission, ""
     if mission.ideal is None:
@@ -68,13 +68,13 @@ class GeometryPlanner:
 
 
 def plan_by_geometry(question: PlanQuestion) -> PlanAnswer | NoAnswer:
-    """As `geometric_plan`, for a planner whose model is not asked: the answer says who made it."""
+    """As `geometric_plan`, for a planner whose model is not asked: the answer is marked as geometry's."""
     answer = geometric_plan(question)
     return replace(answer, by="geometry") if isinstance(answer, PlanAnswer) else answer
 
 
 class KnownPlans:
-    """A `Planner` whose model is asked only for the plans that it `knows`. Others come from geometry, and say so."""
+    """A `Planner` whose model is asked only for the plans that it `knows`. Geometry answers the others."""
 
     def __init__(self, asking: Planner, knows: Callable[[PlanQuestion], bool]) -> None:
         self._asking = asking

@@ -1,4 +1,4 @@
-"""The exchangeable parts of a robot's decision process, each with a null part that does nothing of its own.
+"""The exchangeable parts of a robot's decision process, each with a null part that does nothing.
 
 `Parts()` with two rules is the paper's robot. The parts that do more are `TeamMembership`, `ShieldedSafety` and
 `Validator`, and for teams with keys those of `llm_flock_swarm.signed_parts`.
@@ -65,7 +65,7 @@ Gaps: TypeAlias = Literal["report", "replan"]  # what to do about slots that no 
 
 
 class Situation:
-    """What one robot holds true, with positions in the frame of the mission [units]; `Agreement` decides on it."""
+    """One robot's mission, plan, claim and sensed positions [units; frame of the mission]; `Agreement` decides."""
 
     def __init__(self, mission: Mission) -> None:
         self.mission = mission
@@ -76,16 +76,16 @@ class Situation:
 
     @property
     def ways(self) -> Roadmap | None:
-        """The ways round obstacles; None where straight lines count, as for a formation that moves."""
+        """The ways round obstacles; None if straight lines count, as for a formation that moves."""
         return self.mission.roadmap if self.mission.velocity is None else None
 
 
 class Membership:
-    """What a robot knows of its team beyond the last messages of its neighbours; this part knows nothing."""
+    """A robot's knowledge of its team beyond the last messages of its neighbours. This part has none."""
 
     @property
     def beats(self) -> tuple[int, ...]:
-        """The highest heartbeat known of each robot, by id; empty where none are counted."""
+        """The highest known heartbeat of each robot, by id; empty if none are counted."""
         return ()
 
     @property
@@ -95,7 +95,7 @@ class Membership:
 
     @property
     def known(self) -> object:
-        """The positions that were collected; another object whenever they have changed."""
+        """The collected positions; a new object after each change."""
         return None
 
     def begin_mission(self) -> None:
@@ -114,7 +114,7 @@ class Membership:
         """Merge the positions that a neighbour knows."""
 
     def hear_claims(self, heard: Sequence[Message], plan: Plan | None) -> None:
-        """Take note of what the neighbours claim, after a decision; the robot follows `plan`."""
+        """Take note of the neighbours' claims after a decision. The robot follows `plan`."""
 
     def report(self, now: Situation, *, greeting: bool) -> dict[int, PositionReport] | None:
         """The positions to broadcast; `greeting` is the first broadcast of a round."""
@@ -129,18 +129,18 @@ class Membership:
         return ()
 
     def occupancy(self, now: Situation, *, hears_others: bool, knows_blocked: bool) -> Occupancy | None:
-        """What sensors and heartbeats say about the slots of the plan. Call once a round."""
+        """The knowledge of the plan's slots from sensors and heartbeats. Call once a round."""
         return None
 
     def positions(self, now: Situation) -> TeamPositions | None:
-        """Where the robots are that are to be assigned jointly; None where there is nothing new to assign."""
+        """Positions of the robots to assign jointly; None if there is nothing new to assign."""
         return None
 
     def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
         """The next intermediate target on the way to the claimed place, None to fly straight there. Call once a round.
 
-        Without a team to look for, a far place is approached along the formation, where neighbours are. Also returns
-        the claim with what was found out on the way, and notes.
+        This part approaches a far place along the formation, where neighbours are. Also returns the claim, which may
+        have changed on the way, and notes.
         """
         assert now.plan is not None and now.claim.slot is not None, "a robot without a place has no way to it"
         mission = now.mission
@@ -148,11 +148,11 @@ class Membership:
         return target, now.claim, []
 
     def seek(self, now: Situation) -> Point | None:
-        """Where a robot looks for the others that is lost, or has no plan; None to wait. Call once a round."""
+        """The point at which a robot, lost or without plan, looks for others; None to wait. Call once a round."""
         return None
 
     def wait(self, now: Situation) -> Point:
-        """Where a spare robot waits."""
+        """The point at which a spare robot waits."""
         return now.position
 
 
@@ -165,15 +165,15 @@ class SafeStep(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Safety:
-    """Turns the planner's waypoints into safe ones; this part flies them as they are."""
+    """Turns the planner's waypoints into safe ones. This part leaves them unchanged."""
 
     @property
     def course(self) -> Course | None:
-        """Where this robot has to go, for others to leave free; None if nothing is in its way."""
+        """The way that this robot asks others to leave free; None if nothing is in its way."""
         return None
 
     def begin_mission(self) -> None:
-        """Heed everybody who asks for a way again: a mission has been given."""
+        """Begin another mission: heed all requests for a way again."""
 
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint."""
@@ -185,7 +185,7 @@ class Safety:
 
 
 class Checker:
-    """Checks plans before they are followed, and waypoints before they are flown; this part accepts everything."""
+    """Checks plans before they are followed, and waypoints before they are flown. This part accepts everything."""
 
     verify: bool = False  #: Whether anything is checked.
 
@@ -193,30 +193,30 @@ class Checker:
         self.any_size = any_size  #: Whether a plan may have fewer places than the mission, as for a smaller team.
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
-        """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
+        """The reason to reject a plan, or None. Call before a plan is adopted or forwarded."""
         return None
 
     def plan_class(self, mission: Mission, plan: Plan | None) -> int:
-        """The plan's class in the total order of plans; 0 for every plan where nothing is checked."""
+        """The plan's class in the total order of plans; 0 for every plan if nothing is checked."""
         return 0
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
-        """The planner's answer, perhaps a little larger, or the reason to refuse its plan. Call with every answer."""
+        """The planner's answer, perhaps slightly enlarged, or the reason to reject its plan. Call with every answer."""
         return answer
 
     def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
-        """What the checks make of the planner's answer."""
+        """The verdict of the checks on the planner's answer."""
         return Verdict(reason=None, fit=answer)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Parts:
-    """What one robot is made of. Rules are pure functions; every other part keeps state, and belongs to one robot."""
+    """The parts of one robot. Rules are pure functions. Every other part keeps state, and belongs to one robot."""
 
     consensus: ConsensusRule = field(default_factory=NoConsensus)  #: Which plan to follow.
     assignment: AssignmentRule = field(default_factory=IndexAssignment)  #: Which place of it to claim.
-    #: Between the radio's bytes and the agreement; None for one that believes every well-formed message.
+    #: Between the radio's bytes and the agreement; None for a channel that believes every well-formed message.
     channel: Channel | None = None
-    membership: Membership = field(default_factory=Membership)  #: Who is in the team, and where to look for them.
-    safety: Safety = field(default_factory=Safety)  #: What waypoints become before they are flown.
+    membership: Membership = field(default_factory=Membership)  #: The robots of the team, and where to look for them.
+    safety: Safety = field(default_factory=Safety)  #: Makes waypoints safe before they are flown.
     verifier: Checker = field(default_factory=Checker)  #: Checks of plans and waypoints.

@@ -22,16 +22,16 @@ from llm_flock.plan import Plan
 if TYPE_CHECKING:
     from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
 
-REACH = 1.5  # a hop of at most this many spacings counts as long as it is, one k times as long k times its length
-MAX_PLACES = 256  # in larger plans the straight line is used: finding other paths takes the cube of their number
+REACH = 1.5  # spacings up to which a hop counts with its length; one k times as long counts k times its length
+MAX_PLACES = 256  # larger plans use the straight line: other paths cost O(n^3)
 FAR = 3.0  # a goal this many spacings away is approached along the formation, in stages of at most this length
-ACROSS = 8.0  # a robot in touch flies straight, unless its goal is this many spacings away: it would be alone for long
+ACROSS = 8.0  # a robot in touch with others flies straight to a goal nearer than this many spacings
 NO_WAY = 1e6  # length that stands for a way that does not exist [units]: longer than any other
 BESIDE = 0.6  # distance at which robots on such a path pass its places, on the side of the centre [spacings]
 
 
 def ways(here: Point, places: Points, roadmap: Roadmap | None) -> Vector:
-    """Lengths of the ways from `here` to some places, shape (m, d), round obstacles [units]; as long as `NO_WAY`."""
+    """Lengths of the ways from `here` to some places, shape (m, d), round obstacles [units]; at most `NO_WAY`."""
     if roadmap is None:
         return np.linalg.norm(places - np.array(here), axis=1)
     return np.minimum(roadmap.lengths(here, places), NO_WAY)
@@ -82,7 +82,7 @@ def next_stop(
 @lru_cache(maxsize=4096)
 def _hops(here: Point, plan: Plan, spacing: float, roadmap: Roadmap | None) -> Vector:
     """Cost of a hop to each place, shape (n,) [units]."""
-    return _counted(ways(here, plan.array, roadmap), spacing)
+    return _hop_costs(ways(here, plan.array, roadmap), spacing)
 
 
 @lru_cache(maxsize=256)
@@ -91,8 +91,8 @@ def _between(plan: Plan, spacing: float, roadmap: Roadmap | None) -> Pairwise:
     apart = graph.distances(plan.array)
     if roadmap is not None:
         apart = np.array([ways(place, plan.array, roadmap) for place in plan.points])
-    return np.asarray(scipy.sparse.csgraph.floyd_warshall(_counted(apart, spacing), directed=False))
+    return np.asarray(scipy.sparse.csgraph.floyd_warshall(_hop_costs(apart, spacing), directed=False))
 
 
-def _counted(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+def _hop_costs(lengths: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
     return lengths * np.maximum(1.0, lengths / (REACH * spacing))

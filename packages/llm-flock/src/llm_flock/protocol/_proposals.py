@@ -28,12 +28,12 @@ class Proposals:
 
     @property
     def hopeless(self) -> NoAnswer | None:
-        """Why the model's last plan was refused, for a robot without a plan whose model is not asked for one."""
+        """The rejection of the model's last plan; None with a plan, or while the model is still asked for one."""
         breaker = self.breaker
         return breaker.reason if self._agreement.plan is None and breaker.is_open and breaker.refusals else None
 
     def ask(self, event: RoundBegan) -> list[AskPlan | Note]:
-        """The question for this round, last; without one if no plan is needed, or geometry's stands in for it."""
+        """Notes, and last the question for this round. None is asked if no plan is needed, or geometry answers."""
         agreement, mission = self._agreement, self._agreement.mission
         places = self._membership.places(agreement)
         if places is None or not agreement.may_propose(places):
@@ -49,7 +49,7 @@ class Proposals:
         self._asked_about = self._topic
         if not self.breaker.asks(event.round):
             failure = self.breaker.reason
-            assert failure is not None, "an open breaker has seen a refusal"
+            assert failure is not None, "an open breaker has a reason"
             return [*self._plan_by_geometry(self._asked, failure)]
         if self.breaker.state is BreakerState.HALF_OPEN:
             self._asked = replace(self._asked, probe=True)
@@ -68,11 +68,11 @@ class Proposals:
 
     @property
     def _topic(self) -> tuple[MissionStamp, Plan | None]:
-        """What a question is about: its answer is useful as long as this stays the same."""
+        """The subject of a question. Its answer is useful as long as mission and plan stay the same."""
         return self._agreement.stamp, self._agreement.plan
 
     def _plan_by_geometry(self, question: PlanQuestion, failure: NoAnswer) -> list[Note]:
-        """Propose geometry's plan in place of the model's, where geometry stands in for whole plans."""
+        """Propose geometry's plan in place of the model's, if geometry stands in for whole plans."""
         if self._fallback != "geometry":
             return []
         from llm_flock.protocol._geometry import geometric_plan

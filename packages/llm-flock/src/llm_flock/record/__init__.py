@@ -1,4 +1,4 @@
-"""One run is one MCAP file: written as it happens, read by everything that shows results."""
+"""A run is recorded in one MCAP file, written during the run and read by all that shows results."""
 
 import lazy_loader
 

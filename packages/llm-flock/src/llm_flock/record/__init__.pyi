@@ -3,6 +3,7 @@ from ._diagnosis import Cause as Cause
 from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import deaths_text as deaths_text
 from ._diagnosis import diagnose as diagnose
+from ._history import CallCounts as CallCounts
 from ._history import RunHistory as RunHistory
 from ._reader import RunRecord as RunRecord
 from ._reader import read_record as read_record

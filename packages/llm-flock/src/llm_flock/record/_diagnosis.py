@@ -1,7 +1,7 @@
-"""Who or what kept a team from its formation, by its record: models, deaths, links, obstacles, rules.
+"""Finds in a record why a team did not form: models, deaths, links, obstacles or rules.
 
-Pages, reports, notebooks and the command line all say what stands here. Needs no numerical library: the first page
-waits for it.
+Pages, reports, notebooks and the command line all show this text. Needs no numerical library, so that a first page
+loads quickly.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ AT_GOAL, IN_SHAPE = 0.05, 0.1
 """As shares of the spacing, as in `llm_flock.metrics`, whose libraries load too slowly for a first page."""
 
 MAX_TOLD = 3
-"""Most groups of robots, plans, and causes that are told."""
+"""Most groups of robots, plans, and causes that are listed."""
 
 
 class Cause(NamedTuple):
-    """Something that kept a team from its formation: what happened, in sentences, and the robots it is about."""
+    """A reason why a team did not form: sentences that describe it, and the robots concerned."""
 
     text: str
     robots: tuple[int, ...] = ()
-    round: int | None = None  # None where it was not at any one time
+    round: int | None = None  # None if it belongs to no single round
     calls: tuple[LlmEntry, ...] = ()  # the model call behind it, and its retries
 
 
 class Diagnosis(NamedTuple):
-    """Why a team did not form, the most important cause first; empty where nothing was flown."""
+    """Why a team did not form, the most important cause first; empty if no round was flown."""
 
     causes: tuple[Cause, ...] = ()
-    robots: tuple[int, ...] = ()  # that are the cause, also of causes that are not told
-    look: tuple[int, str] | None = None  # one that is worth a look, and why, where no robot is the cause
+    robots: tuple[int, ...] = ()  # of all causes, also of those that are not listed
+    look: tuple[int, str] | None = None  # if no robot is the cause: a robot worth a look, and why
 
     @property
     def why(self) -> str:
@@ -46,45 +46,45 @@ class Diagnosis(NamedTuple):
 
 
 def diagnose(run: RunHistory) -> Diagnosis:
-    """Who or what kept a team from its last mission, by the record up to its last round. Call it for a failed run."""
-    if run.rounds < 1:
+    """Why a team did not form its last mission, by the record up to its last round. Call it for a failed run."""
+    if run.last_round < 1:
         return Diagnosis()
     end = _LastRound(run)
-    found = end.causes()
+    causes = end.causes()
     fact, look = end.fact()
-    if not found and fact is not None and not end.settles:
+    if not causes and fact is not None and not end.settles:
         return Diagnosis((Cause(f"No robot is to blame: {end.rules_failed()} {fact.text}"),), (), look)
-    if not found:
-        only = fact or Cause("By the record, nothing was wrong in the last round.", round=run.rounds)
+    if not causes:
+        only = fact or Cause("By the record, nothing was wrong in the last round.", round=run.last_round)
         return Diagnosis((only,), only.robots, look)
-    robots = tuple(dict.fromkeys(robot for cause in found for robot in cause.robots))
-    told = found[:MAX_TOLD]
+    robots = tuple(dict.fromkeys(robot for cause in causes for robot in cause.robots))
+    told = causes[:MAX_TOLD]
     if not end.settles and end.quarrel(robots):
         others = "The other robots did not agree either" if robots else "The robots did not agree"
-        told.append(Cause(f"{others}, {'for' if end.alone else 'by'} {end.rules}.", round=run.rounds))
+        told.append(Cause(f"{others}, {'for' if end.alone else 'by'} {end.rules}.", round=run.last_round))
     elif fact is not None and len(told) < MAX_TOLD and not (fact.robots and {*fact.robots} <= {*robots}):
         told.append(fact)
     return Diagnosis(tuple(told), robots, look)
 
 
 def deaths_text(run: RunHistory) -> str:
-    """Who is dead in the last round, and when they died; empty if all are alive."""
+    """The robots that are dead in the last round, and when they died; empty if all are alive."""
     dead = _dead_robots(run)
-    rounds = sorted({run.died[robot] for robot in dead if robot in run.died})
+    rounds = sorted({run.death_rounds[robot] for robot in dead if robot in run.death_rounds})
     when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MAX_PLACES]))}" if rounds else ""
     return f"{robots_text(dead)} died{when}" if dead else ""
 
 
 def _dead_robots(run: RunHistory) -> list[int]:
-    return [robot for robot, phase in enumerate(run.states[run.rounds].phases) if phase == DEAD]
+    return [robot for robot, phase in enumerate(run.states[run.last_round].phases) if phase == DEAD]
 
 
 class _LastRound:
-    """The team in the last round, and what led to it; methods without a verb find one kind of cause each."""
+    """The team in the last round, and its history. Each method without a verb finds one kind of cause."""
 
     def __init__(self, run: RunHistory) -> None:
-        self.run, self.state = run, run.states[run.rounds]
-        state, self.mission = self.state, run.mission_at(run.rounds).mission
+        self.run, self.state = run, run.states[run.last_round]
+        state, self.mission = self.state, run.mission_at(run.last_round).mission
         self.spacing = float(self.mission["spacing"])
         self.awake = [robot for robot, phase in enumerate(state.phases) if phase not in SILENT]
         self.without = [robot for robot in self.awake if state.plan_ids[robot] is None]
@@ -109,15 +109,15 @@ class _LastRound:
         self.named: set[int] = set()  # by the causes found so far
 
     def causes(self) -> list[Cause]:
-        """All causes, in the order in which they are told."""
-        found: list[Cause] = []
+        """All causes, in the order in which they are listed."""
+        causes: list[Cause] = []
         of_models = (self.accused, self.answers, self.plans, self.steps)
         for find in (*of_models, self.dead, self.ended, self.links, self.blocked):
             cause = find()
             if cause is not None:
-                found.append(cause)
+                causes.append(cause)
                 self.named.update(cause.robots)
-        return found
+        return causes
 
     def claim(self, robot: int) -> tuple[str | None, int | None]:
         """The place that a robot claims, in its plan."""
@@ -129,13 +129,13 @@ class _LastRound:
         return 0.0 if goal is None else math.dist(self.state.positions[robot], goal)
 
     def models(self, robots: Sequence[int]) -> str:
-        """The models of some robots, by their names where the record has them."""
-        names = dict.fromkeys(self.run.tallies[robot].model for robot in robots if robot in self.run.tallies)
+        """The models of some robots, by name if the record has names."""
+        names = dict.fromkeys(self.run.call_counts[robot].model for robot in robots if robot in self.run.call_counts)
         some = ", ".join([name for name in names if name][:MAX_TOLD])
         return f"{'its model' if len(robots) == 1 else 'their models'}{f' ({some})' if some else ''}"
 
     def rules_failed(self) -> str:
-        """What the rules did not do."""
+        """A sentence on what the rules failed to do."""
         if self.alone:
             own = (
                 "each robot kept its own plan"
@@ -153,9 +153,9 @@ class _LastRound:
         return len({plan for plan, _ in claims}) > 1 or len(set(claims)) < len(claims)
 
     def fact(self) -> tuple[Cause | None, tuple[int, str] | None]:
-        """What was wrong in the last round, and who is worth a look; None where nothing was."""
+        """What was wrong in the last round, and a robot worth a look; None if nothing was wrong."""
         robots: Sequence[int] = ()
-        kind, when = "plan", self.run.rounds
+        kind, when = "plan", self.run.last_round
         if self.without:
             robots, look = self.without, (self.without[0], "it has no plan")
             text = f"{begun(robots_text(robots))} got no plan."
@@ -186,7 +186,7 @@ class _LastRound:
         plan = self.run.plans.get(self.state.plan_ids[asked] or "")
         if len(self.groups) > 1 and plan is not None:
             asked, when = plan.proposer, plan.round
-        return Cause(text, tuple(robots), self.run.rounds, self.run.last_calls(asked, kind, when)), look
+        return Cause(text, tuple(robots), self.run.last_round, self.run.last_calls(asked, kind, when)), look
 
     def accused(self) -> Cause | None:
         """Robots that others caught in a lie."""
@@ -197,42 +197,42 @@ class _LastRound:
         return Cause(". ".join(told[:MAX_TOLD]) + ".", tuple(sorted(self.run.accused))) if told else None
 
     def answers(self) -> Cause | None:
-        """Models of which at least half of the answers were of no use, or that are no longer asked."""
+        """Models with at least half of their answers unusable, or that are no longer asked."""
         run, hopeless = self.run, 0.5
-        tallies = {robot: run.tallies.get(robot, CallCounts()) for robot in self.awake}
-        poor = [robot for robot in self.awake if 0 < tallies[robot].unusable >= hopeless * tallies[robot].asked]
+        counts = {robot: run.call_counts.get(robot, CallCounts()) for robot in self.awake}
+        poor = [robot for robot in self.awake if 0 < counts[robot].unusable >= hopeless * counts[robot].asked]
         breakers = self.state.open_breakers or [[]] * len(self.state.phases)
         hit = {*self.without, *self.strays, *self.shared, *self.away}
         # Where one of them went wrong, models whose robots had help are not to blame.
         robots = [robot for robot in self.awake if robot in hit and (robot in poor or breakers[robot])] or poor
         if not robots:
             return None
-        unusable, asked = sum(tallies[k].unusable for k in robots), sum(tallies[k].asked for k in robots)
-        last = next((tallies[k].last for k in reversed(robots) if tallies[k].last), "").strip()
+        unusable, asked = sum(counts[k].unusable for k in robots), sum(counts[k].asked for k in robots)
+        last = next((counts[k].last for k in reversed(robots) if counts[k].last), "").strip()
         quoted = f" The last reason: {sentence(last, 160)}" if last else ""
         calls = f"{unusable} of {counted(asked, 'call')}"
-        said = f"{begun(robots_text(robots))}: {self.models(robots)} gave no usable answer in {calls}.{quoted}"
-        refused = [
+        text = f"{begun(robots_text(robots))}: {self.models(robots)} gave no usable answer in {calls}.{quoted}"
+        failed = [
             entry
             for k in robots
             for kind in ("plan", "step")
-            for entry in run.last_calls(k, kind, run.rounds)
+            for entry in run.last_calls(k, kind, run.last_round)
             if entry.error is not None or entry.rejected is not None
         ]
-        shown = run.last_calls(refused[-1].robot, refused[-1].kind, refused[-1].round) if refused else ()
-        return Cause(said, tuple(robots), shown[-1].round if shown else None, shown)
+        last_calls = run.last_calls(failed[-1].robot, failed[-1].kind, failed[-1].round) if failed else ()
+        return Cause(text, tuple(robots), last_calls[-1].round if last_calls else None, last_calls)
 
     def plans(self) -> Cause | None:
-        """Plans in use that are not the shape, by whoever proposed them."""
+        """Robots that proposed a plan in use that is off the shape."""
         most_points = 250  # the work grows with the square of a plan's places
-        run, ideal = self.run, self.run.mission_at(self.run.rounds).ideal
+        run, ideal = self.run, self.run.mission_at(self.run.last_round).ideal
         if not ideal or len(ideal) > most_points:
             return None
         wanted = _apart(ideal)
-        told, robots, shown = list[str](), dict[int, None](), None
+        texts, robots, first = list[str](), dict[int, None](), None
         for plan_id in dict.fromkeys(plan for robot in self.awake if (plan := self.state.plan_ids[robot]) is not None):
             plan = run.plans.get(plan_id)
-            if plan is None or len(plan.points) != len(ideal) or len(told) == MAX_TOLD:
+            if plan is None or len(plan.points) != len(ideal) or len(texts) == MAX_TOLD:
                 continue
             off = sum(abs(a - b) for a, b in zip(_apart(plan.points), wanted, strict=True)) / max(1, len(wanted))
             if off <= IN_SHAPE * self.spacing:
@@ -242,30 +242,30 @@ class _LastRound:
             who = "all flew it" if len(held) == len(self.awake) else f"{robots_text(held)} flew it"
             whose = "geometry" if run.made_by_geometry(plan_id) else self.models([plan.proposer])
             by = f"distances between its places by {off:.2g} units on average"
-            told.append(f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape ({by}), and {who}.")
-            shown = shown or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
-        return None if shown is None else shown._replace(text=" ".join(told), robots=tuple(robots))
+            texts.append(f"Robot {plan.proposer}: {whose} proposed a plan that is off the shape ({by}), and {who}.")
+            first = first or Cause("", (), plan.round, run.last_calls(plan.proposer, "plan", plan.round))
+        return None if first is None else first._replace(text=" ".join(texts), robots=tuple(robots))
 
     def steps(self) -> Cause | None:
         """Models that led their robots away from their goals in many of the last steps."""
         judged_rounds, least, share = 20, 5, 0.4
         run, told = self.run, dict[int, str]()
-        first = max(1, run.mission_at(run.rounds).round, run.rounds - judged_rounds + 1)
+        first = max(1, run.mission_at(run.last_round).round, run.last_round - judged_rounds + 1)
         for robot in self.away:
-            judged = [away for k in range(first, run.rounds + 1) if (away := self.led_away(robot, k)) is not None]
+            judged = [away for k in range(first, run.last_round + 1) if (away := self.led_away(robot, k)) is not None]
             astray = sum(judged)
             if astray >= least and astray >= share * len(judged):
                 what = f"led it away from its goal in {astray} of its last {len(judged)} steps"
                 told[robot] = f"Robot {robot}: {self.models([robot])} {what}."
-        return self.each(told, run.last_calls(next(iter(told)), "step", run.rounds) if told else ())
+        return self.each(told, run.last_calls(next(iter(told)), "step", run.last_round) if told else ())
 
-    def each(self, told: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
-        """A cause of what is told of each of some robots in the last round; None without any."""
-        text = " ".join(list(told.values())[:MAX_TOLD])
-        return Cause(text, tuple(told), self.run.rounds, calls) if told else None
+    def each(self, sentences: dict[int, str], calls: tuple[LlmEntry, ...] = ()) -> Cause | None:
+        """A cause from one sentence on each robot in the last round; None without any."""
+        text = " ".join(list(sentences.values())[:MAX_TOLD])
+        return Cause(text, tuple(sentences), self.run.last_round, calls) if sentences else None
 
     def led_away(self, robot: int, number: int) -> bool | None:
-        """Whether a model's step ended farther from the goal than it began; None where no model chose the step."""
+        """Whether a model's step ended farther from the goal than it began; None if no model chose the step."""
         state, before = self.run.states[number], self.run.states[number - 1]
         to, at = state.waypoints[robot], before.positions[robot]
         # A goal may change after the question: a step towards the one or the other is no mistake.
@@ -281,7 +281,7 @@ class _LastRound:
         if not dead:
             return None
         others = "and the others did not fill the formation" if self.awake else "and no robot was left"
-        when = max((self.run.died[robot] for robot in dead if robot in self.run.died), default=None)
+        when = max((self.run.death_rounds[robot] for robot in dead if robot in self.run.death_rounds), default=None)
         return Cause(f"{begun(deaths_text(self.run))}, {others}.", tuple(dead), when)
 
     def ended(self) -> Cause | None:
@@ -289,7 +289,7 @@ class _LastRound:
         run, stopped = self.run, (self.run.result or {}).get("stopped")
         if stopped in ("budget", "interrupted"):
             what = "The budget was used up" if stopped == "budget" else "The run was ended"
-            return Cause(f"{what} in round {run.rounds}.", round=run.rounds)
+            return Cause(f"{what} in round {run.last_round}.", round=run.last_round)
         step = self.mission.get("max_step")
         if stopped != "rounds" or self.alone or not isinstance(step, int | float):
             return None
@@ -305,18 +305,18 @@ class _LastRound:
         far = f"{max(map(self.far, coming)):.0f} units from"
         one = len(coming) == 1
         were = f"was still on its way, {far} its place" if one else f"were still on their way, up to {far} their places"
-        return Cause(f"{begun(robots_text(coming))} {were}, when the rounds were used up.", round=run.rounds)
+        return Cause(f"{begun(robots_text(coming))} {were}, when the rounds were used up.", round=run.last_round)
 
     def nearer(self, robot: int, ago: int) -> float:
         """By how much a robot came nearer to its last goal in the last round, or the one before [units]."""
-        goal, number = self.state.goals[robot], self.run.rounds - ago
+        goal, number = self.state.goals[robot], self.run.last_round - ago
         if goal is None or number <= 0:
             return 0.0
         before, after = (state.positions[robot] for state in self.run.states[number - 1 : number + 1])
         return math.dist(before, goal) - math.dist(after, goal)
 
     def links(self) -> Cause | None:
-        """Robots that could not hear the others, and messages that were lost."""
+        """Robots out of touch with the others, and lost messages."""
         run, told, robots = self.run, list[str](), list[int]()
         parts = self.parts()
         apart = sorted(robot for part in parts[1:] for robot in part)
@@ -326,7 +326,7 @@ class _LastRound:
             if robots:
                 told.append(f"{_robots_were(robots)} out of radio range of all others in every round.")
         elif not {*apart} <= self.named:  # a robot that was named before is apart for that reason
-            last = next((k for k in range(run.rounds, -1, -1) if run.rows[k].connected), None)
+            last = next((k for k in range(run.last_round, -1, -1) if run.rows[k].connected), None)
             once = "never were all robots in contact" if last is None else f"all were in contact up to round {last}"
             if len(parts) == len(self.awake):
                 told.append("At the end no robot was in radio range of another one.")
@@ -358,18 +358,20 @@ class _LastRound:
     def met(self, robot: int) -> bool:
         """Whether a robot was in radio range of any other in any round; not looked at in a very large run."""
         most_distances = 20_000
-        reach, states = float(self.mission["comm_range"]), self.run.states[: self.run.rounds + 1]
+        reach, states = float(self.mission["comm_range"]), self.run.states[: self.run.last_round + 1]
         others = [other for other in range(self.run.n_robots) if other != robot]
         return len(states) * len(others) > most_distances or any(
             math.dist(state.positions[robot], state.positions[other]) <= reach for state in states for other in others
         )
 
     def blocked(self) -> Cause | None:
-        """Robots that agreed with all others, and were kept from their places by what was in the way."""
+        """Robots that agreed with all others, but found an obstacle or a robot in their way."""
         if self.without or len(self.groups) > 1 or self.shared:
             return None
         run, told = self.run, dict[int, str]()
-        recent = [event for k in range(max(1, run.rounds - 9), run.rounds + 1) for event in run.events.get(k, ())]
+        recent = [
+            event for k in range(max(1, run.last_round - 9), run.last_round + 1) for event in run.events.get(k, ())
+        ]
         waiting = {event.robot for event in recent if event.kind in ("deadlock", "gives_way")}
         for robot in self.away:
             at, goal = self.state.positions[robot], self.state.goals[robot]

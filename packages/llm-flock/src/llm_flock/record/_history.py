@@ -1,6 +1,6 @@
-"""One run in memory by rounds and robots, also while it still grows: what pages and the diagnosis ask of it.
+"""One run in memory, by rounds and robots, also while it still grows. Pages and the diagnosis read it.
 
-Needs no numerical library: a first page waits for it.
+Needs no numerical library, so that a first page loads quickly.
 """
 
 from __future__ import annotations
@@ -27,52 +27,36 @@ from llm_flock.record._words import letters
 
 
 class PlanOrigin(NamedTuple):
-    """One step on the way of a plan to a robot, which has it from `round` on; the first step has no source."""
+    """One hop of a plan: `robot` received it from `source` in `round`. The proposal itself has no source."""
 
     round: int
     robot: int
     source: int | None
-    by: str = "model"  # who made the plan, where it was proposed: `model` or `geometry`
+    by: str = "model"  # maker of the plan in a proposal: `model` or `geometry`
 
 
 @dataclass(slots=True)
 class CallCounts:
-    """What became of the calls of one robot's model by now; `last` is the newest reason why an answer was no use."""
+    """Outcomes of one robot's model calls so far; `last` is the latest reason for a rejection or failure."""
 
     model: str = ""
     asked: int = 0
-    refused: int = 0
+    rejected: int = 0
     failed: int = 0
-    helped: int = 0
-    opened: int = 0
+    fallbacks: int = 0
+    breaker_openings: int = 0
     last: str = ""
 
     @property
     def unusable(self) -> int:
         """Calls without a usable answer."""
-        return self.refused + self.failed
-
-    @property
-    def trouble(self) -> int:
-        """How much there is to look at; an open circuit breaker counts for many refusals."""
-        return self.unusable + self.helped + 5 * self.opened
-
-    @property
-    def words(self) -> str:
-        """What there is, in words."""
-        parts = [
-            (self.refused, "answer was refused", "answers were refused"),
-            (self.failed, "call failed", "calls failed"),
-            (self.helped, "time helped", "times helped"),
-        ]
-        told = [f"{count} {one if count == 1 else more}" for count, one, more in parts if count]
-        return ", ".join([*told, "its circuit breaker opened"] if self.opened else told)
+        return self.rejected + self.failed
 
 
 class RunHistory:
-    """A sink for the entries of one run; each round becomes visible when it is complete.
+    """A sink for the entries of one run. Each round becomes visible when it is complete.
 
-    Another thread may write: entries are only ever appended, and `rounds` is raised last.
+    Another thread may write: entries are only ever appended, and `last_round` is raised last.
     """
 
     def __init__(self) -> None:
@@ -81,15 +65,15 @@ class RunHistory:
         self.result: Mapping[str, Any] | None = None
         self.states: list[State] = []
         self.rows: list[MetricsRow] = []
-        self.rounds = -1  # the last complete one
+        self.last_round = -1  # that is complete
         self.plan_numbers: dict[str, int] = {}  # in the order in which plans were first seen
         self.plans: dict[str, PlanInfo] = {}
         self.events: defaultdict[int, list[ProtocolEvent]] = defaultdict(list)  # by round
         self.calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)  # by round and robot
         self.accused: dict[int, str] = {}  # robots that others accused of lying, each with the last reason
-        self.died: dict[int, int] = {}  # the round in which each robot died last
-        self.disturbed = 0  # last round in which a robot died or joined
-        self.tallies: defaultdict[int, CallCounts] = defaultdict(CallCounts)
+        self.death_rounds: dict[int, int] = {}  # in which each robot died last
+        self.last_disturbance_round = 0  # in which a robot died or joined
+        self.call_counts: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self._loss: float | None = None
         self._origins: defaultdict[tuple[int, str], list[PlanOrigin]] = defaultdict(list)
 
@@ -113,12 +97,12 @@ class RunHistory:
                 self.plans.setdefault(entry.plan_id, entry)
             case ProtocolEvent():
                 self.events[entry.round].append(entry)
-                self._happened(entry)
+                self._take_event(entry)
             case FlightEvent(round=number, robot=robot, kind=kind, detail=detail) if robot is not None:
                 listed = ProtocolEvent(round=number, comm_round=None, robot=robot, kind=kind, detail=detail)
                 self.events[number].append(listed)
             case LlmEntry():
-                self._called(entry)
+                self._take_call(entry)
             case State():
                 for plan_id in entry.plan_ids:
                     if plan_id is not None:
@@ -127,23 +111,23 @@ class RunHistory:
             case MetricsRow():
                 self.rows.append(entry)
             case RoundEnd():
-                self.rounds = entry.round
+                self.last_round = entry.round
             case SummaryMessage():
                 self.result = entry.result
             case _:
-                pass  # positions between rounds, and what concerns a flight as a whole
+                pass  # positions between rounds, and events of a flight as a whole
 
-    def _happened(self, event: ProtocolEvent) -> None:
+    def _take_event(self, event: ProtocolEvent) -> None:
         robot, detail = event.robot, event.detail
         match event.kind:
             case "breaker":
-                self.tallies[robot].opened += detail.get("state") == "open"
+                self.call_counts[robot].breaker_openings += detail.get("state") == "open"
             case "fallback":
-                self.tallies[robot].helped += 1
+                self.call_counts[robot].fallbacks += 1
             case "killed" | "joined":
-                self.disturbed = max(self.disturbed, event.round)
+                self.last_disturbance_round = max(self.last_disturbance_round, event.round)
                 if event.kind == "killed":
-                    self.died[robot] = event.round
+                    self.death_rounds[robot] = event.round
             case "accused" if isinstance(detail.get("robot"), int):
                 self.accused[detail["robot"]] = str(detail.get("reason")).replace("_", " ")
             case "injected" if isinstance(detail.get("loss"), int | float):
@@ -154,37 +138,37 @@ class RunHistory:
             case _:
                 pass
 
-    def _called(self, entry: LlmEntry) -> None:
+    def _take_call(self, entry: LlmEntry) -> None:
         self.calls[entry.round, entry.robot].append(entry)
-        tally = self.tallies[entry.robot]
-        tally.asked += 1
-        tally.model = entry.model
+        counts = self.call_counts[entry.robot]
+        counts.asked += 1
+        counts.model = entry.model
         if entry.error is not None:
-            tally.failed += 1
-            tally.last = entry.error
+            counts.failed += 1
+            counts.last = entry.error
         elif entry.rejected is not None:
-            tally.refused += 1
-            tally.last = entry.rejected
+            counts.rejected += 1
+            counts.last = entry.rejected
 
     @property
     def n_robots(self) -> int:
-        """Team size N; ask only when there is a mission."""
+        """Team size N. Call only when there is a mission."""
         return int(self.missions[0].mission["n_robots"])
 
     @property
     def rules(self) -> tuple[str, str]:
-        """The rules of consensus and of assignment; empty where the record does not say."""
+        """The rules of consensus and of assignment; empty if the record has none."""
         config = self._config("protocol")
         return str(config.get("consensus") or ""), str(config.get("assignment") or "")
 
     @property
     def without_models(self) -> bool:
-        """Whether geometry flew all robots, as was asked for."""
+        """Whether the configuration lets geometry fly all robots."""
         return self._config("model").get("model") == "geometry"
 
     @property
     def loss(self) -> float:
-        """Share of the messages that were lost in the end, as asked for."""
+        """Share of lost messages, as configured or last injected."""
         share = self._config("links").get("loss") if self._loss is None else self._loss
         return float(share) if isinstance(share, int | float) else 0.0
 
@@ -201,18 +185,18 @@ class RunHistory:
         return "-" if plan_id is None else letters(self.plan_numbers.get(plan_id, 0))
 
     def provenance(self, robot: int, number: int) -> list[PlanOrigin]:
-        """How the plan that a robot follows in a round came to it, from the proposal on; empty without a plan."""
+        """The hops by which a robot's plan in a round came to it, from the proposal on; empty without a plan."""
         plan_id = self.states[number].plan_ids[robot]
-        found: list[PlanOrigin] = []
+        hops: list[PlanOrigin] = []
         holder: int | None = robot
-        while plan_id is not None and holder is not None and len(found) <= self.n_robots:
+        while plan_id is not None and holder is not None and len(hops) <= self.n_robots:
             origins = self._origins.get((holder, plan_id), ())
             origin = next((one for one in reversed(origins) if one.round <= number), None)
             if origin is None:
                 break
-            found.append(origin)
+            hops.append(origin)
             number, holder = origin.round, origin.source
-        return found[::-1]
+        return hops[::-1]
 
     def made_by_geometry(self, plan_id: str) -> bool:
         """Whether geometry, and no model, made a plan."""
@@ -220,9 +204,9 @@ class RunHistory:
         return bool(origins) and origins[0].by == "geometry"
 
     def last_calls(self, robot: int, kind: str, number: int) -> tuple[LlmEntry, ...]:
-        """The last call of a kind of a robot's model up to a round, and its retries: a path is flown without calls."""
+        """The last call of a kind of a robot's model up to a round, with its retries."""
         for k in range(number, -1, -1):
-            found = tuple(entry for entry in self.calls.get((k, robot), ()) if entry.kind == kind)
-            if found:
-                return found
+            calls = tuple(entry for entry in self.calls.get((k, robot), ()) if entry.kind == kind)
+            if calls:
+                return calls
         return ()

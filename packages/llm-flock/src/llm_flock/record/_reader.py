@@ -77,7 +77,7 @@ class RunRecord:
 
     @property
     def errors(self) -> NDArray[np.float64]:
-        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN where it is not known."""
+        """Mean Procrustes error of each round [units], shape (rounds + 1,); NaN if it is not known."""
         means = [row.procrustes_mean for row in self.metrics]
         return np.array([np.nan if mean is None else mean for mean in means], dtype=np.float64)
 
@@ -87,7 +87,7 @@ class RunRecord:
         return tuple(dict.fromkeys(entry.model for entry in self.llm))
 
     def diagnosis(self) -> Diagnosis:
-        """Who or what kept the team from its last mission; empty for a run that formed, or has no round."""
+        """Why the team did not form its last mission; empty for a run that formed, or has no round."""
         if (self.result or {}).get("formed"):
             return Diagnosis()
         end = () if self.result is None else (SummaryMessage(result=self.result),)
@@ -113,7 +113,7 @@ class RunRecord:
         return f"RunRecord({self.path}, {self.positions.shape[1]} robots, {self.rounds} rounds, {state})"
 
     def html(self) -> str | None:
-        """The picture and the table that a notebook shows; None where nothing is installed that draws them."""
+        """The picture and the table that a notebook shows; None if no installed part draws them."""
         return plugins.load("views", "html")(self) if "html" in plugins.entries("views") else None
 
     def _repr_html_(self) -> str | None:
@@ -132,26 +132,26 @@ KINDS_OF_ROBOTS = {"robot": "Int64", "slot": "Int64", "plan_id": "String", "orig
 
 
 def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
-    """The columns of a table, all of one length; None where there is no value. Positions are true ones [units]."""
+    """The columns of a table, all of one length; None without a value. Positions are true ones [units]."""
     if table == "rounds":
         return {name: [getattr(row, name) for row in record.metrics] for name in KINDS}
     if table != "robots":
         raise InputError("table", table, "rounds or robots")
     axes = ("x", "y", "z")[: record.positions.shape[2]]
     names = ("round", "robot", *axes, *(f"goal_{axis}" for axis in axes), "slot", "plan_id", "origin", "phase")
-    found: dict[str, list[Any]] = {name: [] for name in names}
+    table_columns: dict[str, list[Any]] = {name: [] for name in names}
     for state in record.states:
         robots = range(len(state.positions))
-        found["round"] += [state.round] * len(robots)
-        found["robot"] += robots
+        table_columns["round"] += [state.round] * len(robots)
+        table_columns["robot"] += robots
         for k, axis in enumerate(axes):
-            found[axis] += [place[k] for place in state.positions]
-            found[f"goal_{axis}"] += [None if goal is None else goal[k] for goal in state.goals]
-        found["slot"] += state.slots
-        found["plan_id"] += state.plan_ids
-        found["origin"] += state.origins
-        found["phase"] += state.phases
-    return found
+            table_columns[axis] += [place[k] for place in state.positions]
+            table_columns[f"goal_{axis}"] += [None if goal is None else goal[k] for goal in state.goals]
+        table_columns["slot"] += state.slots
+        table_columns["plan_id"] += state.plan_ids
+        table_columns["origin"] += state.origins
+        table_columns["phase"] += state.phases
+    return table_columns
 
 
 def to_polars(record: RunRecord, table: TableName) -> polars.DataFrame:
@@ -159,8 +159,8 @@ def to_polars(record: RunRecord, table: TableName) -> polars.DataFrame:
     require("sweep", "to_polars()")
     import polars as pl
 
-    found = columns(record, table)
-    return pl.DataFrame(found, schema={name: getattr(pl, _kind(name)) for name in found})
+    table_columns = columns(record, table)
+    return pl.DataFrame(table_columns, schema={name: getattr(pl, _kind(name)) for name in table_columns})
 
 
 def _kind(name: str) -> str:
@@ -170,21 +170,21 @@ def _kind(name: str) -> str:
 def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
     """A table as a pandas frame; whole numbers that may be missing are of type Int64. Needs the extra `notebook`."""
     require("notebook", "to_pandas()")
-    found = columns(record, table)
+    table_columns = columns(record, table)
     library: Any = import_module("pandas")
-    frame = library.DataFrame(found)
-    kinds = {name: "Int64" for name in ("slot",) if name in found}
-    kinds |= {name: "float64" for name in found if _kind(name) == "Float64"}
+    frame = library.DataFrame(table_columns)
+    kinds = {name: "Int64" for name in ("slot",) if name in table_columns}
+    kinds |= {name: "float64" for name in table_columns if _kind(name) == "Float64"}
     return cast("pandas.DataFrame", frame.astype(kinds))
 
 
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:
-    """Every whole message of a record in the order of writing; ends quietly where a killed run broke off."""
+    """Every whole message of a record in the order of writing. Ends without error at the end of a killed run."""
     yield from _open(record_file(path)).messages()
 
 
 def record_file(path: str | Path) -> Path:
-    """The file of a record, given by its own name or its folder's; `RecordError` for what is no path at all."""
+    """The file of a record, given by its own name or its folder's. RecordError for an invalid path."""
     try:
         given = Path(path).expanduser()
     except (TypeError, RuntimeError):
@@ -210,12 +210,12 @@ def read_record(path: str | Path) -> RunRecord:
 
 def gather_record(path: Path, entries: Iterable[Entry]) -> RunRecord:
     """A record of entries in the order of writing, which may lack no round, run or mission; `path` is only named."""
-    found: defaultdict[type[Entry], list[Any]] = defaultdict(list)
+    by_model: defaultdict[type[Entry], list[Any]] = defaultdict(list)
     for entry in entries:
-        found[type(entry)].append(entry)
+        by_model[type(entry)].append(entry)
 
     def all_of(model: type[E]) -> tuple[E, ...]:
-        return tuple(found[model])
+        return tuple(by_model[model])
 
     runs, missions, rounds = all_of(RunInfo), all_of(MissionInfo), len(all_of(RoundEnd))
     if not rounds:

@@ -39,7 +39,7 @@ LINE_STRIP, LINE_LOOP, LINE_LIST = 0, 1, 2
 
 
 class SceneDrawer:
-    """Turns states into scenes, and keeps the colour of every plan; robots and links are as the mission says."""
+    """Turns states into scenes, and keeps the colour of every plan. The mission gives sizes and ranges."""
 
     def __init__(self, mission: MissionInfo) -> None:
         self._diameter = float(mission.mission["safe_distance"])

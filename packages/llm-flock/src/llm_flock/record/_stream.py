@@ -1,4 +1,4 @@
-"""Reads a record message by message, also while it is being written. Needs no numpy: a first page waits for it."""
+"""Reads a record message by message, also while it is being written. Needs no numpy: a first page loads quickly."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from llm_flock.record._schema import (
 ROS_BAG = "a bag of ROS 2, not a record of a run; `ros2 bag info` and Foxglove read it"
 
 _NO_MCAP = (ArithmeticError, AssertionError, LookupError, RuntimeError, ValueError)
-"""What the libraries raise, besides their own errors, on bytes that are no MCAP file."""
+"""Errors that the libraries raise, besides their own, on bytes that are no MCAP file."""
 
 MAX_UNPACKED, RATIO = 16 << 20, 50
 """Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
@@ -63,17 +63,17 @@ class RawMessage:
 
 
 class _Team:
-    """What entries of one record have in common: the robots, the dimension of space, and the order of rounds."""
+    """Checks that entries belong to one record: its robots, its dimension of space, and its order of rounds."""
 
     def __init__(self) -> None:
         self._n: int | None = None
         self._dim: int | None = None
         self.begun = False
-        self._seen: Counter[type[Entry]] = Counter()
+        self._counts: Counter[type[Entry]] = Counter()
         self._first: int | None = None
 
     def objection(self, entry: Entry) -> str | None:
-        """Why an entry does not belong to a record with those before it; None if it does."""
+        """The reason why an entry does not fit those before it, or None."""
         if not self.begun:
             self.begun = isinstance(entry, RunInfo)
             return None if self.begun else "not a record of a run: /run comes first"
@@ -84,15 +84,15 @@ class _Team:
             case PlanInfo(points=points):
                 return self._differs(None, *map(len, points))
             case State() | MetricsRow() | RoundEnd():
-                found, due = None, self._seen[type(entry)]
-                self._seen[type(entry)] += 1
+                fault, due = None, self._counts[type(entry)]
+                self._counts[type(entry)] += 1
                 if isinstance(entry, State):
                     if self._first is None or self._first > entry.round:
                         return "a state before the first mission"
-                    found = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
-                elif isinstance(entry, RoundEnd) and not self._seen[State] == self._seen[MetricsRow] == due + 1:
+                    fault = self._differs(len(entry.positions), *map(len, entry.positions[:1]))
+                elif isinstance(entry, RoundEnd) and not self._counts[State] == self._counts[MetricsRow] == due + 1:
                     return "not a record of a run: a round without /state or /metrics"
-                return found or (None if entry.round == due else f"round {entry.round} where round {due} was due")
+                return fault or (None if entry.round == due else f"round {entry.round} where round {due} was due")
             case ProtocolEvent(robot=robot) | LlmEntry(robot=robot) if self._n is not None and robot >= self._n:
                 return f"robot {robot} in a team of {self._n}"
             case _:
@@ -153,7 +153,7 @@ class RecordStream:
                 if not MAGIC.startswith(file.read(len(MAGIC))):
                     raise RecordError(f"{self.path}: not a readable MCAP file (it does not begin like one)")
                 file.seek(self._position)
-                # No record is longer than the file; without the limit, memory for a broken length would be requested.
+                # No record is longer than the file: without the limit, a damaged length would request much memory.
                 whole: Any = _WholeReads(file, size)
                 stream = StreamReader(whole, self._position > 0, emit_chunks=True, record_size_limit=size)
                 for record in self._unpacked(stream.records, size):
@@ -169,14 +169,14 @@ class RecordStream:
                         self.ended = True
                         return
         except (EndOfFile, RecordLengthLimitExceeded, FileNotFoundError):
-            return  # the rest of this record was not written (yet); what came before is whole
+            return  # the rest of this record is not written (yet); all before it is whole
         except OSError as error:
             raise RecordError(f"{self.path}: cannot be read ({error.strerror})") from None
         except (McapError, zstandard.ZstdError, struct.error, *_NO_MCAP) as error:
             raise RecordError(f"{self.path}: not a readable MCAP file ({error})") from error
 
     def _unpacked(self, records: Iterable[McapRecord], size: int) -> Iterator[McapRecord]:
-        """The records with those in chunks, which other programs write; a few bytes must not unpack to gigabytes."""
+        """The records, also those in chunks of other programs. A few bytes must not unpack to gigabytes."""
         left = MAX_UNPACKED + RATIO * size
         for record in records:
             if not isinstance(record, Chunk):
@@ -188,7 +188,7 @@ class RecordStream:
 
 
 def _unpack(chunk: Chunk, most: int) -> bytes:
-    """The bytes of a chunk; `McapError` if they are not as many as it says, or more than `most`."""
+    """The bytes of a chunk. McapError if their number is not as stated, or more than `most`."""
     match chunk.compression:
         case "":
             data = chunk.data
@@ -203,7 +203,7 @@ def _unpack(chunk: Chunk, most: int) -> bytes:
 
 
 class _WholeReads:
-    """Reads exactly as many bytes as asked for, or reports the end of the file: half a record is not a short record."""
+    """Reads exactly as many bytes as asked for, or reports the end of the file."""
 
     def __init__(self, file: BufferedReader, size: int) -> None:
         self._file, self._size = file, size

@@ -1,4 +1,4 @@
-"""How a run and its plans are shown in figures, pages and tables alike: in words and colours."""
+"""Texts and colours for runs and plans, the same in figures, pages and tables."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NO_PLAN = "#FFFFFF"
 
 
 def protocol_text(config: Mapping[str, Any]) -> str:
-    """The protocol of a run by its name, or else its rules, and what differs: flock with index assignment."""
+    """The protocol of a run by its name and the differences from it (flock with index assignment), or its rules."""
     fields = cast("Mapping[str, Any]", config.get("protocol") or {})
     name, given = str(fields.get("protocol") or ""), [fields.get("consensus"), fields.get("assignment")]
     if name not in PRESET_RULES:
@@ -35,7 +35,7 @@ def protocol_text(config: Mapping[str, Any]) -> str:
 
 
 def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | None) -> str:
-    """Rules in words, after the name of the protocol that they are, where they are one: flock (provenance + ...)."""
+    """Rules as text, after the name of their protocol if they have one: flock (provenance + ...)."""
     rules = f"{consensus} + {assignment}, shield {'on' if shield else 'off'}"
     name = next((name for name, usual in PRESET_RULES.items() if usual == (consensus, assignment, shield)), "")
     return f"{name} ({rules})" if name else rules
@@ -47,13 +47,13 @@ def formed_in(result: Mapping[str, Any]) -> int | None:
         return None
     missions = result.get("missions")
     last = cast("list[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
-    told = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
-    found = told if isinstance(told, int) else result.get("rounds_to_formed")
-    return found if isinstance(found, int) else None
+    formed = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
+    number = formed if isinstance(formed, int) else result.get("rounds_to_formed")
+    return number if isinstance(number, int) else None
 
 
 def verdict(entry: LlmEntry) -> str:
-    """Whether an answer was used, refused, or never came, and why."""
+    """Whether an answer was used, rejected, or never came, and why."""
     if entry.error is not None:
         return f"no answer: {entry.error}"
     if entry.rejected is not None:
@@ -63,7 +63,7 @@ def verdict(entry: LlmEntry) -> str:
 
 
 def work_text(result: Mapping[str, Any]) -> str:
-    """Who supplied the plan in force at the end of a run, and its waypoints; empty for records that do not say."""
+    """The suppliers of a run's last plan and of its waypoints; empty for records without them."""
     parts: list[str] = []
     if result.get("plan_robot") is not None:
         parts.append(f"plan by robot {result['plan_robot']} ({result.get('plan_by') or 'unknown'})")
@@ -99,7 +99,7 @@ def begun(text: str) -> str:
 
 
 def sentence(text: str, most: int) -> str:
-    """A text of at most `most` letters in one line, with one sign at its end."""
+    """A text of at most `most` letters in one line, with a full stop or other sign at its end."""
     text = one_line(text, most).rstrip()
     return text if text.endswith((".", "!", "?", "…")) else f"{text}."
 
@@ -110,7 +110,7 @@ def counted(count: object, what: str) -> str:
 
 
 def understood(parsed: Mapping[str, Any]) -> str:
-    """The parsed answer in words: the next waypoint and path, or the plan and the slot."""
+    """The parsed answer as text: the next waypoint and path, or the plan and the slot."""
     words: list[str] = []
     for name, value in parsed.items():
         rows = cast("list[object]", value) if isinstance(value, list) else None
@@ -130,7 +130,7 @@ def understood(parsed: Mapping[str, Any]) -> str:
 
 
 def _place(at: object) -> str:
-    """A point as people write it; anything else unchanged, since a record may come from anywhere."""
+    """A point as people write it; anything else unchanged, because a record may come from anywhere."""
     if not isinstance(at, list):
         return str(at)
     parts = cast("list[Any]", at)

@@ -1,8 +1,8 @@
 """Writes a record while the run happens.
 
-The file is unchunked: every message is a record of its own, so whatever reached the disk can be read. Each complete
+The file is unchunked: every message is a record of its own, so all that reached the disk can be read. Each complete
 round is handed to the operating system, so a killed process loses no complete round. A machine that loses power may.
-The file is locked while it is written, so that nobody deletes the record of a run that still flies.
+The file is locked while it is written, so that no program deletes the record of a run in flight.
 """
 
 from __future__ import annotations
@@ -56,14 +56,14 @@ class Tee:
 
 
 class GivenUp:
-    """A sink that gives another one up at its first error, which it hands to `on_failure`: for what must go on."""
+    """A sink that stops writing to another one at its first error, and calls `on_failure`: the run goes on."""
 
     def __init__(self, sink: RecordSink, on_failure: Callable[[RecordError], None]) -> None:
         self._sink: RecordSink | None = sink
         self._on_failure = on_failure
 
     def write(self, entry: Entry) -> None:
-        """Pass an entry on, unless the other one was given up."""
+        """Pass an entry on, unless the other sink has failed."""
         if self._sink is not None:
             try:
                 self._sink.write(entry)
@@ -79,7 +79,7 @@ def both(*sinks: RecordSink | None) -> RecordSink | None:
 
 
 def check_new(path: Path) -> None:
-    """Refuse a place where no record can be written, before others do what it is to hold; missing folders are made."""
+    """Check that a record can be written here. Call before the work that it is to hold; makes missing folders."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         allowed = os.access(path.parent, os.W_OK | os.X_OK)
@@ -104,7 +104,7 @@ def _schemas() -> tuple[tuple[str, str, bytes], ...]:
 
 
 class RecordWriter:
-    """A sink that writes one new MCAP file; a context manager. `RecordError` where the disk does not take it."""
+    """A sink that writes one new MCAP file; a context manager. RecordError if the disk fails."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -136,7 +136,7 @@ class RecordWriter:
         self.close()
 
     def write(self, entry: Entry) -> None:
-        """Write an entry to its channel; a state, which comes after the first mission, is drawn as a scene as well."""
+        """Write an entry to its channel; a state, which comes after the first mission, is also drawn as a scene."""
         if self._scene is None and isinstance(entry, State):
             raise RecordError(f"{self.path}: a state comes before the mission")
         number: int = getattr(entry, "round", self._last_round)
@@ -158,7 +158,7 @@ class RecordWriter:
             self._scene.know([entry.plan_id])
 
     def close(self) -> None:
-        """Write the end of the file and close it; a file that could not be written gets none. May be called twice."""
+        """Write the end of the file, unless writing has failed, and close it. May be called twice."""
         if self._file.closed:
             return
         try:

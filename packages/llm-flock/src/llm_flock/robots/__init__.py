@@ -1,4 +1,4 @@
-"""The body of a robot: simulated here, drivers for real ones beside it."""
+"""The bodies of robots: the drivers' interface, and a simulated robot."""
 
 import lazy_loader
 

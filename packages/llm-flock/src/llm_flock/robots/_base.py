@@ -1,4 +1,4 @@
-"""The interface of a robot's driver: the state of a body, and the few commands that a flight needs.
+"""The interface of a robot's driver: the state of a robot, and the commands of a flight.
 
 All positions are [m; world frame of the localisation system, z up], all times [s]. A driver enforces its limits and
 returns what it really sent. Every driver must pass the conformance checks of `llm_flock.testing._robots`.
@@ -21,7 +21,7 @@ derivatives vanish at both ends, s(u) = 35 u^4 - 84 u^5 + 70 u^6 - 20 u^7: its d
 
 
 class RobotError(FlockError):
-    """The robot `name` cannot follow a command, or did not confirm it; `what` says it in words."""
+    """The robot `name` cannot follow a command, or did not confirm it; `what` is the reason."""
 
     def __init__(self, name: str, what: str) -> None:
         self.name = name
@@ -30,12 +30,12 @@ class RobotError(FlockError):
 
 
 class TakenOver(RobotError):
-    """A pilot, or a failsafe of its own, flies the robot: it is out of this program's hands."""
+    """A pilot or a failsafe flies the robot, which no longer obeys this program."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriverCheck:
-    """One check of a robot by its driver, for the preflight: the finding, and what is required (empty if obvious)."""
+    """One check of a robot by its driver before a flight: the finding, and the requirement (empty if obvious)."""
 
     name: str
     passed: bool
@@ -45,15 +45,15 @@ class DriverCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Equipment:
-    """What a driver learned about its robot on connecting. None: it was not told.
+    """A driver's knowledge of its robot from connecting; None if unknown.
 
     Attributes:
         controller: name of the controller that makes the robot follow its set-point.
         estimator: name of the estimator of its position.
         lag_s: how far the robot is behind a moving set-point with that controller [s]: distance over speed.
         max_speed_m_s: above this speed of a set-point the controller falls behind without bound [m/s].
-        complaints: what keeps it from flying until it is changed, in words.
-        unwatched: what the robot does not report, in words.
+        complaints: reasons why it cannot fly until they are removed.
+        unwatched: values that the robot does not report.
     """
 
     controller: str | None = None
@@ -74,14 +74,14 @@ class RobotState:
         battery_v: [V]; None if the robot does not report it.
         link: share of packets acknowledged, in [0, 1]; None if the link does not report it.
         link_lost: the driver gave the link up and sends no more commands; stays True until `connect`.
-        heard_s: arrival of the last packet of any kind, on the same clock; None if the driver does not tell.
+        heard_s: arrival of the last packet of any kind, on the same clock; None if unknown.
         armed: motors may turn.
         flying: in the air, as far as the driver knows.
         settled: the robot's estimator has converged.
-        taken_over: why the robot obeys no more, in words: a pilot or a failsafe of its own flies it now, and the driver
-            does not fight them. None as long as it obeys; stays set until `connect`.
-        fault: why it cannot fly now, in words, such as "locked: restart it"; None if it can, or does not tell.
-        equipment: what the driver learned on connecting.
+        taken_over: why the robot no longer obeys: a pilot or a failsafe flies it, and the driver does not interfere.
+            None as long as it obeys; stays set until `connect`.
+        fault: why it cannot fly now, such as "locked: restart it"; None if it can, or if that is unknown.
+        equipment: the driver's knowledge from connecting.
     """
 
     position: Position
@@ -121,7 +121,7 @@ class Robot(Protocol):
         """Open the link and wait for the first estimate.
 
         Raises:
-            RobotError: not done within `timeout_s`, whatever the link's own library does.
+            RobotError: not done within `timeout_s`, even if the link's library waits longer.
         """
         ...
 
@@ -202,7 +202,7 @@ class MotionLimits:
     def clip(self, start: Position, target: Position, duration_s: float) -> Commanded:
         """The farthest point towards `target` within the box and the speed limit, in the same duration.
 
-        From a start outside the box the target is first clamped axis by axis: returning matters more than the line.
+        From a start outside the box, the target is first clamped axis by axis: a return matters more than the line.
 
         Raises:
             InputError: a duration that is not positive.
@@ -224,7 +224,7 @@ class MotionLimits:
                 share = min(share, (low - x) / d)
         if share >= 1.0:
             return Commanded(target=target, duration_s=duration_s)
-        # Rounding may put the point outside by one last digit: the box is closed.
+        # Rounding may put the point just outside of the box.
         x, y, z = (start[k] + share * step[k] for k in range(3))
         if self.contains(start):
             x, y, z = (min(max(v, a), b) for a, v, b in zip(self.low, (x, y, z), self.high, strict=True))
@@ -237,7 +237,7 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Where a drone is [m; world frame, z up], and how it is turned, if that is known."""
+    """Position of a drone [m; world frame, z up], and its orientation if known."""
 
     position: Position
     quaternion: Quaternion | None = None
@@ -245,7 +245,7 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PoseFrame:
-    """Poses by the drones' names, of one moment of the sender's clock [s], whose zero may be anywhere."""
+    """Poses of drones by name, at one time of the sender's clock [s], which may start at any zero."""
 
     stamp_s: float
     poses: Mapping[str, Pose]
@@ -256,7 +256,7 @@ class PoseSource(Protocol):
 
     @property
     def refused(self) -> Counter[str]:
-        """Input that was dropped, by reason. It never ends a source."""
+        """Number of dropped inputs, by reason. They never end a source."""
         ...
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
@@ -268,5 +268,5 @@ class PoseSource(Protocol):
         ...
 
     async def close(self) -> None:
-        """Hand nothing over any more; harmless when called twice or never opened."""
+        """Stop handing over frames; harmless when called twice or never opened."""
         ...

@@ -1,4 +1,4 @@
-"""A drone that follows its high-level commander, exactly or as a controller does, and can fail in flight; sans-IO."""
+"""A simulated drone that follows its set-point, exactly or with a controller, and can fail. Sans-IO."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class BodyController(Protocol):
         ...
 
     def shift(self, offset: Position) -> None:
-        """Move what the body believes its place to be [m]."""
+        """Shift the body's estimate of its place [m]."""
         ...
 
 
@@ -45,10 +45,10 @@ MakeController: TypeAlias = Callable[[Position, float], BodyController]
 
 @dataclass(slots=True, kw_only=True)
 class PointMass:
-    """One body, at `home` before take-off [m]. `estimate` is what the robot believes, `position` where it is.
+    """One body, at `home` before take-off [m]. `estimate` is the robot's own, `position` the true one.
 
-    With `auto_arm` motors may turn at once, as in a Crazyflie 2.1 as shipped. It follows its set-point as `controlled`,
-    or without any distance; change that with `follow`.
+    With `auto_arm` motors may turn at once, as in a Crazyflie 2.1 as shipped. `controlled` makes the controller that
+    follows the set-point; without one, the body follows exactly. Change it with `follow`.
     """
 
     home: Position
@@ -95,7 +95,7 @@ class PointMass:
             self._controller.fly(now, lambda at: segment.at(at)[0], self.ground_m + self._offset[2])
 
     def follow(self, controlled: MakeController | None, now: float) -> None:
-        """Change how the body follows its set-point, in flight as well."""
+        """Change the controller, also in flight."""
         here = self.position(now)
         self.controlled, self._controller = controlled, None
         if self._segment is not None:
@@ -104,13 +104,13 @@ class PointMass:
                 self._set_error(here, now)
 
     def _take_control(self, here: Position, now: float) -> None:
-        """Let the controller, if there is one, begin here, at rest, as the robot believes."""
+        """Start the controller, if there is one, at rest at the robot's estimate of this position."""
         if self.controlled is not None:
             x, y, z = (p + o for p, o in zip(here, self._offset, strict=True))
             self._controller = self.controlled((x, y, z), now)
 
     def position(self, now: float) -> Position:
-        """Where the body is [m]."""
+        """True position of the body [m]."""
         self.advance(now)
         if self._segment is None:
             return (self._rest[0], self._rest[1], self._height(now))
@@ -118,7 +118,7 @@ class PointMass:
             x, y, z = (b - o for b, o in zip(self._controller.place, self._offset, strict=True))
             return (x, y, max(z, self.ground_m))
         believed, _, _ = self._segment.at(now)
-        left = math.exp(-4.0 * max(0.0, now - self._error_at))  # it flies back to where it believes it should be
+        left = math.exp(-4.0 * max(0.0, now - self._error_at))  # the error is flown off
         x, y, z = (b - o + left * e for b, o, e in zip(believed, self._offset, self._error, strict=True))
         return (x, y, max(z, self.ground_m))
 
@@ -130,7 +130,7 @@ class PointMass:
         return (x, y, z)
 
     def variance(self, now: float) -> float:
-        """Of the estimate, one axis [m^2]; it grows once the localisation is gone."""
+        """Variance of the estimate on one axis [m^2]; grows once the localisation has failed."""
         return 1e-5 + (0.0 if self._stalled is None else 0.05 * (now - self._stalled[0]))
 
     def _height(self, now: float) -> float:
@@ -139,14 +139,14 @@ class PointMass:
         return max(self.ground_m, self._rest[2] - GRAVITY * (now - self._fell) ** 2 / 2.0)
 
     def arm(self, wanted: bool) -> bool:
-        """Arm or disarm; returns whether it is as wanted."""
+        """Arm or disarm; returns whether that succeeded."""
         if self.locked or (wanted and self.flying):
             return not wanted
         self.armed = wanted
         return True
 
     def take_off(self, height_m: float, duration_s: float, now: float) -> int:
-        """0, or why not."""
+        """Returns 0 or an error code."""
         self.advance(now)
         if not self.armed:
             return BUSY
@@ -157,7 +157,7 @@ class PointMass:
         return 0
 
     def go_to(self, target: Position, duration_s: float, now: float) -> int:
-        """Fly from the last set-point with its velocity, as the firmware plans it; returns 0, or why not."""
+        """Fly from the last set-point with its velocity, as the firmware plans it; returns 0 or an error code."""
         self.advance(now)
         if not self.armed:
             return BUSY
@@ -169,7 +169,7 @@ class PointMass:
         return 0
 
     def land(self, height_m: float, duration_s: float, now: float) -> int:
-        """0, or why not."""
+        """Returns 0 or an error code."""
         self.advance(now)
         if not self.armed:
             return BUSY
@@ -205,7 +205,7 @@ class PointMass:
             self._take_control(here, now)
 
     def _set_error(self, here: Position, now: float) -> None:
-        """Keep the distance between the body and its set-point, to be flown off."""
+        """Store the distance between the body and its set-point, which is flown off."""
         believed, _, _ = self.set_point(now)
         x, y, z = (p + o - b for p, o, b in zip(here, self._offset, believed, strict=True))
         self._error, self._error_at = (x, y, z), now

@@ -24,7 +24,7 @@ _REST: Position = (0.0, 0.0, 0.0)
 
 
 def _coefficients(start: float, velocity: float, acceleration: float, end: float) -> _Coefficients:
-    """Of 1, u, u^2, u^4 .. u^7 in u = t / duration (u^3 has none), for derivatives that vanish at u = 1."""
+    """Coefficients of 1, u, u^2, u^4 .. u^7 in u = t / duration, for derivatives that vanish at u = 1."""
     gap = end - start - velocity - acceleration / 2.0
     slope, bend = -velocity - acceleration, -acceleration
     return (
@@ -81,7 +81,7 @@ def share(parts: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def stopping_point(segment: Segment, now_s: float, within_s: float) -> Position | None:
-    """Where a robot can come to rest `within_s` later without turning back [m]; None if its target is as near."""
+    """The point at which a robot can rest `within_s` later without turning back [m]; None if its target is as near."""
     if now_s - segment.began_s + within_s >= segment.duration_s:
         return None
     at, velocity, _ = segment.at(now_s)

@@ -1,4 +1,4 @@
-"""A simulated robot with the interface of `llm_flock.robots._base`: for tests, and to try out a flight."""
+"""A simulated robot with the interface of `llm_flock.robots._base`, for tests and trial flights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from llm_flock.robots._segment import HOLD_S, Segment, stopping_point
 
 
 class SimulatedRobot:
-    """One point mass in this process; `clock` returns the time [s], and tests that let it fail give its `body`."""
+    """One point mass in this process. `clock` returns the time [s]. Tests that simulate failures give its `body`."""
 
     def __init__(
         self,
@@ -32,7 +32,7 @@ class SimulatedRobot:
         self._equipment = equipment or Equipment()
         self._set_point = home
         self._segment: Segment | None = None
-        self._seen: RobotState | None = None
+        self._last_state: RobotState | None = None
         self._open = self._lost = False
 
     async def connect(self, timeout_s: float) -> None:
@@ -42,19 +42,19 @@ class SimulatedRobot:
             raise RobotError(self.name, f"no answer within {timeout_s:g} s")
         self._open = True
         self._set_point = self.body.estimate(self._clock())
-        self._look()
+        self._read_state()
 
     def state(self) -> RobotState:
         """The newest state; with a lost link, the last one that arrived."""
-        if self._seen is None:
+        if self._last_state is None:
             raise RobotError(self.name, "was never connected")
         if self._open and not self._lost:
-            return self._look()
-        return self._seen
+            return self._read_state()
+        return self._last_state
 
-    def _look(self) -> RobotState:
+    def _read_state(self) -> RobotState:
         now = self._clock()
-        self._seen = RobotState(
+        self._last_state = RobotState(
             position=self.body.estimate(now),
             stamp_s=now,
             battery_v=self.body.battery_v,
@@ -65,7 +65,7 @@ class SimulatedRobot:
             fault="locked" if self.body.locked else None,
             equipment=self._equipment,
         )
-        return self._seen
+        return self._last_state
 
     async def arm(self) -> None:
         self._need_link()
@@ -120,8 +120,8 @@ class SimulatedRobot:
 
     def lose_link(self) -> None:
         """For tests: lose every packet from now on, in both directions."""
-        if self._seen is not None and not self._lost:
-            self._seen = replace(self._look(), link=0.0, link_lost=True)
+        if self._last_state is not None and not self._lost:
+            self._last_state = replace(self._read_state(), link=0.0, link_lost=True)
         self._lost = True
 
     def _fly(self, start: Position, sent: Commanded, now: float) -> Commanded:

@@ -39,22 +39,22 @@ T = TypeVar("T")
 
 
 def wait_for(main: Coroutine[Any, Any, T]) -> T:
-    """Run a coroutine to its end, and return its result or raise its error; Ctrl-C once it was cancelled and has ended.
+    """Run a coroutine to its end, and return its result or raise its error. Ctrl-C cancels it and is raised at its end.
 
-    Where an event loop runs in this thread, which stands still meanwhile, the coroutine gets a thread of its own.
+    If an event loop runs in this thread, it stands still meanwhile, and the coroutine gets a thread of its own.
     """
     around: asyncio.AbstractEventLoop | None = None
     with suppress(RuntimeError):
         around = asyncio.get_running_loop()
-    if around is None:  # outside of the handler, whose error every traceback of `main` would begin with
+    if around is None:  # not in the handler: its error would begin every traceback of `main`
         return asyncio.run(main)
-    begun = threading.Event()
+    started = threading.Event()
     running: list[tuple[asyncio.AbstractEventLoop, asyncio.Task[T]]] = []
 
     async def outer() -> T:
         task = asyncio.ensure_future(main)
         running.append((asyncio.get_running_loop(), task))
-        begun.set()
+        started.set()
         return await task
 
     with ThreadPoolExecutor(1, "llm-flock run") as pool:
@@ -63,7 +63,7 @@ def wait_for(main: Coroutine[Any, Any, T]) -> T:
             return done.result()
         except BaseException:
             if not done.done():  # Ctrl-C: end the run as it would end in a script
-                begun.wait()
+                started.wait()
                 loop, task = running[0]
                 with suppress(RuntimeError):  # the loop has just been closed
                     loop.call_soon_threadsafe(task.cancel)
@@ -75,7 +75,7 @@ Row: TypeAlias = Sequence[float]
 
 
 class Parameters(TypedDict, total=False):
-    """What `run` takes besides a mission. The default of a field stands in the configuration; None means not given."""
+    """The parameters of `run` besides a mission. Defaults are those of the configuration; None means not given."""
 
     # The run as a whole, and its surroundings.
     config: RunConfig | None
@@ -171,8 +171,8 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {"consensus": consensus_rule, "assign
 def run(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResult:
     """Fly one mission, and wait for its end; works in scripts, notebooks and threads.
 
-    Where an event loop is running already, as in a notebook, the run gets a thread of its own. There,
-    `await run_async(...)` leaves the loop free.
+    If an event loop is running already, as in a notebook, the run gets a thread of its own. There,
+    `await run_async(...)` keeps the loop free.
 
     Args:
         mission: the team's task; the paper's circle of ten if left out.
@@ -231,12 +231,12 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         base = {} if mission is None else {"mission": mission.model_dump(exclude_none=True)}
         plain_fields = {field: plain(field, value) for field, value in fields.items()}
         config = RunConfig.build(base, model=choice or None, **names, **plain_fields)
-        rules = objects  # names are in the configuration now, old ones under their current name
+        rules = objects  # the configuration has the names, old ones under their current form
     protocol = config.protocol
     consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""))
     assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""))
 
-    # Build every part, and so refuse whatever is wrong; only then open files, and fly.
+    # Build every part first, which rejects invalid values; then open files, and fly.
     warn_of_mission(config.mission)
     asked = config.trial
     rng = stream(asked.seed, Stream.START)
@@ -255,7 +255,7 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         try:
             await trial.run()
         except BaseException:
-            with suppress(FlockError):  # trouble with the record must not hide the first error
+            with suppress(FlockError):  # an error of the record must not hide the first one
                 finish_trial(trial, record)
             raise
         finally:
@@ -273,9 +273,9 @@ def open_outputs(
     unrepeatable: Sequence[str] = (),
     on_broken: Callable[[RecordError], None] | None = None,
 ) -> Generator[tuple[Journal, str | None]]:
-    """Open the files that a run writes: its journal, which keeps a trace or not, and the path of its record.
+    """Open the files that a run writes. Yields its journal, with or without a trace, and the path of its record.
 
-    With `on_broken`, which gets the error, a record that cannot be written any more is given up.
+    With `on_broken`, the run goes on without a record that can no longer be written; it is called with the error.
     """
     with ExitStack() as stack:
         path, cassette = config.record, config.model.record_llm
@@ -291,15 +291,15 @@ def open_outputs(
                 writer = stack.enter_context(RecordWriter(path))
             except InputError:
                 if cassette is not None:
-                    Path(cassette).unlink()  # created just now, and still empty
+                    Path(cassette).unlink()  # just created, still empty
                 raise
             writer = writer if on_broken is None else GivenUp(writer, on_broken)
-        taker = writer
+        target = writer
         if sink is not None:
             from llm_flock.record._writer import Tee
 
-            taker = Tee(writer, sink)
-        journal = Journal(config.mission, taker, replans=config.protocol.gaps == "replan", trace=trace)
+            target = Tee(writer, sink)
+        journal = Journal(config.mission, target, replans=config.protocol.gaps == "replan", trace=trace)
         journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
         planners.listen(journal.attempt)
         if path is not None:  # only a record needs it, and asking git takes longer than many rounds

@@ -1,4 +1,4 @@
-"""The configuration of a run: one validated object, from a file, with flags that override it by field name."""
+"""The configuration of a run: one validated object from a file, whose fields flags override by name."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ class ProtocolConfig(ConfigSection):
         return self
 
     def rules(self) -> Rules:
-        """The consensus and assignment rules by these names; `InputError` for an unknown one."""
+        """The consensus and assignment rules by these names. InputError for an unknown one."""
         return consensus_rule(self.consensus or ""), assignment_rule(self.assignment or "")
 
 
@@ -184,7 +184,7 @@ class RunConfig(ConfigSection):
         return self
 
     def schedule(self) -> Schedule:
-        """Deaths, joins and mission changes in flight, drawn from the seed where random; `InputError` if impossible."""
+        """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
 
     @property
@@ -246,13 +246,13 @@ class RunConfig(ConfigSection):
 def read_toml(field: str, path: Path) -> dict[str, Any]:
     """The values of a TOML file, checked as by `check_values`; `field` names the file in errors."""
     try:
-        found = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(field, str(path), f"a file that can be read ({error.strerror})") from None
     except ValueError as error:
         raise InputError(field, str(path), says=f"this is not TOML: {error}") from None
-    check_values(field, found)
-    return found
+    check_values(field, values)
+    return values
 
 
 def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
@@ -273,7 +273,7 @@ def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
 
 @cache
 def warn_of_mission(mission: Mission) -> None:
-    """Log a warning, once for each mission, if it may not form: for want of radio contact, or of room to move."""
+    """Log a warning, once for each mission, if it may not form because robots lack radio contact, or room to move."""
     ideal = mission.ideal
     if ideal is not None and not graph.is_connected(graph.distances(ideal) <= mission.comm_range):
         logger.warning(

@@ -1,4 +1,4 @@
-"""The part of a run in which one mission is in force: when the team formed, its shape error, its lower bound."""
+"""The part of a run with one mission: the round in which the team formed, its shape error, its lower bound."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class Episode:
         return None if self.formed_at is None else self.formed_at - self.flown
 
     def deadline(self, awake: Sequence[int], agents: Sequence[Agent], after: int) -> int:
-        """The round by which the team should have formed, if nothing happens to it after round `after`."""
+        """The round by which the team should have formed, without events after round `after`."""
         plan = self.plan(agents)
         key = None if plan is None else plan.digest, len(awake), after
         if self._deadline[0] != key:
-            # Before they agree on a plan, it is the ideal shape, or for a shape in words, a flight to the centre.
+            # Before they agree on a plan, count the way to the ideal shape; without one, to the centre.
             places = self.mission.ideal or (self.mission.center,) if plan is None else plan.points
             bound = self._bound(awake, np.array(places))
             since = max(self._disturbed, after)
@@ -69,7 +69,7 @@ class Episode:
         return metrics.lower_bound_rounds(start, goals, mission.max_step, along, within=within, ways=ways)
 
     def error(self, positions: Points) -> metrics.ShapeError | None:
-        """Distance from the ideal shape of as many robots as `positions`, shape (m, d), has; None without an ideal."""
+        """Distance of `positions`, shape (m, d), from the ideal shape of m robots; None without an ideal."""
         # A team that has arrived stays where it is.
         if self._measured is None or not np.array_equal(self._measured[0], positions):
             target = self._target(len(positions))
@@ -103,7 +103,7 @@ class Episode:
             return True
 
     def close(self, awake: Sequence[int], agents: Sequence[Agent]) -> None:
-        """The mission is over: find the rounds that a perfect central planner needs for the plan that these follow."""
+        """End the mission: compute the rounds that a perfect central planner needs for the plan of these agents."""
         plan, blocked = self.plan(agents), blocked_places(agents)
         if plan is None:
             self.bound = None

@@ -1,4 +1,4 @@
-"""What a trial comes to: its summary, which ends the record, and its result."""
+"""Ends a trial: its summary, which completes the record, and its result."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from llm_flock.runtime._trial import Trial
 
 
 def finish_trial(trial: Trial, record: str | None, flight: FlightFigures | None = None) -> RunResult:
-    """The result so far, which is also written to the record. Call once, also after a cancelled `run`."""
+    """The result so far; also writes it to the record. Call once, also after a cancelled `run`."""
     trial.journal.flush_attempts()
-    if trial.stopped != "interrupted":  # after Ctrl-C, nobody waits for figures
+    if trial.stopped != "interrupted":  # after Ctrl-C, end without delay
         trial.journal.measure_error(trial.roster)
     summary = _summarize(trial, record, flight)
     trial.journal.writer.write(SummaryMessage(result=summary.to_dict()))
@@ -36,7 +36,7 @@ def finish_trial(trial: Trial, record: str | None, flight: FlightFigures | None 
 
 
 def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -> Summary:
-    """The summary of a trial that stopped: with the path of its record, and a flight's figures."""
+    """The summary of a stopped trial, with the path of its record and a flight's figures."""
     config, journal, roster = trial.config, trial.journal, trial.roster
     planners, traffic = trial.planners, trial.transport.traffic
     agents, episode = roster.awake_agents(), journal.episode
@@ -116,5 +116,5 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
 
 
 def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:
-    """What happened up to a round, in the notation of the command line."""
+    """The events up to a round, in the notation of the command line."""
     return tuple(f"{robot}@{when}" for when, robots in sorted(by_round.items()) if when <= rounds for robot in robots)

@@ -15,7 +15,7 @@ from llm_flock.runtime._planners import check_planners
 from llm_flock.runtime._trial import TrialProgress
 
 OUTPUT_TOKENS = 400
-"""Tokens that an answer of a real model is taken to have, reasoning included."""
+"""Assumed tokens of a real model's answer, with reasoning."""
 
 PROFILE = "distorted@0.3,overshoot@0.3"
 """Failures of the stand-in that rehearses for a real model."""
@@ -64,22 +64,22 @@ def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
 
 
 def rehearse(config: RunConfig, on_round: Callable[[TrialProgress], None] | None = None) -> Expected:
-    """The use of a run of a stand-in. It takes as long as that run: seconds for 60 robots, many minutes for 1000."""
-    found = run(config=config, on_round=on_round, progress=False, trace=False).summary
-    return Expected(calls=found.model_calls, tokens_input=found.tokens_input, tokens_output=found.tokens_output)
+    """The use of a stand-in's run. Takes as long as that run: seconds for 60 robots, many minutes for 1000."""
+    use = run(config=config, on_round=on_round, progress=False, trace=False).summary
+    return Expected(calls=use.model_calls, tokens_input=use.tokens_input, tokens_output=use.tokens_output)
 
 
-def priced(config: RunConfig, found: Expected, output_tokens: int = OUTPUT_TOKENS) -> Expected:
-    """The use that a rehearsal `found`, in terms of the models of `config`; each robot is taken to use as much."""
+def priced(config: RunConfig, rehearsed: Expected, output_tokens: int = OUTPUT_TOKENS) -> Expected:
+    """The use of a rehearsal at the prices of the models of `config`, if all robots use as much."""
     texts = parse_models(config.model.model, config.mission.n_robots)
     names = [parse_model(text) for text in texts]
     addresses = parse_base_urls(config.model.base_url, texts)
-    calls, asked = found.calls / len(names), max(1.0, found.calls)
+    calls, asked = rehearsed.calls / len(names), max(1.0, rehearsed.calls)
     total = Expected(at_most=most_calls(config))
     for name in names:
         if name.kind in ("geometry", "replay"):
             continue  # asks no model
-        tokens_input, answer = found.tokens_input / asked, found.tokens_output / asked
+        tokens_input, answer = rehearsed.tokens_input / asked, rehearsed.tokens_output / asked
         if name.kind in ("provider", "plugin", "own"):
             answer = output_tokens
         cost: float | None = None if name.kind == "own" else 0.0  # a class of one's own may charge anything

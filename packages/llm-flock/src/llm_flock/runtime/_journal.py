@@ -1,4 +1,4 @@
-"""Counts what happens in one run, and writes it to the record in a fixed order."""
+"""Counts the events of one run, and writes them to the record in a fixed order."""
 
 from __future__ import annotations
 
@@ -49,19 +49,19 @@ _PACKAGES = (
 
 def versions() -> dict[str, str]:
     """Versions of this package and of those that can change a result."""
-    found: dict[str, str] = {}
+    by_name: dict[str, str] = {}
     for name in _PACKAGES:
         try:
-            found[name] = installed.version(name)
+            by_name[name] = installed.version(name)
         except installed.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            by_name[name] = "not installed"
+    return by_name
 
 
 def git_revision() -> str | None:
     """Revision of the checkout that this package runs from, `+dirty` with local changes; None outside a checkout."""
     describe = ("describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+dirty")
-    # Asked by many workers at once: none of them may lock the index, and on a full machine this takes seconds.
+    # Many workers ask at once, so git must not lock the index. On a busy machine this takes seconds.
     environment = {**os.environ, "GIT_OPTIONAL_LOCKS": "0"}
     command = ["git", "-C", str(Path(__file__).parent), *describe]
     try:
@@ -104,8 +104,8 @@ def finite(value: float | None) -> float | None:
 
 def llm_entry(attempt: Attempt) -> LlmEntry:
     """A model call as it is recorded."""
-    told = attempt.told()
-    told |= {
+    fields = attempt.told()
+    fields |= {
         "messages": [ChatLine(role=m.role, text=m.text) for m in attempt.call.messages],
         "parsed": None if attempt.parsed is None else dict(attempt.parsed),
         "probe": attempt.call.probe or None,
@@ -114,7 +114,7 @@ def llm_entry(attempt: Attempt) -> LlmEntry:
         "usage": CallUsage(**asdict(attempt.reply.usage)),
         "faults": list(attempt.reply.faults),
     }
-    return LlmEntry(**{name: told[name] for name in LlmEntry.model_fields})
+    return LlmEntry(**{name: fields[name] for name in LlmEntry.model_fields})
 
 
 ERROR_EVERY_ROUND_UP_TO = 300
@@ -125,8 +125,8 @@ A larger team is measured when all are at their goals, which `formed` needs anyw
 class Journal:
     """Counts and records one run; for a `NullWriter` no entries are built.
 
-    Where the team `replans` when robots die, only such a plan counts as formed then. With `trace`, missions, plans,
-    states and figures are also kept, for whoever draws the run.
+    If the team `replans` after deaths, only a plan of the right size then counts as formed. With `trace`, missions,
+    plans, states and figures are also kept in memory, to draw the run.
     """
 
     def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False, trace: bool = False) -> None:
@@ -167,7 +167,7 @@ class Journal:
         """The mission in force: the last one that was given."""
         return self.episodes[-1]
 
-    def mission_given(self, mission: Mission, flown: int, positions: Points) -> None:
+    def begin_mission(self, mission: Mission, flown: int, positions: Points) -> None:
         """A mission is in force from the next round on; its measurements start now."""
         first = flown + 1 if self.episodes else 0
         self._put(mission_info(mission, len(self.episodes), first))
@@ -178,7 +178,7 @@ class Journal:
         self.episode.close(roster.awake, roster.awake_agents())
 
     def attempt(self, attempt: Attempt) -> None:
-        """Count one model call. A call that the budget refused was never made, and is only recorded."""
+        """Count one model call. A call beyond the budget was never made, and is only recorded."""
         if self._recording:
             self._attempts.append(attempt)
         if attempt.error is not None:
@@ -197,13 +197,13 @@ class Journal:
             self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
 
     def flush_attempts(self) -> None:
-        """Write the model calls made since the last flush, by robot: the order of the answers must not show."""
+        """Write the model calls since the last flush, sorted by robot: a record does not depend on their timing."""
         for attempt in sorted(self._attempts, key=lambda a: (a.call.robot, a.call.attempt)):
             self.writer.write(llm_entry(attempt))
         self._attempts.clear()
 
     def note(self, round_number: int, comm_round: int | None, robot: int, note: Note) -> None:
-        """Record something that a robot decided or met."""
+        """Record a note of a robot."""
         if note.kind == "breaker" and note.detail["state"] == "open":
             self.breakers_opened.add(robot)
         if self._recording:
@@ -211,10 +211,10 @@ class Journal:
             event = ProtocolEvent(round=round_number, comm_round=comm_round, robot=robot, kind=kind, detail=detail)
             self.writer.write(event)
 
-    def proposed(self, round_number: int, agent: Agent, by: str) -> None:
-        """A robot follows a plan of its own, made by a model of this name or by geometry: record its points once."""
+    def record_proposal(self, round_number: int, agent: Agent, by: str) -> None:
+        """Record the points of a robot's own plan once; `by` is the name of a model, or geometry."""
         plan = agent.plan
-        assert plan is not None, "a robot follows what it proposes"
+        assert plan is not None, "a robot follows its own proposal"
         self.suppliers[plan.digest, agent.robot] = by
         if plan.digest not in self._known_plans:
             self._known_plans.add(plan.digest)
@@ -224,7 +224,7 @@ class Journal:
     def end_round(
         self, round_number: int, team: Bodies, roster: Roster, moves: Mapping[int, MoveTo] | None, traffic: Traffic
     ) -> None:
-        """Record where the robots are, and what was measured, after every round; before the first one without moves."""
+        """Record positions and measurements. Call after every round, and before the first one without moves."""
         calls, failed = self.calls - self._calls_before[0], self.calls_failed - self._calls_before[1]
         self._calls_before = (self.calls, self.calls_failed)
         # While a robot flies on along its path, the run goes on without answers.
@@ -341,5 +341,5 @@ class Journal:
         return separation, on_segment
 
     def rejected(self, roster: Roster) -> Counter[str]:
-        """Messages refused so far, by reason; includes those of robots that have restarted since."""
+        """Number of messages rejected so far, by reason; also by robots that have restarted since."""
         return sum((a.rejected for a in roster.agents), self.rejected_before)

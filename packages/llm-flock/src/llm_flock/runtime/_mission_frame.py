@@ -1,4 +1,4 @@
-"""Where a mission lies in the world: from its units to metres, and back."""
+"""The place of a mission in the world: converts its units to metres and back."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from llm_flock.runtime._trial import TrialProgress
 
 PATIENCE_S = 0.5
-"""A run that is over sooner shows no progress [s]: a hundred quick runs would fill the notebook with lines."""
+"""Shorter runs show no progress [s]: a hundred of them would fill the notebook with lines."""
 
 REDRAW_S = 0.1
 """Shortest time between two drawings [s]."""

@@ -1,4 +1,4 @@
-"""Orders to a run in flight: a robot is killed, or a robot is given another mission. They happen in the next round."""
+"""Orders to a run in flight, to kill a robot or to give it another mission. They take effect in the next round."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from llm_flock.runtime._trial import Trial
 
 
 def check_shape(shape: object) -> None:
-    """Refuse a shape that is read from a file: what comes from pages and other programs names none."""
+    """Refuse a shape that is read from a file: pages and other programs must not name files."""
     if isinstance(shape, str) and shape.strip().startswith("points:"):
         raise InputError("shape", shape, "a shape with a name; only the command line reads files")
 
@@ -23,11 +23,11 @@ class RunOrders:
     def __init__(self, config: RunConfig) -> None:
         self._config = config
         self._schedule = schedule = config.schedule()
-        # All by name: a robot that an order names must not change which others were drawn at random.
+        # List all events: a robot that an order names must not change the random draw of others.
         self._kills = [f"{robot}@{when}" for when, robots in schedule.kills.items() for robot in robots]
         self._joins = [f"{robot}@{when}" for when, robots in schedule.joins.items() for robot in robots]
         self._changes = list(config.trial.changes)
-        self._given: set[int] = set()
+        self._ordered_rounds: set[int] = set()
         self._awake = [k for k in range(config.mission.n_robots) if k not in schedule.asleep]
         self._lock = threading.Lock()
         self.round = 0
@@ -38,24 +38,24 @@ class RunOrders:
             self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
 
     def change(self, fields: dict[str, Any]) -> int:
-        """Change fields of the mission of one robot, and return that robot; the others hear of it from there."""
+        """Change fields of the mission of one robot, and return that robot. It tells the others."""
         check_shape(fields.get("shape"))
         with self._lock:
             when = self.round + 1
             dead = self._schedule.kills.get(when, ())
             taker = next(robot for robot in self._awake if robot not in dead)
             # A second order for the next round replaces the first; the configuration's own changes stay.
-            before = [one for one in self._changes if one.round != when or when not in self._given]
+            before = [one for one in self._changes if one.round != when or when not in self._ordered_rounds]
             try:
                 self._reschedule(self._kills, [*before, Change(round=when, robot=taker, set=fields)])
             except InputError as error:
-                # Whoever gives the order knows fields of a mission, and no list of changes.
+                # The sender of the order knows the fields of a mission, but not the list of changes.
                 raise (error.__cause__ if isinstance(error.__cause__, InputError) else error) from None
-            self._given.add(when)
+            self._ordered_rounds.add(when)
             return taker
 
     def carry_out(self, trial: Trial) -> None:
-        """Call before each round, where a run is steered."""
+        """Carry out the orders. Call before each round."""
         with self._lock:
             self.round = trial.round + 1
             self._awake = list(trial.roster.awake)

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 class TeamPlanners:
     """The planners of a team, by robot, with the connections, budget and listeners that they share.
 
-    A `lane` is access to what this run shares with others; `own` are models that were handed over as objects, by
-    robot, -1 for all robots.
+    A `lane` is access to limits and connections shared with other runs. `own` are models given as objects, by robot,
+    -1 for all robots.
 
     Raises:
-        InputError: a model cannot work, as far as that is known before asking it.
+        InputError: a model cannot work, as far as is known before any question.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class TeamPlanners:
         self._sinks: list[AttemptSink] = []
         self._replays: dict[str, ReplayModel] = {}
         self._own: dict[str, OwnModel] = {}
-        self._handed = dict(own or {})
+        self._given = dict(own or {})
         self._queues: dict[str, CallLimits] = {}
         self._prompts: dict[str, PromptSet] = {}
         self._around: list[Callable[[int, Planner], Planner]] = []
@@ -67,7 +67,7 @@ class TeamPlanners:
 
             self._wish = check_wish(self._wish)
         for text in dict.fromkeys(self.names):
-            # Prompts that were chosen are checked, even if nobody is asked.
+            # Chosen prompts are checked, even if no model is asked.
             if model.prompts or self._wish or parse_model(text).kind != "geometry":
                 self._prompts_of(text)
         self._history = parse_history(model.history)
@@ -91,7 +91,7 @@ class TeamPlanners:
         return prompts
 
     def _queue_of(self, name: ModelName) -> CallLimits:
-        """A question waits for a plug-in's model before its time-out begins, in a queue that delays no other model."""
+        """The limits of a model. Questions wait for a plug-in in a queue of its own, before their time-out begins."""
         queue, limits = name.provider if name.kind == "plugin" else "", self._config.limits
         if queue not in self._queues:
             at_once = min(limits.max_concurrent, source_of(queue).at_once) if queue else limits.max_concurrent
@@ -167,20 +167,20 @@ class TeamPlanners:
         return self._replaced.get(robot, self.names[robot])
 
     def wrap(self, around: Callable[[int, Planner], Planner]) -> None:
-        """Wrap every planner in another one, made from a robot's id and its planner; also planners made later."""
+        """Replace each planner, also those made later, by `around(robot, planner)`."""
         self._around.append(around)
         self._planners = [around(robot, planner) for robot, planner in enumerate(self._planners)]
 
     def replace(self, robot: int, model: str) -> None:
-        """Give a robot another model from its next question on; `InputError` if there is no such model."""
+        """Give a robot another model from its next question on. InputError if there is no such model."""
         self._replaced[robot] = model
         self._planners[robot] = self._planner_of(robot, model)
 
     def _own_model(self, robot: int, text: str) -> OwnModel:
-        """The object that was handed over, or the one that all robots share which name its class."""
-        handed = self._handed.get(robot, self._handed.get(-1))
-        if handed is not None and handed.name == text:
-            return handed
+        """The object given for the robot, or the one shared by all robots that name its class."""
+        given = self._given.get(robot, self._given.get(-1))
+        if given is not None and given.name == text:
+            return given
         if text not in self._own:
             from llm_flock.llm._own import OwnModel
 
@@ -198,19 +198,19 @@ class TeamPlanners:
 
     @property
     def _own_models(self) -> Sequence[OwnModel]:
-        return [*self._own.values(), *dict.fromkeys(self._handed.values())]
+        return [*self._own.values(), *dict.fromkeys(self._given.values())]
 
     @property
     def unrepeatable(self) -> list[str]:
-        """What of the models a record's configuration cannot repeat, in sentences."""
+        """Sentences on models that a record's configuration cannot repeat."""
         return [own.unrepeatable for own in self._own_models]
 
     @property
     def weights(self) -> Mapping[str, str]:
         """Digests of the files of plug-ins' models, by name."""
         names = [name for name in map(parse_model, dict.fromkeys(self.names)) if name.kind == "plugin"]
-        found = [source_of(name.provider).versions(name.model) for name in names]
-        return {file: digest for files in found for file, digest in files.items()}
+        digests = [source_of(name.provider).versions(name.model) for name in names]
+        return {file: digest for files in digests for file, digest in files.items()}
 
     @property
     def exhausted(self) -> bool:
@@ -243,9 +243,9 @@ def _check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
 
 
 def check_planners(config: RunConfig, *, asks: bool = True) -> None:
-    """Refuse a configuration whose models cannot work, as a run of it would. Call where no event loop runs.
+    """Raise the error of a run whose models cannot work. Call where no event loop runs.
 
-    Where its models will not be asked (`asks`), providers need neither a key nor their library.
+    If its models will not be asked (`asks`), providers need neither a key nor their library.
     """
     lane = None if asks else CallLane(pool=ModelPool(asks=False))
     asyncio.run(TeamPlanners(config, lane).close())

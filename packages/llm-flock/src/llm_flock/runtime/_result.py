@@ -40,14 +40,14 @@ class FlightFigures:
     """The figures of a flight. Distances are those of estimates, while both drones were in the air."""
 
     ended: str  # why it ended: mission, return by the operator's order, or the kind of failure
-    reason: str | None  # the failure in words
+    reason: str | None  # the failure as text
     ends: dict[str, str]  # how each drone ended, by name: landed, never took off, cut, out of reach, ...
     safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut
     air_s: float  # from the first take-off until the last drone was down
     min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
     tracking_rms_m: float | None  # root mean square distance of drones from their set-points `lag_s` ago at most
     tracking_max_m: float | None  # the largest of these distances
-    fan_out_ms: float | None  # longest time to send all drones their targets; None where none was sent
+    fan_out_ms: float | None  # longest time to send all drones their targets; None if none was sent
     poses_refused: dict[str, int] | None = None  # poses from outside that were not sent, by drone and reason
     lag_s: float = 0.0  # longest delay of the drones behind their set-points, the same for all in a motion
 
@@ -58,7 +58,7 @@ def by_origin(counts: Mapping[str, int]) -> dict[str, int]:
 
 
 def waypoint_shares(counts: Mapping[str, int]) -> dict[str, float]:
-    """Waypoints by origin as shares of all; zeros where none was flown."""
+    """Waypoints by origin as shares of all; zeros if none was flown."""
     total = max(1, sum(counts.values()))
     return {origin: count / total for origin, count in counts.items()}
 
@@ -79,10 +79,10 @@ class Summary:
         shield: whether the safety shield was on.
         models: the language models, each once.
         simulated: whether any of them was a simulated stand-in.
-        stopped: why the run ended: formed, rounds, budget, no_plan (nobody has a plan, and all models were refused
+        stopped: why the run ended: formed, rounds, budget, no_plan (no robot has a plan, and all models were refused
             until they are no longer asked), no_answers (the same, or three rounds on end without circuit breakers, and
             every model call failed), interrupted or failed.
-        reason: the commonest or last failure, in words, where the run ended by no_plan, no_answers or failed.
+        reason: the commonest or last failure as text, if the run ended by no_plan, no_answers or failed.
         rounds: motion rounds flown.
         formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
             most 0.1 spacing, held for 3 rounds. Unless `rounds` was given, the run ends 3 * lower_bound_rounds + 20
@@ -120,7 +120,7 @@ class Summary:
         breakers_opened: robots whose circuit breaker was open at any time, so that geometry answered for their model.
         messages_sent: broadcasts.
         bytes_per_robot_round: bytes broadcast per robot and round.
-        messages_rejected: messages refused on receipt, by reason.
+        messages_rejected: messages rejected on receipt, by reason.
         wall_s: duration of the run [s].
         record: path of the record, None with the record off.
         killed: robots that died, and in which round: `3@12`.
@@ -202,7 +202,7 @@ class RunResult:
         plans: each robot's plan at the end.
         slots: each robot's slot in its plan.
         trace: missions, plans, states and figures of every round; None if the run did not keep them.
-        unrepeatable: what the configuration alone cannot repeat, in sentences.
+        unrepeatable: sentences on parts of the run that the configuration alone cannot repeat.
 
     A notebook shows it as a picture and a table.
     """
@@ -223,7 +223,7 @@ class RunResult:
         return self.summary.formed
 
     def record(self) -> RunRecord:
-        """The run as a record in memory, for figures of one's own: without conversations, events and versions.
+        """The run as a record in memory, for own figures; it has no conversations, events and versions.
 
         Raises:
             InputError: the run has kept no trace.
@@ -262,7 +262,7 @@ class RunResult:
 def trace_record(
     config: RunConfig, trace: Iterable[Entry], summary: Summary | None = None, unrepeatable: Sequence[str] = ()
 ) -> RunRecord:
-    """A record in memory of the entries that a run has kept; without a summary, it is still under way."""
+    """A record in memory of a run's trace. Without a summary, the run is still under way."""
     from llm_flock.record._reader import gather_record
 
     about = RunInfo(

@@ -1,4 +1,4 @@
-"""How a swarm or a flight appears in ROS 2: router, names, frame, units, and what it takes from there."""
+"""The settings of the bridge to ROS 2: router, names, frame, units, and accepted input."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROBOT = "{id}"
 
 
 def is_endpoint(text: str) -> bool:
-    """Whether a text has the form of a zenoh endpoint: PROTOCOL/ADDRESS, with a port where the protocol has ports."""
+    """Whether a text has the form of a zenoh endpoint: PROTOCOL/ADDRESS, with a port if the protocol has ports."""
     protocol, slash, address = text.partition("/")
     if protocol not in ("tcp", "udp", "tls", "quic", "ws"):
         return bool(slash and address and re.fullmatch(r"[a-z][a-z0-9-]*", protocol))
@@ -103,7 +103,7 @@ class Ros2Config(ConfigSection):
 
 
 def refuse_ros2(flags: Mapping[str, Any], says: str) -> None:
-    """Refuse typed flags of ROS 2. What a file says about ROS 2 may stay there."""
+    """Refuse typed flags of ROS 2. Settings of ROS 2 in a file are ignored."""
     for field in Ros2Config.model_fields:
         if flags.get(field) is not None:
             raise InputError(field, flags[field], says=says)

@@ -1,4 +1,4 @@
-"""The agents of a team, and which of them are awake: some have died, some have not begun yet."""
+"""The agents of a team. Those that have died, or have not begun yet, are not awake."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from llm_flock.simulate import Bodies
 
 
 def load_solvers() -> None:
-    """Import what agents compute with now: half a second of waiting in flight would make them miss deadlines."""
+    """Import the solvers of agents: half a second of waiting in flight would make them miss deadlines."""
     for name in ("scipy.optimize", "scipy.sparse.csgraph", "scipy.spatial"):
         importlib.import_module(name)
 
 
 def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None = None) -> Parts:
-    """What one robot of a team without keys is made of; call once for each agent, as parts keep state.
+    """The parts of one robot in a team without keys. Call once for each agent, as parts keep state.
 
-    Bodies pass each other if they are `apart` [units], the safe distance if not given.
+    Bodies that are `apart` pass each other, by default the safe distance [units].
     """
     protocol, mission = config.protocol, config.mission
     any_size = protocol.gaps == "replan"
@@ -44,7 +44,7 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
 
 
 def make_agent(config: RunConfig, robot: int, parts: Parts, *, own_clock: bool = False) -> Agent:
-    """A new agent of these parts; heartbeats come from lockstep rounds, or from its robot's `own_clock`."""
+    """A new agent. Its heartbeats follow lockstep rounds, or the robot's `own_clock`."""
     if own_clock:
         load_solvers()
     return Agent(

@@ -47,12 +47,12 @@ PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 
 
 def consensus_rule(name: str | ConsensusRule) -> ConsensusRule:
-    """The consensus rule of this name, or this object itself; `InputError` for what is none."""
+    """The consensus rule of this name, or this object itself. InputError if it is no such rule."""
     return _rule("consensus", name, CONSENSUS, ("choose",))
 
 
 def assignment_rule(name: str | AssignmentRule) -> AssignmentRule:
-    """The assignment rule of this name, or this object itself; `InputError` for what is none."""
+    """The assignment rule of this name, or this object itself. InputError if it is no such rule."""
     return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 
@@ -64,7 +64,7 @@ def are_the_papers(rules: Rules) -> bool:
 
 
 def own_rules(rules: Rules) -> list[str]:
-    """Which of these rules a record cannot repeat, because they are code of the user's own, in sentences."""
+    """Sentences on rules that a record cannot repeat, because they are user code."""
     ours = "llm_flock.protocol._agreement."
     return [
         f"The rule {type(rule).__module__}:{type(rule).__qualname__} is code of the user's own, of which only the name "
@@ -92,12 +92,12 @@ def _rule(
         elif ":" not in name:
             raise InputError(field, name, says=unknown("rule", name, (*known, *installed, "package.module:Class")))
         else:
-            from llm_flock.own_code import load_own
+            from llm_flock.user_code import load_own
 
             allowed = "package.module:Class that can be imported"
-            found = load_own(field, name, allowed)
+            rule_class = load_own(field, name, allowed)
             try:
-                rule = found()
+                rule = rule_class()
             except (AttributeError, TypeError, ValueError) as error:
                 raise InputError(field, name, f"{allowed} ({error})") from error
     complete = isinstance(getattr(rule, "name", None), str) and all(callable(getattr(rule, m, None)) for m in methods)

@@ -19,7 +19,7 @@ from llm_flock.mission import Coordinate, Mission
 
 
 class Stream(IntEnum):
-    """What a stream is for; the numbers are part of reproducibility and never change."""
+    """The purpose of a stream of random numbers. Runs depend on these values, which never change."""
 
     START = 0
     LINKS = 1
@@ -30,7 +30,7 @@ class Stream(IntEnum):
 
 
 def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:
-    """The generator for one purpose, and one robot where each has its own."""
+    """The generator for one purpose, and for one robot if each has its own."""
     return np.random.default_rng(np.random.SeedSequence([seed, int(purpose), robot]))
 
 
@@ -94,7 +94,7 @@ class TrialConfig(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Schedule:
-    """Events at the start of rounds: by round, the robots that die or join, and who is given which mission."""
+    """Events at the start of rounds: by round, the robots that die or join, and the missions given."""
 
     asleep: frozenset[int]  # robots that are not awake at the start of the run
     kills: Mapping[int, tuple[int, ...]]
@@ -158,10 +158,10 @@ def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Tur
 
 
 def _by_round(turns: Sequence[Turn]) -> dict[int, tuple[int, ...]]:
-    found: defaultdict[int, tuple[int, ...]] = defaultdict(tuple)
+    robots: defaultdict[int, tuple[int, ...]] = defaultdict(tuple)
     for robot, when in sorted(turns):
-        found[when] += (robot,)
-    return dict(found)
+        robots[when] += (robot,)
+    return dict(robots)
 
 
 def _events(
@@ -174,13 +174,13 @@ def _events(
     for robot, when in joined:
         events[robot].append((when, "join"))
     steps: defaultdict[int, int] = defaultdict(int)
-    for robot, found in events.items():
-        found.sort()
-        for (when, field), (later, other) in itertools.pairwise(found):
+    for robot, turns in events.items():
+        turns.sort()
+        for (when, field), (later, other) in itertools.pairwise(turns):
             if when == later or field == other:
-                said = "a robot that was killed before" if other == "join" else "a robot that is awake"
-                raise InputError(other, f"{robot}@{later}", f"{said}, in a later round than round {when}")
-        for when, field in found:
+                allowed = "a robot that was killed before" if other == "join" else "a robot that is awake"
+                raise InputError(other, f"{robot}@{later}", f"{allowed}, in a later round than round {when}")
+        for when, field in turns:
             steps[when] += 1 if field == "join" else -1
     first = n_robots - len(_asleep(events))
     if min(itertools.accumulate((steps[when] for when in sorted(steps)), initial=first)) < 1:
@@ -191,14 +191,14 @@ def _events(
 
 def _asleep(events: Mapping[int, Sequence[tuple[int, str]]]) -> frozenset[int]:
     """Robots whose first event is to join."""
-    return frozenset(robot for robot, found in events.items() if found[0][1] == "join")
+    return frozenset(robot for robot, turns in events.items() if turns[0][1] == "join")
 
 
 def _missions(
     mission: Mission, changes: Sequence[Change], awake: Callable[[int, int], bool], rounds: int
 ) -> dict[int, tuple[tuple[int, Mission], ...]]:
-    """The mission of each change, made from the one before as it is in that round."""
-    found: dict[int, tuple[tuple[int, Mission], ...]] = {}
+    """The mission of each change, derived from the one in force in that round."""
+    missions: dict[int, tuple[tuple[int, Mission], ...]] = {}
     for change in sorted(changes, key=lambda change: change.round):
         when, robot = change.round, change.robot
         value = change.model_dump()
@@ -221,8 +221,8 @@ def _missions(
             if field not in MISSION_FIELDS and getattr(new, field) != getattr(mission, field):
                 allowed = f"only fields that a robot accepts by radio ({', '.join(sorted(MISSION_FIELDS - {'since'}))})"
                 raise InputError("changes", value, f"{allowed}, not {field}")
-        found[when], mission = (*found.get(when, ()), (robot, new)), new
-    return found
+        missions[when], mission = (*missions.get(when, ()), (robot, new)), new
+    return missions
 
 
 def points_file(shape: str) -> Path:

@@ -58,7 +58,7 @@ class TrialProgress:
 
     @classmethod
     def of(cls, row: MetricsRow, *, rounds: int, n_robots: int) -> Self:
-        """The figures of a round, in a team of this many robots that flies at most so many `rounds`, 0 if not known."""
+        """The figures of a round, in a team of `n_robots` that flies at most `rounds` rounds, 0 if unknown."""
         return cls(
             round=row.round,
             rounds=rounds,
@@ -100,7 +100,7 @@ class Trial:
         self.bodies = bodies
         self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
         self.journal = journal
-        journal.mission_given(config.mission, 0, start)
+        journal.begin_mission(config.mission, 0, start)
         self.round = 0
         self.stopped = "rounds"
         self.reason: str | None = None
@@ -111,14 +111,14 @@ class Trial:
 
     @property
     def rounds(self) -> int:
-        """The last round of this run as things stand: as configured, or else the team's deadline."""
+        """The last round of this run: as configured, or else the team's present deadline."""
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
-        after = self._noticed if self.schedule.last <= self.round else self.schedule.last
+        after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
         return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
 
     async def run(self) -> None:
-        """Fly rounds until the formation is held, rounds or budget are used up, or no model is of any use any more."""
+        """Fly rounds until the formation is held, rounds or budget are used up, or no model gives usable answers."""
         self.begin()
         try:
             while self.round < self.rounds:
@@ -132,9 +132,9 @@ class Trial:
             self.stopped = "interrupted"
             raise
         except Exception as error:
-            from llm_flock.own_code import shown
+            from llm_flock.user_code import describe_exception
 
-            self.stopped, self.reason = "failed", shown(error)
+            self.stopped, self.reason = "failed", describe_exception(error)
             raise
         finally:
             for agent in self.roster.agents:
@@ -146,8 +146,8 @@ class Trial:
             self.journal.end_round(0, self.bodies, self.roster, None, self.transport.traffic)
 
     def find_end(self) -> bool:
-        """Whether the run is over before its last round: formed, out of budget, or of no hope. Call after a round."""
-        if self._done:
+        """Whether the run ends before its last round: formed, out of budget, or hopeless. Call after a round."""
+        if self._is_done:
             self.stopped = "formed"
         elif self.planners.exhausted:
             self.stopped = "budget"
@@ -156,25 +156,25 @@ class Trial:
         return True
 
     def _find_hopeless(self) -> bool:
-        """Whether the run cannot succeed any more, and why: nobody has a plan, and no model gives one."""
+        """Whether the run can no longer succeed: no robot has a plan, and no model gives one. Sets the reason."""
         if self.config.protocol.fallback == "hold":
             silent = self.journal.silent_rounds >= 3  # every call failed
             if silent:
                 self.stopped, self.reason = "no_answers", self.journal.last_failure
             return silent
         failures = [agent.hopeless for agent in self.roster.awake_agents()]
-        found = [failure for failure in failures if failure is not None]
-        if self.schedule.last > self.round or len(found) < len(failures) or not found:
+        hopeless = [failure for failure in failures if failure is not None]
+        if self.schedule.last > self.round or len(hopeless) < len(failures) or not hopeless:
             return False
-        answered = any(failure.cause in ("answer", "unverified", "slow") for failure in found)
+        answered = any(failure.cause in ("answer", "unverified", "slow") for failure in hopeless)
         self.stopped = "no_plan" if answered else "no_answers"
-        count, reason = commonest([failure.reason for failure in found])
-        self.reason = f"{count} of {len(found)} robots: {reason}"
+        count, reason = commonest([failure.reason for failure in hopeless])
+        self.reason = f"{count} of {len(hopeless)} robots: {reason}"
         return True
 
     @property
-    def _noticed(self) -> int:
-        """The round by which the other robots have noticed the last death, and searched for the missing robot."""
+    def _notice_round(self) -> int:
+        """The round by which others have noticed the last death, and searched for the dead robot."""
         kills = self.schedule.kills
         if not kills:
             return 0
@@ -185,14 +185,14 @@ class Trial:
         return max(kills) + time_out + rounds_to_look
 
     @property
-    def _done(self) -> bool:
-        """Whether the formation is held, and the schedule has nothing left for it."""
+    def _is_done(self) -> bool:
+        """Whether the formation is held, and no event is left in the schedule."""
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
-        return tracker.in_order and self.round >= self._noticed
+        return tracker.in_order and self.round >= self._notice_round
 
-    def _let_happen(self, number: int) -> None:
+    def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""
         journal, roster, schedule = self.journal, self.roster, self.schedule
         killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
@@ -206,8 +206,8 @@ class Trial:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
-            journal.mission_given(mission, number - 1, self.bodies.positions)
-            self._tell(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
+            journal.begin_mission(mission, number - 1, self.bodies.positions)
+            self._send(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
 
     async def _fly_round(self, number: int) -> None:
         questions = self.plan_questions(number)
@@ -225,21 +225,21 @@ class Trial:
         self.end_round(number, moves)
 
     def plan_questions(self, number: int) -> dict[int, PlanQuestion]:
-        """Begin a round: its schedule happens, all robots sense, and those without a plan ask for one."""
-        self._let_happen(number)
+        """Begin a round: carry out its schedule, let robots sense, and return the questions of those without a plan."""
+        self._carry_out_schedule(number)
         asking: dict[int, PlanQuestion] = {}
-        everybody = self.config.model.observe == "all"
+        observe_all = self.config.model.observe == "all"
         for robot in self.roster.awake:
-            seen = self.bodies.readings.sense(robot)
-            observed = self.bodies.readings.others(robot) if everybody else tuple(seen.sensed.values())
-            began = events.RoundBegan(
+            sensing = self.bodies.readings.sense(robot)
+            observed = self.bodies.readings.others(robot) if observe_all else tuple(sensing.sensed.values())
+            event = events.RoundBegan(
                 round=number,
-                position=seen.position,
+                position=sensing.position,
                 degree=len(self.roster.hears(self.bodies, robot)),
-                sensed=seen.sensed,
+                sensed=sensing.sensed,
                 observed=observed,
             )
-            for effect in self._tell(robot, began):
+            for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):
                     asking[robot] = effect.question
         return asking
@@ -247,7 +247,7 @@ class Trial:
     def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:
         """Give the robots that asked their answers; then all robots exchange messages."""
         for robot, answer in answers.items():
-            self._tell(robot, events.Planned(answer))
+            self._send(robot, events.Planned(answer))
         for comm_round in range(self.config.protocol.comm_rounds or 1):
             self._exchange(comm_round)
 
@@ -255,21 +255,21 @@ class Trial:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
         awake, listening = self.roster.awake, set(self.roster.awake)
         for robot in awake:
-            for effect in self._tell(robot, events.CommRoundBegan(), comm_round):
+            for effect in self._send(robot, events.CommRoundBegan(), comm_round):
                 if isinstance(effect, Broadcast):
                     self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
         for robot, payload in self.transport.deliver():
             if robot in listening:  # a message may arrive after its receiver has died
-                self._tell(robot, events.Received(payload), comm_round)
+                self._send(robot, events.Received(payload), comm_round)
         for robot in awake:
-            self._tell(robot, events.CommRoundEnded(), comm_round)
+            self._send(robot, events.CommRoundEnded(), comm_round)
 
     def step_questions(self) -> dict[int, StepQuestion]:
-        """End the exchange: robots with a goal ask for a waypoint, those that need none decide by themselves."""
+        """End the exchange of messages. Returns the questions for waypoints; other robots decide by themselves."""
         asking: dict[int, StepQuestion] = {}
         self._moves.clear()
         for robot in self.roster.awake:
-            for effect in self._tell(robot, events.AgreementEnded()):
+            for effect in self._send(robot, events.AgreementEnded()):
                 if isinstance(effect, AskStep):
                     asking[robot] = effect.question
                 elif isinstance(effect, MoveTo):
@@ -279,13 +279,13 @@ class Trial:
     def take_steps(self, answers: Mapping[int, StepAnswer | NoAnswer]) -> dict[int, MoveTo]:
         """Give the robots that asked their answers; returns the move of each robot that is awake."""
         for robot, answer in answers.items():
-            for effect in self._tell(robot, events.Decided(answer)):
+            for effect in self._send(robot, events.Decided(answer)):
                 if isinstance(effect, MoveTo):
                     self._moves[robot] = effect
         return dict(sorted(self._moves.items()))
 
     def displacements(self, moves: Mapping[int, MoveTo]) -> Points:
-        """How each body moves, shape (n, d) [units]: from where its robot believed it was; silent robots stay."""
+        """The displacement of each body from its believed position, shape (n, d) [units]; zero for silent robots."""
         displacements: Points = np.zeros_like(self.bodies.positions)
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
@@ -294,12 +294,12 @@ class Trial:
     def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:
         """Tell the robots that they have arrived, and record the round. Call when the bodies have moved."""
         for robot in self.roster.awake:
-            self._tell(robot, events.Arrived())
+            self._send(robot, events.Arrived())
         self.journal.end_round(number, self.bodies, self.roster, moves, self.transport.traffic)
         self.round = number
 
-    def _tell(self, robot: int, event: Event, comm_round: int | None = None) -> list[Effect]:
-        """Give a robot's mind an event of the next round; record the notes among its effects, and return the rest."""
+    def _send(self, robot: int, event: Event, comm_round: int | None = None) -> list[Effect]:
+        """Give a robot's agent an event of the next round. Records notes among its effects, and returns the others."""
         effects = self.roster.agents[robot].handle(event)
         if not effects:
             return effects
@@ -308,7 +308,7 @@ class Trial:
                 self.journal.note(self.round + 1, comm_round, robot, effect)
                 if effect.kind == "proposed":
                     by = self.planners.model_of(robot) if effect.detail["by"] == "model" else "geometry"
-                    self.journal.proposed(self.round + 1, self.roster.agents[robot], by)
+                    self.journal.record_proposal(self.round + 1, self.roster.agents[robot], by)
         return [effect for effect in effects if not isinstance(effect, Note)]
 
     def _report(self) -> None:
@@ -318,14 +318,14 @@ class Trial:
 
 
 def commonest(reasons: Sequence[str]) -> tuple[int, str]:
-    """How often the commonest of these reasons was given, and its first wording; numbers make no difference."""
+    """The count of the commonest reason, and its first wording; reasons that differ in numbers only are the same."""
     kinds = [re.sub(r"[0-9.]+", "0", reason) for reason in reasons]
     kind, count = Counter(kinds).most_common(1)[0]
     return count, reasons[kinds.index(kind)]
 
 
 async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
-    """Await everybody's answer at once, by robot. The first error of a planner is raised, and cancels the others."""
+    """Await the answers of all robots at once. The first error of a planner is raised, and cancels the others."""
     if not asking:
         return {}
     try:

@@ -30,7 +30,7 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
 
     Args:
         shape: as on the command line: `circle`, `polygon:5`, `points:my-shape.csv`.
-        sizes: team sizes; the shape's own examples if left out. Points say themselves how many they are.
+        sizes: team sizes; the shape's own examples if left out. Points have one size.
         fly: whether to fly a mission with each size.
     """
     custom = shape.startswith("points:")
@@ -56,10 +56,10 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
 
 
 def check_prompts(folder: Path | str) -> None:
-    """Check that a folder of templates tells a model everything that it needs.
+    """Check that a folder of templates gives a model all that it needs.
 
-    The templates compile and use known variables; in both answer formats the numbers of the mission are in what a
-    model is told, the plan message has the robot's id, the position update has position, neighbours, plan and goal,
+    The templates compile and use known variables; in both answer formats the prompts hold the numbers of the
+    mission, the plan message has the robot's id, the position update has position, neighbours, plan and goal,
     and the reason of a rejected answer goes back.
     """
     for json in (False, True):
@@ -74,12 +74,12 @@ def check_prompts(folder: Path | str) -> None:
         position, neighbor = (12.625, 88.375), (17.125, 90.875)
         asked = PlanQuestion(round=1, robot=5, mission=mission, position=position, neighbors=(neighbor,))
         plan = Plan.of([[round(x, 3) for x in row] for row in mission.ideal])
-        told = prompts.system(mission) + prompts.plan(asked)
+        texts = prompts.system(mission) + prompts.plan(asked)
         for name in ("n_robots", "spacing", "safe_distance", "max_step"):
-            _expect(told, number_text(float(getattr(mission, name))), f"{name} of the mission", "plan")
+            _expect(texts, number_text(float(getattr(mission, name))), f"{name} of the mission", "plan")
         for value in mission.center:
-            _expect(told, number_text(value), "the centre", "plan")
-        _expect(told, formations.describe(mission.shape), "the shape", "plan")
+            _expect(texts, number_text(value), "the centre", "plan")
+        _expect(texts, formations.describe(mission.shape), "the shape", "plan")
         _expect(prompts.plan(asked), "5", "the robot's own id", "plan")
         step = StepQuestion(
             round=2, robot=5, mission=mission, position=position, neighbors=(neighbor,), plan=plan, slot=3
@@ -124,10 +124,10 @@ def _sizes(shape: str, sizes: Iterable[int]) -> list[int | None]:
     if chosen or shape.startswith("points:"):
         return chosen or [None]
     name = shape.partition(":")[0]
-    found = next((info for info in formations.shapes() if info.name.partition(":")[0] == name), None)
-    assert found is not None, f"there is no shape {name!r}: add it to llm_flock.shapes"
-    assert found.description and found.legal, f"{name} says in no words what it is, or which sizes it takes"
-    return list(found.examples)
+    info = next((one for one in formations.shapes() if one.name.partition(":")[0] == name), None)
+    assert info is not None, f"there is no shape {name!r}: add it to llm_flock.shapes"
+    assert info.description and info.legal, f"{name} says in no words what it is, or which sizes it takes"
+    return list(info.examples)
 
 
 def _check_distances(shape: str, mission: Mission, points: np.ndarray[Any, Any], *, custom: bool) -> None:

@@ -61,7 +61,7 @@ async def check_robot(
     finally:
         await robot.close()
     await robot.close()
-    await _refused(robot, "after close")
+    await _check_refusal(robot, "after close")
 
 
 async def check_emergency_stop(robot: Robot, *, height_m: float = 0.4, patience_s: float = PATIENCE_S) -> None:
@@ -94,12 +94,12 @@ async def _check_unconnected(robot: Robot) -> None:
         named = error.name
     assert named is not None, "state() of a robot that was never connected has to raise RobotError"
     assert named == robot.name, "an error names its robot"
-    await _refused(robot, "before connect")
+    await _check_refusal(robot, "before connect")
     assert await robot.stop_motors() is False, "an emergency stop without a link is not confirmed"
     await robot.close()
 
 
-async def _refused(robot: Robot, when: str) -> None:
+async def _check_refusal(robot: Robot, when: str) -> None:
     try:
         await robot.go_to((0.0, 0.0, 1.0), 1.0)
     except RobotError:
@@ -115,7 +115,7 @@ async def _check_flight(
     _check_state(first)
     await wait_until(lambda: robot.state().stamp_s > first.stamp_s, 1.0, "states advance")
     assert not first.flying, "a robot on the ground is not flying"
-    await _refused(robot, "on the ground")
+    await _check_refusal(robot, "on the ground")
     await robot.arm()
     await wait_until(lambda: robot.state().armed, patience_s, "an armed robot says so")
 

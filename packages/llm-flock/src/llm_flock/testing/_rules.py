@@ -36,7 +36,7 @@ def check_consensus_rule(rule: ConsensusRule, *, trials: int = 200, seed: int = 
     """Check that a consensus rule keeps the contract of `ConsensusRule`.
 
     A name; no choice among nothing; only messages that were heard and carry a plan are chosen; the same arguments
-    give the same choice, in whatever order the messages are; choosing settles (hearing the chosen message alone
+    give the same choice, in any order of the messages; choosing settles (hearing the chosen message alone
     again changes nothing more).
     """
     assert isinstance(name := getattr(rule, "name", None), str) and name, "a rule has a name"
@@ -99,7 +99,7 @@ def _check_team(rule: AssignmentRule, n: int, rng: np.random.Generator) -> None:
         idle = rule.update(claim, moment(i, []))
         assert idle.slot == claim.slot, f"{rule.name} changes its claim without hearing anything"
     for _ in range(10 * n + 10):
-        spoken = [_spoken(i, plan, claims[i], n) for i in range(n)]
+        spoken = [_message_of(i, plan, claims[i], n) for i in range(n)]
         before = [(c.slot, c.table, c.offer) for c in claims]
         claims = [rule.update(claims[i], moment(i, [m for m in spoken if m.sender != i])) for i in range(n)]
         for claim in claims:
@@ -113,7 +113,7 @@ def _check_claim(rule: AssignmentRule, claim: Claim, plan: Plan) -> None:
     assert claim.slot is None or 0 <= claim.slot < len(plan), f"{rule.name} claims slot {claim.slot} of {len(plan)}"
 
 
-def _spoken(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
+def _message_of(robot: int, plan: Plan, claim: Claim, n: int) -> Message:
     """The claim as others hear it, through the wire format."""
     table = claim.table
     message = Message(

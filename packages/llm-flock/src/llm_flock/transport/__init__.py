@@ -1,4 +1,4 @@
-"""How messages travel between robots."""
+"""Transport of messages between robots."""
 
 import lazy_loader
 

@@ -1,7 +1,7 @@
-"""Enforces the ranges of radio and sensors: the only place that does, as a network of processes reaches every robot.
+"""Enforces the ranges of radio and sensors. Nothing else does: a network of processes reaches every robot.
 
-A real radio replaces `Radio.carries`, and real sensors replace `Radio.frame`. Sensors decide, beacons help: what a body
-says counts only while the sensors could not have seen it.
+A real radio replaces `Radio.carries`, and real sensors replace `Radio.frame`. Sensors take precedence: a beacon counts
+only while the sensors could not have seen the body.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Seen:
 
 
 class Radio:
-    """What one robot receives and senses of the others, within the ranges of the mission.
+    """The messages and sensor readings of one robot, within the ranges of the mission.
 
     Faults are injected by `rng`, their `delay` in units of `delay_s`. `clock_error_s` is the largest difference between
     two wall clocks of the swarm, `speed` the largest of a body [units/s]. `contradicted` counts beacons that the
@@ -76,7 +76,7 @@ class Radio:
     def deliver(
         self, sender: int, hand_over: Callable[[], None], later: Callable[[float, Callable[[], None]], object]
     ) -> None:
-        """Hand a message over if the radio carries it, with the injected faults: not at all, twice, or `later`."""
+        """Hand a message over if the radio carries it. Injected faults drop it, repeat it, or hand it over `later`."""
         faults, rng = self._faults, self._rng
         if not self.carries(sender):
             return
@@ -93,7 +93,7 @@ class Radio:
                 hand_over()
 
     def place(self, sender: int, beacon: Seen) -> None:
-        """Place a sender, for `carries` only: a robot out of its range learns nothing from this."""
+        """Set a sender's position, for `carries` only: the robot itself does not learn it."""
         self._beacons[sender] = beacon
 
     def beacon(self, sender: int, beacon: Seen) -> None:
@@ -101,21 +101,21 @@ class Radio:
         known = self._heard.get(sender)
         if known is None or beacon.stamp > known.stamp:
             self._heard[sender] = beacon
-            self.contradicted += self._refuted(sender, beacon)
+            self.contradicted += self._refutes(sender, beacon)
 
-    def _refuted(self, sender: int, beacon: Seen) -> bool:
-        """Whether a body cannot be where its beacon says, by the last reading of the sensors."""
+    def _refutes(self, sender: int, beacon: Seen) -> bool:
+        """Whether the last reading of the sensors disproves the position in a beacon."""
         if self.position is None:
             return False
         # An honest beacon holds the position of a reading that may be as old as a beacon period.
         flown = self._speed * (abs(beacon.stamp - self._read_s) + self._fresh_s / FRESH_BEACONS + self._clock_error_s)
-        seen = self._sensed.get(sender)
-        if seen is not None:
-            return math.dist(seen.position, beacon.position) > flown
+        sighting = self._sensed.get(sender)
+        if sighting is not None:
+            return math.dist(sighting.position, beacon.position) > flown
         return math.dist(self.position, beacon.position) < self._sight - flown
 
     def frame(self, stamp: float, positions: Sequence[Point]) -> None:
-        """Take the sensors' reading: the own position, and the bodies within sensing range; the rest is ignored."""
+        """Take a reading of the sensors: the own position, and those of bodies within sensing range."""
         here = self.position = positions[self._robot]
         self._read_s = stamp
         for j, there in enumerate(positions):
@@ -137,16 +137,15 @@ class Radio:
         return {j: self._sensed[j].position for j in sorted(self._sensed)}
 
     def sightings(self, now: float) -> list[Sighting]:
-        """Every body that may be near, where it was and how long ago, for the shield.
+        """Last known positions of all bodies that may be near, with their ages, for the shield.
 
-        A body in sight is where the sensors saw it. One out of sight is where it has said since the last reading,
-        unless the sensors would have seen it there. Nothing is known of the others but that they were out of sight
-        `unseen_s` ago.
+        A body in sight is where the sensors saw it. For one out of sight, a beacon since the last reading counts,
+        unless the sensors would have seen the body there. All others were out of sight `unseen_s` ago.
         """
         heard = (
             seen
             for j, seen in self._heard.items()
-            if j not in self._sensed and seen.stamp >= self._read_s and not self._refuted(j, seen)
+            if j not in self._sensed and seen.stamp >= self._read_s and not self._refutes(j, seen)
         )
         return [
             Sighting(position=seen.position, age_s=max(0.0, now - seen.stamp) + self._clock_error_s)
@@ -154,9 +153,9 @@ class Radio:
         ]
 
     def forget_beacons(self) -> None:
-        """Forget what others have said about themselves."""
+        """Forget the beacons of other robots."""
         self._heard.clear()
 
     def unseen_s(self, now: float) -> float:
-        """Age of the last reading: a body that is not among the sightings was out of sight then [s]."""
+        """Age of the last reading [s]: bodies that are not among the sightings were out of sight then."""
         return max(0.0, now - self._read_s) + self._clock_error_s

@@ -12,7 +12,7 @@ from safe_team import SAFE, SafeTeam
 
 from llm_flock.arrays import Point
 from llm_flock.events import MoveTo, Note, Origin
-from llm_flock.message import HIGHEST, Course
+from llm_flock.message import MAX_LEVEL, Course
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol._motion.leg import Leg, leg_to
@@ -58,10 +58,10 @@ def test_level_rises_ever_slower_at_a_stand_and_falls_at_goal() -> None:
     waited = right.waited
     right.count(GOAL, 20.0, 0.5)
     assert right.waited == waited and not right.stalled, "progress, but not there yet"
-    for _ in range(RISES * 2**HIGHEST):
+    for _ in range(RISES * 2**MAX_LEVEL):
         right.count(GOAL, 20.0, 0.5)
     right.ask([GOAL])
-    assert right.course is not None and right.course.level == HIGHEST and right.stalled
+    assert right.course is not None and right.course.level == MAX_LEVEL and right.stalled
     right.count(GOAL, 0.4, 0.5)
     right.ask([GOAL])
     assert right.course is not None and right.course.level == 0 and right.waited == 0
@@ -346,7 +346,7 @@ def test_whatever_is_claimed_the_cells_keep_the_distance(seed: int) -> None:
         lies = {
             int(j): course(
                 *(tuple(rng.uniform(0, 100, 2).tolist()) for _ in range(rng.integers(1, 4))),
-                level=int(rng.integers(0, HIGHEST + 1)),
+                level=int(rng.integers(0, MAX_LEVEL + 1)),
                 of=int(rng.integers(0, 9)),
             )
             for j in rng.choice(9, 4, replace=False)

@@ -1,4 +1,4 @@
-"""One robot's part in the agreement: which mission is in force, which plan it follows, and which slot it claims."""
+"""One robot's part in the agreement: the mission in force, the plan that it follows, and the slot that it claims."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from llm_flock.protocol._parts import Parts, Situation
 
 
 class Agreement(Situation):
-    """The decisions of one robot about mission, plan and claim; the places of a plan stand still in its frame."""
+    """The decisions of one robot about mission, plan and claim, in the mission's frame, where places stand still."""
 
     def __init__(self, robot: int, mission: Mission, parts: Parts) -> None:
         super().__init__(mission)
@@ -59,7 +59,7 @@ class Agreement(Situation):
         return self._membership.still(self)
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
-        """Pursue another mission: plan and claim of the one before are void."""
+        """Begin another mission, which makes the present plan and claim void."""
         self.mission, self.stamp = mission, stamp
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
@@ -76,14 +76,14 @@ class Agreement(Situation):
         return 0 if self.provenance is None else min(self.provenance.epoch + 1, MAX_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
-        """Whether it may propose a plan of this size now: once in an epoch, in the last only one with more places."""
+        """Whether it may propose a plan of this size: once in an epoch, and in the last one only with more places."""
         if self._robot in self._void or self._next_epoch <= self._last_epoch:
             return False
         last = self.provenance is not None and self.provenance.epoch == MAX_EPOCHS
         return not last or self.plan is None or places > len(self.plan)
 
     def propose(self, answer: PlanAnswer, by: Literal["model", "geometry"]) -> list[Note]:
-        """Follow a plan of one's own, if it may propose one; the provenance keeps the influence of this moment."""
+        """Follow an own plan, if it may propose one. The provenance keeps the influence of this moment."""
         if not self.may_propose(len(answer.plan)):
             return []
         origin = Provenance(
@@ -101,15 +101,15 @@ class Agreement(Situation):
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
 
     def _choose(self, own: Standing, heard: list[Message]) -> Message | None:
-        """What the rule chooses; it may be anybody's code: a FlockError where it fails, or returns anything else."""
+        """The rule's choice. A rule may be user code: raises FlockError if it fails, or returns another type."""
         rule = f"robot {self._robot}: the consensus rule {self._consensus.name!r}"
         try:
             chosen = self._consensus.choose(own, heard)
         except Exception as error:
-            from llm_flock.own_code import shown
+            from llm_flock.user_code import describe_exception
 
             *_, (frame, line) = traceback.walk_tb(error.__traceback__)
-            says = f"failed: {shown(error)} ({frame.f_code.co_filename}, line {line})"
+            says = f"failed: {describe_exception(error)} ({frame.f_code.co_filename}, line {line})"
             raise FlockError(one_line(f"{rule} {says}")) from error
         if chosen is None or (any(chosen is message for message in heard) and chosen.plan is not None):
             return chosen
@@ -117,9 +117,9 @@ class Agreement(Situation):
         raise FlockError(f"{rule} returned {one_line(repr(chosen), MAX_SHOWN)}; expected {allowed}")
 
     def _adopt(self, source: Message, heard: list[Message]) -> list[Note]:
-        """Follow another robot's plan; the same points with another origin leave claim and bids as they are."""
+        """Follow another robot's plan. The same points with another origin leave claim and bids unchanged."""
         plan, origin = source.plan, source.provenance
-        assert plan is not None and origin is not None, "they go together"
+        assert plan is not None and origin is not None, "a message has both or none"
         if plan == self.plan:
             self._remember()
             self.provenance = origin
@@ -129,14 +129,14 @@ class Agreement(Situation):
         return [*notes, Note("adopted", {"plan": plan.digest, "from": source.sender})]
 
     def _remember(self) -> None:
-        """Keep the plan in force, as it stands: of each proposer the last one, in case that later ones are void."""
+        """Remember the last plan of each proposer with the claim on it, in case later plans turn out void."""
         if self.plan is not None and self.provenance is not None:
             self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
 
     def _withdraw(self, plan: Plan, proposer: int) -> Note:
-        """Go on with the highest plan that it has followed and that is not void, as it stood then."""
-        known = [known for robot, known in self._followed.items() if robot not in self._void]
-        self.plan, self.provenance, self.claim = max(known, key=self._key, default=(None, None, Claim(slot=None)))
+        """Return to the highest plan followed so far that is not void, with the claim of that time."""
+        valid = [followed for robot, followed in self._followed.items() if robot not in self._void]
+        self.plan, self.provenance, self.claim = max(valid, key=self._key, default=(None, None, Claim(slot=None)))
         self._membership.begin_plan()
         self.listens = self.plan is None  # to the next exchange: others may have a plan that counts
         after = None if self.plan is None else self.plan.digest
@@ -177,7 +177,7 @@ class Agreement(Situation):
         """Decide on a communication round: consensus first, then the claim, both on the same snapshot.
 
         `heard` has the newest message of each sender, in ascending order of ids; plans of `void` robots do not count.
-        Rules are pure, so they are not asked twice in a row with the same arguments.
+        Rules are pure: they are not called twice in a row with the same arguments.
         """
         self._void, self.listens = void, False
         withdrawn = list[Note]()

@@ -1,4 +1,4 @@
-"""Assignment rules: which slot of the plan to claim, given the own claim and the messages just heard."""
+"""Assignment rules choose the slot of the plan to claim, from the own claim and the messages just heard."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 
     slot: int | None  #: Index of the place, None while the robot has none.
     table: BidTable | None = None  #: Bid table, all claims as far as known (auction only).
-    #: This robot's bid for every slot, fixed when it adopted the plan (auction only).
+    #: The robot's bid for every slot, fixed when it adopted the plan (auction only).
     bids: tuple[float, ...] | None = None
     offer: Offer | None = None  #: The exchange of slots that this robot has offered and is bound to (auction only).
     bound: int = 0  #: Communication rounds for which it stays bound to its offer.
@@ -33,7 +33,7 @@ NONE = frozenset[int]()
 
 
 class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
-    """What a robot can say about the slots of a plan."""
+    """A robot's knowledge of the slots of a plan, from sensors and heartbeats."""
 
     silent: frozenset[int] = NONE  #: Robots whose heartbeats have stopped; their slots are free.
     blocked: frozenset[int] = NONE  #: Slots that no robot can take, because a body that does not move stands there.
@@ -42,29 +42,29 @@ class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that a robot knows when it claims a slot of its plan."""
+    """All knowledge on which a robot claims a slot of its plan."""
 
     robot: int
     position: Point  #: Own believed position [units; frame of the mission].
     plan: Plan
     spacing: float  #: Wanted distance between neighbouring robots [units].
-    chosen: int | None  #: The slot that the robot's own model named, None where the model gave no plan.
+    chosen: int | None  #: The slot that the robot's own model named; None if it gave no plan.
     adopted: bool  #: Whether the plan is another robot's.
     heard: Sequence[Message]  #: The newest message of each robot on the same plan, in ascending order of ids.
     #: Believed positions of the robots within sensing range, by id [units; frame of the mission].
     sensed: Mapping[int, Point]
     mission: MissionStamp = NO_MISSION
     origin: Provenance | None = None  #: Where the plan comes from; None without provenance.
-    roadmap: Roadmap | None = None  #: The ways round obstacles, for lengths; None where straight lines count.
-    occupancy: Occupancy | None = None  #: What sensors and heartbeats say about the slots; None except once a round.
-    #: Where the robots are that are to be assigned jointly; None where that is not known, or not new.
+    roadmap: Roadmap | None = None  #: The ways round obstacles, for lengths; None if straight lines count.
+    occupancy: Occupancy | None = None  #: What is known of the slots; given once a round, else None.
+    #: Positions of the robots to assign jointly; None if they are unknown or not new.
     positions: TeamPositions | None = None
-    granted: BidTable | None = None  #: Entries that enough robots have signed together; None in a team without keys.
-    #: Of several slots of its own the robot keeps the one of highest precedence; None without keys.
+    granted: BidTable | None = None  #: Entries that enough robots have signed; None in a team without keys.
+    #: Precedence of a slot: of several own slots the robot keeps the highest; None without keys.
     precedence: Callable[[int, BidEntry], tuple[int, int]] | None = None
     #: The robot's bid for a slot of a version above 0; None without keys, where it is that of version 0.
     draw: Callable[[int, int], float] | None = None
-    #: Whether this version of a slot was freed by witnesses whom the robot can show; None without keys.
+    #: Whether this version of a slot was freed by witnesses that the robot can name; None without keys.
     freed: Callable[[int, int], bool] | None = None
     exchanges: bool = True  #: Whether the robot may exchange slots.
 
@@ -103,7 +103,7 @@ def _own_choice(now: AssignmentInput) -> int:
 
 @dataclass(frozen=True, slots=True)
 class IndexAssignment:
-    """The model's own choice (paper, line 119), kept whatever others claim; the baseline's rule."""
+    """The model's own choice (paper, line 119), even if others claim the same; the baseline's rule."""
 
     name: str = "index"
 

@@ -37,12 +37,12 @@ def rank(entry: BidEntry) -> tuple[int, bool, float, int]:
 
 
 def merge(mine: BidTable, theirs: BidTable, said: Sequence[int] | None = None) -> BidTable:
-    """Slot by slot the claim of higher rank, of the slots `said` if given; associative, commutative and idempotent."""
+    """For each slot, or those of `said`, the claim of higher rank. Associative, commutative and idempotent."""
     return merged(mine, [(theirs, said)])[0]
 
 
 def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None]]) -> tuple[BidTable, set[int]]:
-    """`merge` with several tables, each with its slots that matter; also returns the slots that changed."""
+    """`merge` with several tables, each with its slots to compare. Also returns the slots that changed."""
     entries, touched = list(mine), set[int]()
     for theirs, said in others:
         if said is None:
@@ -58,7 +58,7 @@ def merged(mine: BidTable, others: Iterable[tuple[BidTable, Sequence[int] | None
 
 
 def changed(table: BidTable, new: Mapping[int, BidEntry]) -> BidTable:
-    """The table with some entries replaced; the same object where there are none."""
+    """The table with some entries replaced; the same object if there are none."""
     if not new:
         return table
     entries = list(table)
@@ -72,8 +72,8 @@ class AuctionAssignment:
     """CBAA with exchanges.
 
     A robot's bid for a slot is minus its distance to it, fixed when it adopts the plan: bids from moving positions
-    could overtake each other for ever. Tables are merged slot by slot; a robot that is outbid claims the best slot it
-    can still win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a
+    could overtake each other without end. Tables are merged slot by slot. A robot that is outbid claims the best slot
+    that it can win. With fixed bids the highest bid of all wins for good, then the highest of the rest, and so on: on a
     connected graph the team ends on distinct slots. The index named by the model is not used: it knows no other robot's
     distance.
 
@@ -100,7 +100,7 @@ class AuctionAssignment:
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
 
     def update(self, claim: Claim, now: AssignmentInput) -> Claim:
-        """Merge the tables heard; keep the slot, exchange it, or claim another one if it was lost."""
+        """Merge the tables heard. Then keep the slot, exchange it, or claim another one if it was lost."""
         table, bids = claim.table, claim.bids
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
@@ -108,11 +108,11 @@ class AuctionAssignment:
             table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap), None)])
             touched |= more
         if now.granted is None:
-            table = with_occupancy(reclaimed(now.robot, claim, table), now.occupancy)
+            table = with_occupancy(reclaim(now.robot, claim, table), now.occupancy)
         else:
             table = merge(table, now.granted)
         offer, bound = claim.offer, claim.bound - 1
-        if offer is not None and (bound <= 0 or _ended(offer, now.robot, table)):
+        if offer is not None and (bound <= 0 or _is_answered(offer, now.robot, table)):
             offer = None
         if table is claim.table and claim.slot is not None:
             slot = claim.slot
@@ -120,16 +120,16 @@ class AuctionAssignment:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = _keep_one(now, table, among)
             if slot is None and offer is None:
-                table, slot = _best_won(now, bids, table, before=claim.slot)
+                table, slot = _claim_best(now, bids, table, before=claim.slot)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
-        claim = _accepted(claim, now) or claim
-        return claim if claim.offer is not None else _offered(claim, now)
+        claim = _accept(claim, now) or claim
+        return claim if claim.offer is not None else _make_offer(claim, now)
 
 
-def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
-    """Take back a slot that others released because they had not heard of this robot for too long."""
+def reclaim(robot: int, claim: Claim, table: BidTable) -> BidTable:
+    """Take back a slot that others released while they heard nothing of this robot."""
     slot = claim.slot
     if slot is None or claim.bids is None or table[slot][2] != NO_OWNER:
         return table
@@ -138,28 +138,28 @@ def reclaimed(robot: int, claim: Claim, table: BidTable) -> BidTable:
     return changed(table, {slot: (table[slot][0] + 1, claim.bids[slot], robot)})
 
 
-def with_occupancy(table: BidTable, seen: Occupancy | None) -> BidTable:
+def with_occupancy(table: BidTable, occupancy: Occupancy | None) -> BidTable:
     """The table with the slots of silent robots free and those under still bodies blocked."""
-    if seen is None or not (seen.silent or seen.blocked or seen.clear):
+    if occupancy is None or not (occupancy.silent or occupancy.blocked or occupancy.clear):
         return table
     new: dict[int, BidEntry] = {}
     for a, (version, _, owner) in enumerate(table):
-        if a in seen.blocked:
+        if a in occupancy.blocked:
             if owner != BLOCKED:
                 new[a] = (version + 1, 0.0, BLOCKED)
-        elif owner in seen.silent or (owner == BLOCKED and a in seen.clear):
+        elif owner in occupancy.silent or (owner == BLOCKED and a in occupancy.clear):
             new[a] = (version + 1, 0.0, NO_OWNER)
     return changed(table, new)
 
 
-def _ended(offer: Offer, robot: int, table: BidTable) -> bool:
-    """Whether an offer was answered or refused: either slot has moved on in the table."""
+def _is_answered(offer: Offer, robot: int, table: BidTable) -> bool:
+    """Whether an offer was accepted or has lapsed: the table has another version or owner of either slot."""
     mine, theirs = table[offer.give], table[offer.take]
     return mine[0] != offer.give_version or mine[2] != robot or theirs[0] != offer.take_version or theirs[2] != offer.to
 
 
 def _keep_one(now: AssignmentInput, table: BidTable, among: Iterable[int]) -> tuple[BidTable, int | None]:
-    """Of slots owned (of `among`), keep that of highest version, bid and lowest index, or of signed precedence."""
+    """Of the robot's slots in `among`, keep the one of highest version, then bid; with keys, of highest precedence."""
     robot, precedence = now.robot, now.precedence
     if precedence is not None:
         every = [a for a, entry in enumerate(table) if entry[2] == robot]
@@ -169,27 +169,27 @@ def _keep_one(now: AssignmentInput, table: BidTable, among: Iterable[int]) -> tu
     return changed(table, {a: (table[a][0] + 1, 0.0, NO_OWNER) for a in owned if a != keep}), keep
 
 
-def _best_won(
+def _claim_best(
     now: AssignmentInput, bids: tuple[float, ...], table: BidTable, before: int | None
 ) -> tuple[BidTable, int | None]:
     """Claim the best slot that can be won, or none; first of all the slot held `before`, if it is free.
 
-    Where witnesses have freed its slot, it stays there, instead of taking another that its owner may return to. With
-    lots drawn, it outbids the owner of a slot that was freed where no other can be had: whoever claims first has no
-    right to it, or liars could keep slots from everybody.
+    Where witnesses have freed its slot, it stays there, instead of taking another that its owner may return to. If
+    bids are drawn by lot and no other slot is left, it outbids the owner of a freed slot: the first to claim it has no
+    right to it, because liars could then keep slots from all others.
     """
     robot, draw, freed = now.robot, now.draw, now.freed
     if before is not None and table[before][2] == NO_OWNER:
         version = table[before][0]
         return changed(table, {before: (version, _bid(now, bids, before, version), robot)}), before
-    for a in _preferred(bids):
+    for a in _by_falling_bid(bids):
         version, bid, owner = table[a]
-        # As `rank` has it, spelled out: this is asked for many slots, and a robot may lose many auctions.
+        # The order of `rank`, spelled out for speed: this runs for many slots.
         if owner == NO_OWNER or (version == 0 and owner != BLOCKED and (bids[a], -robot) > (bid, -owner)):
             return changed(table, {a: (version, _bid(now, bids, a, version), robot)}), a
     if draw is None or freed is None:
         return table, None
-    for a in _preferred(bids):
+    for a in _by_falling_bid(bids):
         version, _, owner = table[a]
         if version > 0 and owner >= 0 and freed(a, version):
             mine = version, draw(a, version), robot
@@ -203,13 +203,13 @@ def _bid(now: AssignmentInput, bids: tuple[float, ...], slot: int, version: int)
 
 
 @lru_cache(maxsize=1024)
-def _preferred(bids: tuple[float, ...]) -> tuple[int, ...]:
+def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
     """Slots by falling bid, those of equal bids by index."""
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """How much an exchange with a robot at `there` lowers the sum of squared ways [units^2], straight or by places."""
+    """Gain of an exchange with a robot at `there`: the fall in the sum of squared ways [units^2]."""
 
     def left(here: Point) -> list[float]:
         if straight:
@@ -221,14 +221,14 @@ def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight
 
 
 def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
-    """The gain of exchanging with a peer on `slot`; minus infinity where the peer is not sensed."""
+    """The gain of an exchange with a peer on `slot`; minus infinity if the peer is not sensed."""
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
     return gain(now, there, claim.slot, slot, straight=flown_straight(claim.table, claim.slot))
 
 
-def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
+def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
     """Accept the best offer heard, if one is good enough and no offer of its own binds this robot."""
     table = claim.table or ()
     good: list[tuple[float, int, Offer]] = []
@@ -236,7 +236,7 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
         offer = message.offer
         if offer is None or offer.to != now.robot or offer.take != claim.slot:
             continue
-        # Two that offer each other the same exchange: the offer of the lower id stands.
+        # If two robots offer each other the same exchange, the offer of the lower id stands.
         crossing = claim.offer is not None and claim.offer.to == message.sender and message.sender < now.robot
         if claim.offer is not None and not crossing:
             continue
@@ -259,7 +259,7 @@ def _accepted(claim: Claim, now: AssignmentInput) -> Claim | None:
     return Claim(slot=offer.give, table=changed(table, exchanged), bids=claim.bids)
 
 
-def _offered(claim: Claim, now: AssignmentInput) -> Claim:
+def _make_offer(claim: Claim, now: AssignmentInput) -> Claim:
     """Offer the best exchange to a neighbour without an offer, if one is good enough."""
     table, slot = claim.table or (), claim.slot
     assert slot is not None and claim.bids is not None

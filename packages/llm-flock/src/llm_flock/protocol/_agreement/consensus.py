@@ -1,4 +1,4 @@
-"""Consensus rules: which plan to follow, given the own plan and the messages just heard."""
+"""Consensus rules choose the plan to follow, from the own plan and the messages just heard."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ConsensusRule(Protocol):
         ...
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
-        """The message whose plan to adopt, or None to keep one's own."""
+        """The message whose plan to adopt, or None to keep the own plan."""
         ...
 
 
@@ -100,7 +100,7 @@ class ProvenanceConsensus:
     name: str = "provenance"
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
-        """Adopt the plan of highest key, if that is higher than one's own."""
+        """Adopt the plan of highest key, if that is higher than the own key."""
         best: Message | None = None
         best_key = (
             None if own.plan is None or own.provenance is None else plan_key(own.plan, own.provenance, own.plan_class)

@@ -18,10 +18,10 @@ from llm_flock.protocol._messages.channel import Channel, Inbound
 from llm_flock.protocol._messages.dissemination import Dissemination
 from llm_flock.protocol._parts import Parts
 
-REMEMBERED_PAYLOADS = 256  # most payloads of a round whose meaning is kept: neighbours repeat themselves
+MAX_REPEATED = 256  # decoded payloads of a round that are kept, as neighbours repeat themselves
 MAX_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
-COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard: messages get lost
-REMEMBERED_REFUSALS = 1024  # most refused plans that are remembered, so that a flood of plans costs bounded memory
+COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard, as messages get lost
+MAX_REJECTED_PLANS = 1024  # that are remembered, so that a flood of plans costs bounded memory
 
 
 class Messaging:
@@ -36,18 +36,18 @@ class Messaging:
         self._dissemination = Dissemination()
         self._newest: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []
-        self._refused: Counter[str] = Counter()
-        self._refused_plans: set[str] = set()
+        self._rejected: Counter[str] = Counter()
+        self._rejected_plans: set[str] = set()
         self._bad_plans = Counter[int]()
         self._repeated: dict[bytes, Message] = {}
 
     @property
     def rejected(self) -> Counter[str]:
-        """Messages and claims refused so far, by reason."""
-        return self._refused + self.channel.rejected
+        """Number of messages and claims rejected so far, by reason."""
+        return self._rejected + self.channel.rejected
 
     def begin_round(self) -> None:
-        """Begin a round: neighbours have come and gone."""
+        """Begin a round, in which neighbours may have changed. Forget courses of senders not heard lately."""
         self._dissemination.begin_round()
         self._bad_plans.clear()
         self._repeated.clear()
@@ -97,11 +97,11 @@ class Messaging:
         return [*notes, *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
-        """Take a mission of higher stamp, if it is spelled out; a MessageError refuses it with the message."""
+        """Take a mission of higher stamp, if it is spelled out. A MessageError rejects the whole message."""
         message, agreement = inbound.message, self._agreement
         if message.mission <= agreement.stamp or message.mission_text is None:
             return []
-        # The signature first: to read a mission takes many times as long.
+        # Check the signature first: reading a mission takes many times as long.
         self.channel.check_mission(message.mission, inbound.authorization)
         mission = received_mission(message, agreement.mission)
         self.channel.keep_order(inbound.authorization)
@@ -111,8 +111,8 @@ class Messaging:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
         message, mission, verifier = inbound.message, self._agreement.mission, self._verifier
         if message.plan is not None and self._bad_plans[message.sender] >= MAX_BAD_PLANS:
-            often = f"robot {message.sender} sends one bad plan after another"
-            return [self._reject(MessageError("many_plans", often))]
+            detail = f"robot {message.sender} sends one bad plan after another"
+            return [self._reject(MessageError("many_plans", detail))]
         objection = verifier.objection(mission, message.plan)
         if objection is not None and message.plan is not None:
             self._dissemination.hear(message)
@@ -121,7 +121,7 @@ class Messaging:
         plan = self._dissemination.resolve_plan(message, self._agreement.plan)
         if plan is not None:
             message = replace(message, plan=plan, plan_class=verifier.plan_class(mission, plan))
-            if inbound.repeatable and len(self._repeated) < REMEMBERED_PAYLOADS:
+            if inbound.repeatable and len(self._repeated) < MAX_REPEATED:
                 self._repeated[payload] = message
         self._keep(message)
         return []
@@ -133,17 +133,17 @@ class Messaging:
             self._newest[message.sender] = message
 
     def _reject(self, error: MessageError) -> Note:
-        self._refused[error.reason] += 1
+        self._rejected[error.reason] += 1
         return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
 
     def _reject_plan(self, plan: Plan, objection: str) -> list[Note]:
-        """Count a plan that fails verification; returns a note the first time that this plan is refused."""
+        """Count a plan that fails verification. Returns a note only the first time that this plan is rejected."""
         note = self._reject(MessageError("unverified_plan", objection))
-        if plan.digest in self._refused_plans:
+        if plan.digest in self._rejected_plans:
             return []
-        if len(self._refused_plans) >= REMEMBERED_REFUSALS:
-            self._refused_plans.clear()
-        self._refused_plans.add(plan.digest)
+        if len(self._rejected_plans) >= MAX_REJECTED_PLANS:
+            self._rejected_plans.clear()
+        self._rejected_plans.add(plan.digest)
         return [note]
 
     def give_mission(self, order: MissionGiven) -> Note:

@@ -16,12 +16,12 @@ from llm_flock.protocol._membership.search import MANY, Search, advance
 from llm_flock.protocol._parts import Situation
 from llm_flock.protocol._path_length import ACROSS, next_stop
 
-REMEMBERED = 30  # rounds for which a body out of sight is taken to stand at a place: then it is looked at again
-APART = 3  # rounds beyond the time-out without a place, while some are vacant, after which living robots are missed
+REMEMBERED = 30  # rounds for which a body out of sight is assumed to stand at its place
+APART = 3  # rounds beyond the time-out after which living robots count as missing if they own none of the vacant places
 
 
 class ConnectivityRecovery:
-    """Keeps a robot in touch with its team. Of living robots without a place `liars` may want none."""
+    """Keeps a robot in touch with its team. Up to `liars` living robots may want no place."""
 
     def __init__(self, liveness: Liveness, joint: JointAssignment, liars: int = 0) -> None:
         self._liveness, self._joint, self._search = liveness, joint, Search()
@@ -35,7 +35,7 @@ class ConnectivityRecovery:
         return self._search.given_up
 
     def route(self, now: Situation, *, placed: bool) -> tuple[Point | None, tuple[int, ...], list[Note]]:
-        """The next target, None to fly straight; slots just visited without meeting a robot; notes. Call once a round.
+        """The next target (None: fly straight), slots just visited in vain, and notes. Call once a round.
 
         `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
         """
@@ -65,7 +65,7 @@ class ConnectivityRecovery:
         return target, self._search.looked, notes
 
     def _standing_at(self, now: Situation, places: Plan, table: BidTable) -> set[int]:
-        """Slots without owner on which a body stands, or stood when last in sight, so that no search begins anew."""
+        """Slots without owner on which a body stands, or stood when last in sight: no search begins for these."""
         near, bodies = AT_GOAL * now.mission.spacing, now.sensed.values()
         free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
         known = self._standing[1] if self._standing[0] == places.digest else {}
@@ -79,7 +79,7 @@ class ConnectivityRecovery:
         return {*self._standing[1]}
 
     def _apart(self, slot: int, table: BidTable) -> frozenset[int]:
-        """Robots of which only heartbeats get through: they own no place though some are vacant. Call once a round."""
+        """Robots known by heartbeats only, that own no place although some are vacant. Call once a round."""
         owners = {owner for _, _, owner in table}
         without = self._liveness.present - owners - {table[slot][2]}
         missed = NO_OWNER in owners and len(without) > self._liars

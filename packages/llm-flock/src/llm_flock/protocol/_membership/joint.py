@@ -1,8 +1,8 @@
-"""Joint assignment: robots in touch report positions, and one that knows enough of them assigns all their slots.
+"""Joint assignment: robots in touch report positions, and a robot that knows enough of them assigns all their slots.
 
-As C-CAPT (Turpin, Michael, Kumar, IJRR 2014); see membership.md in the docs. The version of these claims is the number
-of robots that they place, and below that a digest of the positions: of two tables the one that places more wins as a
-whole, and of two that place as many the same one everywhere.
+As C-CAPT (Turpin, Michael, Kumar, IJRR 2014); see membership.md in the docs. The version of these claims combines
+the number of placed robots and a digest of the positions. So a table that places more robots wins as a whole, and
+between tables that place equally many every robot prefers the same one.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from llm_flock.protocol._path_length import ways
 from llm_flock.roadmap import Roadmap
 
 ROUNDS = 8  # rounds of a mission in which a large team passes on positions at the start; then they are out of date
-SECOND = 0.15  # share of the team size after which waiting robots mark, for good, where they wait, for one table
-LARGEST = 256  # larger teams do not wait: the traffic grows with the square of the team size
+SECOND = 0.15  # share of the team size, in rounds, after which waiting robots report a final position for one table
+MAX_WAITING = 256  # larger teams do not wait: the traffic grows with the square of the team size
 VERSION = 2**22  # version of a joint assignment for each robot that it places: above all earlier claims
-DIGESTS = 2**16  # two joint assignments of as many robots that share one by chance are sorted out by bids
+DIGESTS = 2**16  # if two joint assignments of equally many robots share a digest by chance, bids decide
 DECIMALS = 2  # decimals of reported positions
 MOVED = 0.1  # a waiting robot reports its position again when it has moved by this share of the spacing
 PATIENCE = 16  # rounds without news of an unknown robot after which a robot stops to wait, or to report positions
 
 
 class JointAssignment:
-    """The positions that one robot knows. In a team with keys `enabled` is false: reports are not signed."""
+    """The positions that one robot knows. In a team with keys `enabled` is false, as reports are not signed."""
 
     def __init__(self, robot: int, n_robots: int, *, enabled: bool = True) -> None:
         self._robot, self._n, self._enabled = robot, n_robots, enabled
@@ -50,7 +50,7 @@ class JointAssignment:
 
     def _forget(self) -> None:
         self.known: dict[int, PositionReport] = {}
-        """The newest report of each robot, by id; another object whenever it has changed."""
+        """The newest report of each robot, by id. A new object after each change."""
         self._heard_in: dict[int, int] = {}
         self._news: dict[int, PositionReport] = {}
 
@@ -66,10 +66,10 @@ class JointAssignment:
 
     @property
     def collecting(self) -> bool:
-        """Whether reports are exchanged: at the start, and until no unknown robot was heard of for too long."""
+        """Whether reports are exchanged: at the start, then until PATIENCE rounds brought no unknown robot."""
         if not self._enabled or self._starting:
             return self._enabled
-        return self._n <= LARGEST and self._waited <= PATIENCE
+        return self._n <= MAX_WAITING and self._waited <= PATIENCE
 
     @property
     def others(self) -> list[Point]:
@@ -83,7 +83,7 @@ class JointAssignment:
             self._forget()
 
     def wait(self, *, there: bool) -> None:
-        """Count a round of waiting; `there` says whether the robot has reached the point where it waits."""
+        """Count a round of waiting; `there` says whether the robot has reached its waiting point."""
         self._waited += there
 
     def hear(self, reports: Mapping[int, PositionReport]) -> None:
@@ -106,9 +106,9 @@ class JointAssignment:
     def report(
         self, mission: Mission, plan: Plan | None, table: BidTable | None, position: Point, *, greeting: bool
     ) -> dict[int, PositionReport] | None:
-        """The reports to broadcast: new ones, and all that are known in the `greeting`, the first broadcast of a round.
+        """The reports to broadcast: new ones, and in the `greeting`, the first broadcast of a round, all known ones.
 
-        None where there is nothing to say: the table places all robots, or there is no circle to wait on.
+        None if nothing is to be sent: the table places all robots, or there is no circle to wait on.
         """
         if not self.collecting or placed(table) >= self._n:
             self._news = {}
@@ -120,19 +120,19 @@ class JointAssignment:
             if point is None:
                 return None
             here, marks = point, not mark and self._round > SECOND * self._n
-            mark = _rounded(here) if marks else mark
-            due = marks or not before or math.dist(_rounded(here), before) > MOVED * mission.spacing
+            mark = _round_point(here) if marks else mark
+            due = marks or not before or math.dist(_round_point(here), before) > MOVED * mission.spacing
         if due:
-            # A robot that was restarted, and hears of its former life, counts on from there.
+            # After a restart, a robot continues the count of its earlier reports.
             stamp = 0 if self._starting else min(max(self._round, stamp + 1), LAST_ROUND)
-            self.hear({self._robot: (stamp, _rounded(here), mark)})
+            self.hear({self._robot: (stamp, _round_point(here), mark)})
         reports, self._news = dict(self.known if greeting else self._news), {}
         return reports or None
 
     def positions(
         self, mission: Mission, plan: Plan, table: BidTable | None, silent: Collection[int]
     ) -> TeamPositions | None:
-        """Where the living are that are known, moved on by now, if they are more than the table places; else None."""
+        """Present positions of known living robots, if they are more than the table places; else None."""
         if not self.collecting or (self._large and len(self.known) < self._n):
             return None
         ids = sorted(self.known.keys() - silent)
@@ -153,23 +153,23 @@ class JointAssignment:
 
 
 def placed(table: BidTable | None) -> int:
-    """How many robots the joint assignment in a table places, without a place for those that are too many."""
+    """Number of robots in the joint assignment of a table, including those for which no place was left."""
     return max((version for version, _, _ in table or ()), default=0) // VERSION
 
 
-def _rounded(point: Point) -> Point:
+def _round_point(point: Point) -> Point:
     return tuple(round(x, DECIMALS) for x in point)
 
 
 def _towards(here: Point, goal: Point, longest: float) -> Point:
     away = math.dist(here, goal)
     share = 1.0 if away <= longest else longest / away
-    return _rounded(tuple(x + share * (y - x) for x, y in zip(here, goal, strict=True)))
+    return _round_point(tuple(x + share * (y - x) for x, y in zip(here, goal, strict=True)))
 
 
 @lru_cache(maxsize=64)
 def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None) -> BidTable:
-    """The bid table with the smallest sum of squared ways; robots without a slot, or free slots, may be left."""
+    """The bid table with the smallest sum of squared ways. Robots or slots may be left over."""
     version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
     table = [(version, 0.0, NO_OWNER)] * len(plan)

@@ -1,6 +1,6 @@
 """Which robots are alive: heartbeats that every robot passes on, merged by the element-wise maximum.
 
-A gossip-style failure detector (van Renesse, Minsky, Hayden, Middleware 1998). Silence is only a suspicion.
+A gossip-style failure detector (van Renesse, Minsky, Hayden, Middleware 1998). A silent robot may still be alive.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-CANNOT_FLY, NO_PLAN = 1, 2  # states in a heartbeat, to be added: geometry flies the robot; it follows no plan
-PER_BEAT = 4  # a heartbeat is the own count times this, plus the state: of two the maximum is the newer one
-BODY = 1  # heartbeat of a robot of which only a body was ever sensed; that of one that is awake is higher
+CANNOT_FLY, NO_PLAN = 1, 2  # flags in a heartbeat: geometry flies the robot; the robot follows no plan
+PER_BEAT = 4  # a heartbeat is the own count times this, plus the flags: the greater of two is the newer one
+BODY = 1  # heartbeat of a robot of which only the body was sensed; lower than that of any robot awake
 FEW = 20  # in a team of at most this size, heartbeats reach every robot well within the time-out
 ROUNDS_PER_ROBOT = 0.6  # more rounds of time-out for each further robot: heartbeats travel one hop a round
 GAP_WEIGHT = 0.1  # weight of the newest gap between two heartbeats of a robot in their average
-GAPS = 8.0  # times the rounds left out between heartbeats: rare ones prove little (phi accrual, Hayashibara 2004)
-LONGEST = 5  # longest time-out, as a multiple of the configured one
+GAPS = 8.0  # rounds of time-out for each round usually missed between heartbeats (phi accrual, Hayashibara 2004)
+MAX_TIME_OUT = 5  # longest time-out, as a multiple of the configured one
 
 
 def patience(time_out: int, n_robots: int) -> int:
@@ -26,7 +26,7 @@ def patience(time_out: int, n_robots: int) -> int:
 
 
 class Liveness:
-    """The heartbeats that one robot knows: `silent` ones were heard of, `strangers` never, nor seen mute nearby."""
+    """The heartbeats known to one robot. Those of `silent` robots have stopped; `strangers` never had any."""
 
     def __init__(self, robot: int, n_robots: int, time_out: int) -> None:
         self._robot = robot
@@ -56,7 +56,7 @@ class Liveness:
 
     @property
     def living(self) -> frozenset[int]:
-        """Robots, not silent, whose counter has advanced since: late joiners also hear the counters of dead robots."""
+        """Robots whose counter was heard to advance, and that are not silent. A first count may be of a dead robot."""
         return frozenset(np.flatnonzero(self._counted_on).tolist()) - self.silent
 
     @property
@@ -70,8 +70,8 @@ class Liveness:
         return self._in_state(CANNOT_FLY) - self.silent
 
     def _in_state(self, state: int) -> frozenset[int]:
-        found = (self._beats >= PER_BEAT) & (self._beats & state != 0)
-        return frozenset(np.flatnonzero(found).tolist()) - {self._robot}
+        matches = (self._beats >= PER_BEAT) & (self._beats & state != 0)
+        return frozenset(np.flatnonzero(matches).tolist()) - {self._robot}
 
     def begin_round(self, round_number: int, near: frozenset[int], state: int = 0) -> None:
         """Count a heartbeat with its state, and find counters that stood still; `near` are sensed in radio range."""
@@ -86,7 +86,7 @@ class Liveness:
         self._look()
 
     def hear(self, heard: Sequence[NDArray[np.int64]]) -> None:
-        """Merge counters, each of shape (N,). A robot counts on from those of its own former life, to be noticed."""
+        """Merge counters, each of shape (N,). After a restart, the own counter continues from its earlier value."""
         if not heard:
             return
         highest = heard[0]
@@ -100,9 +100,9 @@ class Liveness:
             return
         known = newer & (self._beats > BODY)
         gaps = self._round - self._advanced[known]
-        self._gap[known] += GAP_WEIGHT * (np.minimum(gaps, LONGEST * self.time_out) - self._gap[known])
+        self._gap[known] += GAP_WEIGHT * (np.minimum(gaps, MAX_TIME_OUT * self.time_out) - self._gap[known])
         self._advanced[newer] = self._round
-        if self.strangers:  # of which there may be only a body
+        if self.strangers:  # some may be known by their bodies only
             self._advanced[newer & (highest == BODY)] = self._long_ago
         self._counted_on |= known
         self._beats[newer] = highest[newer]
@@ -110,14 +110,14 @@ class Liveness:
 
     @property
     def _long_ago(self) -> int:
-        return self._round - LONGEST * self.time_out - 1
+        return self._round - MAX_TIME_OUT * self.time_out - 1
 
     def _look(self) -> None:
         since = self._round - self._advanced
         if not (self.strangers or self.silent) and since.max() <= self.time_out:
             return
         never = self._beats == 0
-        allowed = np.minimum(self.time_out + GAPS * (self._gap - 1.0), LONGEST * self.time_out)
+        allowed = np.minimum(self.time_out + GAPS * (self._gap - 1.0), MAX_TIME_OUT * self.time_out)
         late = ~never & (since > allowed)
         if late.any() or self.silent:
             self.silent = frozenset(np.flatnonzero(late).tolist())

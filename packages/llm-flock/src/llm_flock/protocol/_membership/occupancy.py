@@ -1,4 +1,4 @@
-"""What sensors and heartbeats say about a plan's places, and where a spare robot waits near them."""
+"""Finds vacant and blocked places of a plan from sensors and heartbeats, and a waiting place for a spare robot."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def in_radio_contact(plan: Plan, comm_range: float) -> bool:
 
 
 def still_bodies(now: Situation, silent: Collection[int]) -> tuple[Point, ...]:
-    """Sensed bodies without heartbeat; none while the formation travels: it passes them, and no place stays there."""
+    """Sensed bodies without heartbeat; none while the formation travels, because it passes them."""
     if now.mission.velocity is not None:
         return ()
     return tuple(now.sensed[j] for j in sorted(silent) if j in now.sensed)
@@ -41,11 +41,11 @@ def sight(mission: Mission) -> float:
 
 
 def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blocked: bool) -> Occupancy:
-    """The occupancy of a plan's slots; `knows_blocked` is whether the own table has blocked ones. Call once a round.
+    """The occupancy of a plan's slots. `knows_blocked`: whether the own table has blocked ones. Call once a round.
 
     A slot is neither blocked nor clear if an unidentified body stands there, or if it is too far away to see. Living
-    robots will move away. A robot that hears no others, or whose formation is not all in radio contact, declares nobody
-    dead.
+    robots will move away. A robot declares no other dead while it hears no messages, or if its formation is not
+    connected by radio.
     """
     mission, plan = now.mission, now.plan
     assert plan is not None, "slots are those of a plan"

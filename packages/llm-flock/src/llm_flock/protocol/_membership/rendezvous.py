@@ -1,4 +1,4 @@
-"""Where the pieces of a team meet, on a circle or at the centre: see "Gathering" and "Rendezvous" in membership.md."""
+"""Meeting points of a team in pieces, on a circle or at the centre: "Gathering" and "Rendezvous" in membership.md."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
 
 HOLLOW = 0.5  # shapes have a circle if their nearest place is at least at this share of the farthest one's distance
-ENOUGH = 0.5  # robots fly to their places once this share of a plan's slots is taken
-WITHIN = 0.95  # the circle on which robots wait is smaller by this: there they stand closer, and close it more easily
+ENOUGH = 0.5  # share of a plan's slots that must be taken before robots fly to their places
+WITHIN = 0.95  # the radius of the circle on which robots wait, as a share: a smaller circle closes more easily
 NEAR = 1.0  # a robot within this many spacings of the circle is on it
 HOLD = 0.8  # waiting robots spread out to at most this share of the radio range
-LINK = 0.95  # no robot moves farther than this share of the radio range from a neighbour on the circle
+LINK = 0.95  # robots keep within this share of the radio range of their neighbours on the circle
 FEW = 0.45  # while more than this share of the team has never been heard of, a robot gathers
-CLOSE = 0.3  # robots gather at this many spacings from the centre, each on its own side, not in each other's way
+CLOSE = 0.3  # robots gather at this many spacings from the centre, each on its own side
 WAIT = 4  # rounds without news at the centre after which a robot stops gathering
 ANGLES = 72  # orientations of a formation that are tried
 
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
-    """The places to fly to for now: on the circle of the mean radius while most slots are vacant."""
+    """The places to fly to: on the circle of the mean radius while most slots are vacant, then those of the plan."""
     places = on_circle(plan, mission.center)
     if places is None or sum(owner > NO_OWNER for _, _, owner in table) >= ENOUGH * len(plan):
         return plan
@@ -38,7 +38,7 @@ def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> P
 
 
 def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
-    """Where a robot `here` that waits for others reaches the circle [units; frame of the mission]; None without one."""
+    """The point of the circle at which a robot `here` waits for others [units; frame of the mission], or None."""
     places = on_circle(plan, mission.center)
     if mission.dim != 2 or places is None or not _clear(mission, places):
         return None
@@ -47,7 +47,7 @@ def landing(mission: Mission, plan: Plan, here: Point) -> Point | None:
 
 
 def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Point]) -> Point | None:
-    """The point on the circle at which to wait for unknown robots; None where there is no such circle.
+    """The point on the circle at which to wait for unknown robots; None if there is no such circle.
 
     Known robots (at `others`) that follow each other on the circle within radio range spread out evenly around their
     mean position, up to `HOLD` apart, so that the ends of such a chain meet others.
@@ -58,13 +58,13 @@ def meeting_point(mission: Mission, plan: Plan, here: Point, others: Iterable[Po
         return point
     radius, direction = _polar(point, mission.center)
     seen = (_polar(place, mission.center) for place in others)
-    arcs = sorted(radius * _wrapped(angle - direction) for away, angle in seen if abs(away - radius) <= near)
+    arcs = sorted(radius * _wrap_angle(angle - direction) for away, angle in seen if abs(away - radius) <= near)
     along = _spread(arcs, math.tau * radius, mission.comm_range)
     return _at(mission.center, radius, direction + min(max(along, -mission.spacing), mission.spacing) / radius)
 
 
 def _spread(arcs: Sequence[float], around: float, reach: float) -> float:
-    """How far to move along the circle, which is `around` long, with the others at `arcs` along it, sorted [units]."""
+    """The move along the circle of length `around`, with other robots at sorted positions `arcs` along it [units]."""
     mine = bisect_left(arcs, 0.0)
     once = [*arcs[:mine], 0.0, *arcs[mine:]]
     unrolled = [arc + turn for turn in (-around, 0.0, around) for arc in once]
@@ -96,7 +96,7 @@ def _at(center: Point, radius: float, direction_rad: float) -> Point:
     return center[0] + radius * math.cos(direction_rad), center[1] + radius * math.sin(direction_rad)
 
 
-def _wrapped(angle_rad: float) -> float:
+def _wrap_angle(angle_rad: float) -> float:
     return (angle_rad + math.pi) % math.tau - math.pi
 
 
@@ -125,10 +125,10 @@ class Gathering:
     def target(
         self, mission: Mission, plan: Plan, slot: int, here: Point, *, strangers: int, alone: bool
     ) -> Point | None:
-        """Where to fly from `here` [units; frame of the mission] instead of the place, or None. Call once a round.
+        """The point to fly to instead of the place [units; frame of the mission], or None. Call once a round.
 
-        `strangers` robots have never been heard of; one that sees no other is `alone`, and returns while any are
-        missing.
+        `strangers` is the number of robots never heard of. A robot that is `alone` senses no other, and comes back as
+        long as any robot is missing.
         """
         center, reach = mission.center, CLOSE * mission.spacing
         away = math.dist(here, center)
@@ -154,7 +154,7 @@ def _towards(center: Point, here: Point, distance: float) -> Point:
 
 @lru_cache(maxsize=4096)
 def heard_when_turned(mission: Mission, plan: Plan, slot: int) -> bool:
-    """Whether robots with this plan turned anyhow would hear a robot at its place, or meet it on their circle."""
+    """Whether robots would hear a robot at its place, or meet it on a circle, in any orientation of the plan."""
     if on_circle(plan, mission.center) is not None:
         return True
     turns = np.repeat(plan.array[[slot]], ANGLES, axis=0)

@@ -1,4 +1,4 @@
-"""The search that ends frozen partitions, and the way of a robot that is lost: see membership.md in the docs."""
+"""The search for missing robots, and the way of a robot that is lost: see membership.md in the docs."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ def advance(
 ) -> Search:
     """The search one round later, for a robot with a slot of this plan.
 
-    The bid of a vacant slot is its number of visits. Nobody looks for robots in slots on which one is seen `standing`.
-    `strangers` were never heard of, and heartbeats of `silent` ones have stopped. Robots `without_plan` wait to be
-    found, and not in vacant slots alone, so each tour ends at the centre.
+    The bid of a vacant slot is its number of visits. Slots with a body `standing` on them are not searched.
+    `strangers` were never heard of, and heartbeats of `silent` ones have stopped. Robots `without_plan` may also wait
+    elsewhere than in vacant slots, so each tour then ends at the centre.
     """
     slot, table, center, spacing = now.claim.slot, now.claim.table, now.mission.center, now.mission.spacing
-    assert slot is not None and table is not None, "only who has a place knows of vacant ones"
+    assert slot is not None and table is not None, "a robot without a place does not search"
     vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER and a not in standing)
-    search = _updated(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
+    search = _update(search, plan, slot, vacant, center, many=strangers + silent + without_plan > MANY)
     if not vacant or not (strangers or silent or without_plan):  # a team in touch fills its vacant slots by agreement
         return replace(search, way=(), waited=0, gaps=(), looked=())
     most = LOOKS if strangers or without_plan else LOOKS_FOR_SILENT
@@ -93,8 +93,8 @@ def advance(
     return replace(search, way=(*tour, center) if without_plan or looks >= LOOKS // 2 else tour)
 
 
-def _updated(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
-    """The search in view of what was heard; with `many` robots missing, news neither end a tour nor reset the wait."""
+def _update(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
+    """The search with the present vacant slots. With `many` robots missing, news neither end a tour nor the wait."""
     digest, before = search.known
     if digest != plan.digest or (vacant != before and not many):
         return Search(known=(plan.digest, vacant))
@@ -114,7 +114,7 @@ def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
 
 
 def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
-    """Vacant places, each time the nearest to the one before."""
+    """A tour of the vacant places, always to the nearest one left."""
     places = plan.array[due]
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     to_each = np.linalg.norm(places - plan.array[slot], axis=1)
@@ -128,7 +128,7 @@ def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
 
 
 class Seeking:
-    """The way of a robot that is lost, or has no plan: to the centre, in a large formation also to two ideal places."""
+    """The way of a robot without plan, or lost: to the centre, and in a large formation also to two ideal places."""
 
     def __init__(self, robot: int, liars: int = 0) -> None:
         self._robot, self._liars = robot, liars
@@ -142,7 +142,7 @@ class Seeking:
     def count(
         self, living: Collection[int], silent: Collection[int], strangers: Collection[int], n_robots: int
     ) -> None:
-        """Count, once a period, whether it is out of touch: it hears few of its team, or too few to outnumber liars."""
+        """Count a period out of touch, if the robot hears few of its team, or too few to outnumber liars."""
         known = n_robots - len({*silent, *strangers})
         in_touch = bool(living) and 2 * len(silent) < n_robots and (not self._liars or known > 2 * self._liars)
         self._alone = 0 if in_touch else self._alone + 1
@@ -153,11 +153,11 @@ class Seeking:
         return self._alone >= ALONE
 
     def target(self, mission: Mission, here: Point) -> Point | None:
-        """Where to fly from `here` [units; frame of the mission], or None to wait. Call once a round."""
+        """The point to fly to from `here` [units; frame of the mission], or None to wait. Call once a round."""
         points = _points(mission, self._robot)
         point = points[self._leg % len(points)]
         away = math.dist(here, point)
-        if self._left is None:  # a crowd may keep it from getting there, so it only stays for as long as others take
+        if self._left is None:  # time for any robot to get there: a crowd may keep this one away
             across = max(math.dist(x, mission.center) for x in points)
             self._left = math.ceil((away + across) / mission.max_step) + WAIT * (self._leg + 1)
         self._left -= 1

@@ -1,4 +1,4 @@
-"""A robot's knowledge of its whole team: who lives, where the others are, and where to look for them."""
+"""A robot's knowledge of its whole team: which robots are alive, their positions, and where to look for them."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from llm_flock.protocol._parts import Gaps, Membership, Situation
 from llm_flock.protocol._verification.validator import resized
 
 REPLAN_PATIENCE = 2
-"""Rounds for which a plan must not fit the team before a robot plans again. Robots with higher ids wait one more round
-for each lower id that is alive, up to MAX_WAIT, so that one robot proposes and the others hear of it in time."""
+"""Rounds of a misfit between plan and team after which a robot plans again. It waits one more round for each living
+lower id, up to MAX_WAIT, so that one robot proposes and the others hear of it in time."""
 
 MAX_WAIT = 6
 
@@ -81,7 +81,7 @@ class TeamMembership(Membership):
         self._misfit = 0
 
     def begin_round(self, period: int, near: frozenset[int], now: Situation, *, cannot_fly: bool) -> None:
-        """Count a heartbeat, find silent robots, and compare the plan with those that live."""
+        """Count a heartbeat, find silent robots, and compare the plan with the size of the living team."""
         live, mission = self.liveness, now.mission
         live.begin_round(period, near, (CANNOT_FLY if cannot_fly else 0) | (NO_PLAN if now.plan is None else 0))
         self._joint.begin_round()
@@ -112,7 +112,7 @@ class TeamMembership(Membership):
 
     def report(self, now: Situation, *, greeting: bool) -> dict[int, PositionReport] | None:
         if now.claim.table is None and now.claim.slot is not None:
-            return None  # a rule without tables places nobody together
+            return None  # a rule without tables assigns no robots jointly
         return self._joint.report(now.mission, now.plan, now.claim.table, now.position, greeting=greeting)
 
     def places(self, now: Situation) -> int | None:
@@ -122,8 +122,8 @@ class TeamMembership(Membership):
             # Living robots propose by ascending id, from 1.
             turn = 0 if self.still(now) else 1 + sum(j < self._robot for j in live.present)
             return wanted if self._misfit > REPLAN_PATIENCE + min(turn, MAX_WAIT) else None
-        known = self.gaps == "replan" and not live.strangers
-        return wanted if known and resized(now.mission, wanted) is not None else now.mission.n_places
+        all_known = self.gaps == "replan" and not live.strangers
+        return wanted if all_known and resized(now.mission, wanted) is not None else now.mission.n_places
 
     def still(self, now: Situation) -> tuple[Point, ...]:
         return still_bodies(now, self.liveness.silent)
@@ -132,11 +132,11 @@ class TeamMembership(Membership):
         return observe(now, self.liveness, hears_others=hears_others, knows_blocked=knows_blocked)
 
     def positions(self, now: Situation) -> TeamPositions | None:
-        assert now.plan is not None, "only who follows a plan claims a slot"
+        assert now.plan is not None, "a robot without a plan claims no slot"
         return self._joint.positions(now.mission, now.plan, now.claim.table, self.liveness.silent)
 
     def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
-        """The next intermediate target; visits to vacant slots where no robot was met are written in the claim."""
+        """The next intermediate target. The claim counts visits to vacant slots at which no robot was met."""
         placed = given_jointly(now.claim.table, now.claim.slot) and not self._unplaced
         target, visited, notes = self._connectivity.route(now, placed=placed)
         return target, with_visits(now.claim, visited), notes
@@ -147,12 +147,12 @@ class TeamMembership(Membership):
     def wait(self, now: Situation) -> Point:
         """A point near the robot that is out of the way of the others, in sight of a blocked slot if there is one."""
         blocked = [a for a, (_, _, owner) in enumerate(now.claim.table or ()) if owner == BLOCKED]
-        assert now.plan is not None, "places of a plan are all taken"
+        assert now.plan is not None, "without a plan there are no places to wait for"
         return waiting_place(now.mission, now.position, now.plan, [*now.sensed.values()], blocked)
 
 
 def with_visits(claim: Claim, slots: Sequence[int]) -> Claim:
-    """The claim, with a note in its table that these slots were visited and no robot was met there."""
+    """The claim, with one more visit to these vacant slots in its table."""
     table = claim.table
     if table is None or not slots:
         return claim

@@ -1,1 +1,1 @@
-"""Messages between robots: verified and decoded once on receipt, and a value from then on."""
+"""Messages between robots: verified and decoded once, on receipt."""

@@ -1,4 +1,4 @@
-"""Between the radio's bytes and the agreement: a message is verified and decoded once, then it is a value."""
+"""The layer between the radio's bytes and the agreement: verifies and decodes each message once."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Channel:
-    """Opens payloads that come in and seals those that go out; this one believes every well-formed message."""
+    """Opens incoming payloads and seals outgoing ones. This channel believes every well-formed message."""
 
     def __init__(self, robot: int, mission: Mission) -> None:
         self._robot, self._n_robots, self._dim = robot, mission.n_robots, mission.dim
 
     @property
     def rejected(self) -> Counter[str]:
-        """Parts of messages refused so far, by reason."""
+        """Number of parts of messages rejected so far, by reason."""
         return Counter()
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
-        """Verify and decode a payload, signed by `sender` where known; a MessageError as `decode`, or `own_id`."""
-        inbound = _decoded(payload, self._n_robots, self._dim)
+        """Verify and decode a payload, signed by `sender` if known. Raises MessageError as `decode`, or `own_id`."""
+        inbound = _decode(payload, self._n_robots, self._dim)
         self._check_sender(inbound.message)
         return inbound
 
@@ -63,10 +63,10 @@ class Channel:
         return frozenset()
 
     def check_mission(self, stamp: MissionStamp, authorization: Authorization | None) -> None:
-        """Check that a mission was given by the operator; without keys any robot may pass one on."""
+        """Check that the operator gave a mission. Without keys, any robot may pass one on."""
 
     def keep_order(self, authorization: Authorization | None) -> None:
-        """Take note of the order for the mission that is in force now."""
+        """Keep the order for the mission in force."""
 
     def seal(self, payload: bytes) -> bytes:
         """The encoded message with everything that receivers need to verify it."""
@@ -74,7 +74,7 @@ class Channel:
 
 
 @lru_cache(maxsize=256)
-def _decoded(payload: bytes, n_robots: int, dim: int) -> Inbound:
-    """A broadcast has many receivers: in a simulation its bytes, maybe many, are decoded once for all of them."""
+def _decode(payload: bytes, n_robots: int, dim: int) -> Inbound:
+    """Decode a broadcast; cached, as a simulation has many receivers of the same bytes."""
     message = decode(payload, n_robots, dim)
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

@@ -1,8 +1,8 @@
-"""How much of its knowledge a robot spells out: long parts are named by a digest unless a neighbour may lack them.
+"""Decides which parts of a message are spelled out. Others are named by a digest.
 
-Leaving something out costs time and never correctness. A robot that hears another digest than its own spells out its
-side; small teams also greet newcomers with everything once a round. Of a large table the changes are said (delta
-states: Almeida, Shoker, Baquero, 2018), and all of it where a difference is left when they have come to rest.
+Leaving a part out costs time, never correctness. A robot that hears a digest other than its own spells out its side;
+small teams also greet newcomers with everything once a round. Of a large table only the changes are sent (delta states:
+Almeida, Shoker, Baquero, 2018), or all of it if digests still differ once the changes have stopped.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ SMALL = 64
 """Plans and tables of at most this many slots are spelled out once a round to all neighbours, and in every
 communication round in which a digest differs."""
 
-RESTLESS_ROUNDS = 4  # rounds after which a large table is said in full to who differs, even if it never rests
-REMEMBERED_PLANS = 1024  # most plans that are known by their digest, so that a flood of plans costs bounded memory
+RESTLESS_ROUNDS = 4  # rounds after which a large table is spelled out if digests differ, even if it still changes
+MAX_KNOWN_PLANS = 1024  # that are known by their digest, so that a flood of plans costs bounded memory
 
 _KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
-"""The part of a message that shows what its sender knows."""
+"""The part of a message that shows its sender's knowledge."""
 
 
 class Dissemination:
-    """The messages that one robot has sent, and the knowledge that its neighbours have shown."""
+    """The messages that one robot has sent, and the last ones of its neighbours."""
 
     def __init__(self) -> None:
         self._peers: dict[int, Message] = {}
@@ -58,12 +58,12 @@ class Dissemination:
         self._heard.add(message.sender)
 
     def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
-        """The plan that a message names; None if it names none, or one that never arrived in full."""
+        """The plan that a message names; None if it names none, or one that has not arrived in full."""
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
             return named if named is not None and len(named.points) == message.places else None
-        if len(self._plans) >= REMEMBERED_PLANS:
+        if len(self._plans) >= MAX_KNOWN_PLANS:
             self._plans.clear()
         self._plans[plan.digest] = plan
         return plan
@@ -77,7 +77,7 @@ class Dissemination:
         return self._greeting
 
     def compose(self, whole: Message, table: BidTable | None, mission: Mission) -> bytes:
-        """The bytes to broadcast: equal ones as long as nothing is new. `whole` spells out all but the table."""
+        """The bytes to broadcast, the same as long as nothing changes. `whole` spells out all but the table."""
         self._note_changes(table)
         plan, digest = whole.plan, whole.plan_digest
         mine = _KNOWLEDGE(whole)
@@ -118,7 +118,7 @@ class Dissemination:
         self._changed = (*self._changed[-1:], changed)
 
     def _spells_table(self, whole: Message, slots: int, others: list[Message], *, greeting: bool) -> bool:
-        """Whether to spell out the whole table, of so many slots; `others` know something else."""
+        """Whether to spell out the whole table. `others` are messages that show other knowledge."""
         differs = any(m.plan_digest == self._plan_sent and m.table_digest != whole.table_digest for m in others)
         small = slots <= SMALL
         at_rest = self._table_said > 0 and not any(self._changed)
@@ -129,6 +129,6 @@ class Dissemination:
         return True
 
     def _news_of(self, table: BidTable, slot: int | None) -> Sequence[int]:
-        """Slots to spell out where the table is not: the own one, and in a large table what has changed."""
+        """Slots to spell out if the table is not: the own one, and in a large table those that changed."""
         changed = frozenset[int]() if len(table) <= SMALL else frozenset[int]().union(*self._changed)
         return sorted(changed if slot is None else changed | {slot})

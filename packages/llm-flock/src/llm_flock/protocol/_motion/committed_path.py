@@ -51,15 +51,10 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         """The path that an answer commits the robot to. Call with every answer of the planner."""
         usable = isinstance(answer, StepAnswer)
         path = (answer.waypoint, *answer.path) if usable else ()
-        return cls(
-            question=question,
-            path=path,
-            failed=not usable,
-            in_sight=frozenset(sensed),
-        )
+        return cls(question=question, path=path, failed=not usable, in_sight=frozenset(sensed))
 
     def after_step(self, position: Point, waypoint: Point) -> Self:
-        """The rest of the path after a step from `position` to `waypoint`, which the shield made of the first one."""
+        """The rest of the path after a step from `position` to `waypoint`, the shielded first waypoint."""
         if not self.path:
             return self
         sideways = _distance_to_path((position, *self.path), waypoint)
@@ -93,7 +88,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
         return None
 
     def _serves_goal(self, question: StepQuestion) -> bool:
-        """Whether the next waypoint gains 0.8 of what any could: goals change often while groups meet."""
+        """Whether the next waypoint gains at least 0.8 of the best possible: goals change often while groups meet."""
         if not self.path:
             return False
         before = math.dist(question.position, question.goal)

@@ -27,16 +27,16 @@ the rounds of a straight flight, and a team should form in three times the lower
 class Pace:
     """Average gain of a planner's waypoints towards the goal, each as a share of the largest possible gain.
 
-    A round held because an answer was refused counts as none; waypoints at the goal, or of a robot whose straight path
-    is blocked, do not count. A goal that travels has to be reached from one step away: whoever closes a share of the
-    gap trails for ever.
+    A round held because an answer was rejected counts as a gain of 0. Waypoints at the goal, or of a robot whose
+    straight path is blocked, do not count. A travelling goal has to be reached from one step away: a robot that only
+    closes a share of the gap would trail without end.
     """
 
     def __init__(self) -> None:
         self._average = 1.0
 
     def too_slow(self, question: StepQuestion, waypoint: Point) -> str | None:
-        """Count a waypoint that passed its checks. Returns the reason to refuse it, or None."""
+        """Count a waypoint that passed its checks. Returns the reason to reject it, or None."""
         mission, goal = question.mission, question.goal
         before, after = math.dist(question.position, goal), math.dist(waypoint, goal)
         if min(before, after) <= ROUNDING * mission.spacing or blocked(question):
@@ -53,7 +53,7 @@ class Pace:
         )
 
     def held(self) -> None:
-        """Count a round in which the planner's answer was refused and nothing replaced it."""
+        """Count a round in which the planner's answer was rejected and nothing replaced it."""
         self._count(0.0)
 
     def _count(self, gain: float) -> None:
@@ -82,7 +82,7 @@ def leg_to(
     still: Sequence[Point] = (),
     noise: float = 0.0,
 ) -> Leg:
-    """The way from a position of the world to a goal of the mission's frame, round obstacles and `still` bodies.
+    """The way from a position in the world frame to a goal in the mission's frame, round obstacles and `still` bodies.
 
     The frame is displaced by `drift` now, and by `ahead` at the end of the round; empty if the mission stands still.
     """
@@ -104,7 +104,7 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
     radius = mission.body_radius
     if noise > 0.0:
         radius += noise * (1.0 + 2.0 * STEP * mission.max_step / radius)
-    # To build a map takes a while: it has at most 40 bodies, and noise must not change it in every round.
+    # A map takes time to build: it has at most 40 bodies, and rounding keeps noise from changing it in every round.
     near = sorted(still, key=lambda body: math.dist(body, position))[:40]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
     spots = sorted(tuple(round(x, 1) for x in body) for body in near)

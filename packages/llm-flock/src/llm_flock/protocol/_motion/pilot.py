@@ -1,4 +1,4 @@
-"""One robot's flight: when it asks its planner, and how checks and shield turn the answer into a move."""
+"""One robot's flight: decides when to ask the planner, and turns checked and shielded answers into moves."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Pilot:
         if self._fallback == "hold":
             step = self._waypoint(answer)
         else:
-            answer = self._usable(answer)
+            answer = self._check_answer(answer)
             if isinstance(answer, NoAnswer):
                 notes = [*self.breaker.refused(scene.round, answer)]
                 if self._fallback == "geometry" or self.breaker.is_open:
@@ -110,12 +110,12 @@ class Pilot:
             else:
                 notes, step = [*self.breaker.usable()], answer.waypoint
         if self._horizon > 1:
-            kept = _shifted(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
+            kept = _shift(answer, scene.ahead, -1.0) if isinstance(answer, StepAnswer) else answer
             self._committed = CommittedPath.of(self._relative(), kept, scene.sensed)
         by_geometry = isinstance(answer, StepAnswer) and answer.by == "geometry"
         return [*notes, *self._move(step, asked, by_geometry=by_geometry)]
 
-    def _usable(self, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
+    def _check_answer(self, answer: StepAnswer | NoAnswer) -> StepAnswer | NoAnswer:
         """The answer, clipped if that suffices, or the reason why it cannot be used."""
         if isinstance(answer, NoAnswer):
             return answer
@@ -126,7 +126,7 @@ class Pilot:
         return verdict.fit if slow is None else NoAnswer(cause="slow", reason=slow)
 
     def _waypoint(self, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
-        """The first waypoint, or the last one named without an answer, if it passes as a single step; or no answer."""
+        """The first waypoint, or else the last rejected one, if it passes as a single step; otherwise no answer."""
         if isinstance(answer, NoAnswer) and (answer.waypoint is None or not self._verifier.verify):
             return answer
         assert answer.waypoint is not None, "an answer has a waypoint"
@@ -141,7 +141,7 @@ class Pilot:
         return self._fly(straight_path(self._question).waypoint, asked, Origin.GEOMETRY)
 
     def seek(self, scene: Observation, mission: Mission, target: Point) -> list[Effect]:
-        """Fly by geometry to a point where others will look [units; frame of the mission]: a robot without a plan."""
+        """Fly by geometry to a point where others will look for it [units; frame of the mission]."""
         self.forget()
         self._begin(scene, mission, target)
         return self._fly(
@@ -160,7 +160,7 @@ class Pilot:
         return self._safety.course
 
     def begin_mission(self) -> None:
-        """Heed everybody who asks for a way again: a mission has been given."""
+        """Begin another mission: heed all requests for a way again."""
         self._safety.begin_mission()
 
     def look(self, scene: Observation) -> None:
@@ -180,7 +180,7 @@ class Pilot:
         return replace(question, position=scene.here, plan=plan, target=self._leg.goal, corner=self._leg.stop)
 
     def _next_step(self, committed: CommittedPath) -> Point | Trigger:
-        """The next step of the path, or the event that makes a new question necessary: it may fail its checks now."""
+        """The next step of the path, or the event that makes a new question necessary, such as a failed check."""
         scene = self._scene
         trigger = committed.trigger(self._relative(), {j: scene.seen(x) for j, x in scene.sensed.items()})
         if trigger is not None:
@@ -192,14 +192,14 @@ class Pilot:
         return Trigger.UNFIT if slow else step
 
     def _move(self, step: Point | NoAnswer, asked: Point | None, *, by_geometry: bool = False) -> list[Effect]:
-        """The move for a step that passed the checks, which was `asked` before it was clipped, or for none."""
+        """The move for a step that passed the checks; `asked` is the planner's own. Without a step, the robot holds."""
         scene, question = self._scene, self._question
         if isinstance(step, NoAnswer):
             return self.hold(scene, step.cause, step.reason, asked)
         corner = question.corner
         reaches = corner is not None and math.dist(scene.position, corner) <= question.mission.max_step
         if corner is not None and reaches and math.dist(step, corner) <= self._tolerance:
-            step = corner  # a little beside it, the way on may not be free, and the next question would be the same
+            step = corner  # from a point beside it the way on may be blocked, and the next question would be the same
         chosen = Origin.MODEL if step == asked else Origin.CLIPPED
         effects = self._fly(step, asked, Origin.GEOMETRY if by_geometry else chosen)
         if step != asked:
@@ -218,7 +218,7 @@ class Pilot:
         return [*flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=origin)]
 
 
-def _shifted(answer: StepAnswer, by: Point, share: float = 1.0) -> StepAnswer:
+def _shift(answer: StepAnswer, by: Point, share: float = 1.0) -> StepAnswer:
     """The same waypoints in a frame displaced by `share` times `by`."""
     if not by:
         return answer

@@ -43,10 +43,10 @@ def relaxed_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Poi
     best = nearest_move(wish, sides, longest)
     if best is None and any(side.violated for side in sides):
         low, high = 0.0, 1.0
-        best = nearest_move(wish, [_eased(side, low) for side in sides], longest)
+        best = nearest_move(wish, [_ease(side, low) for side in sides], longest)
         for _ in range(24 if best is not None else 0):  # bisections
             share = (low + high) / 2
-            tried = nearest_move(wish, [_eased(side, share) for side in sides], longest)
+            tried = nearest_move(wish, [_ease(side, share) for side in sides], longest)
             if tried is None:
                 high = share
             else:
@@ -54,7 +54,7 @@ def relaxed_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Poi
     return (0.0,) * len(wish) if best is None else best
 
 
-def _eased(side: HalfSpace, share: float) -> HalfSpace:
+def _ease(side: HalfSpace, share: float) -> HalfSpace:
     return HalfSpace(side.normal, share * min(side.room, 0.0)) if side.violated else side
 
 
@@ -141,7 +141,7 @@ def _nearest(target: Vector, normals: Points, rooms: Vector) -> Vector | None:
 def static_half_spaces(
     position: Point, mission: Mission, *, max_step: float, noise_bound: float = 0.0
 ) -> list[HalfSpace]:
-    """The walls and obstacles within one step, as sides of the robot's cell; from beyond them they lead back.
+    """The walls and obstacles within one step, as sides of the robot's cell. From outside, they lead back.
 
     With the position known to within `noise_bound` e [units], a wall moves inwards by e. The direction to the nearest
     point of an obstacle at distance d turns by at most 2 e / d, so its side moves by e and by 2 e max_step / d.

@@ -1,8 +1,8 @@
-"""Right of way: a robot that others block says where it has to go, and robots in that way step aside.
+"""Right of way: a blocked robot broadcasts its course, and robots in that way step aside.
 
 Priority inheritance, as in PIBT (Okumura, Machida, Défago, Tamura 2022), in continuous space and from messages only;
 docs/explanation/safe-motion.md describes it. Ranks rise with waiting, and with them the width of the way that is given.
-Courses only ask: what keeps robots apart is the cell of the shield, whatever is claimed.
+Courses are requests only: the shield's cells keep robots apart, even if a course is a lie.
 """
 
 from __future__ import annotations
@@ -17,36 +17,29 @@ import msgspec
 import numpy as np
 
 from llm_flock.arrays import Point, Points, Vector
-from llm_flock.message import HIGHEST, Course
+from llm_flock.message import MAX_LEVEL, Course
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.roadmap import on_sphere
 from llm_flock.shapes import ring
 
-STALLED = 3
-"""Rounds without progress towards the goal after which a robot that bodies block asks for its way."""
-
-KEPT = 2
-"""Rounds for which a robot that was blocked keeps its course."""
-
-RISES = 8
-"""Rounds of waiting for the first rank above the lowest; each further one takes twice as long."""
-
-WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5
-"""Half the width of a way of the lowest rank, what each rank adds, and the most, in safe distances."""
+STALLED = 3  # rounds without progress towards the goal after which a blocked robot asks for its way
+KEPT = 2  # rounds for which a robot that was blocked keeps its course
+RISES = 8  # rounds of waiting for the first rank above the lowest; each further one takes twice as long
+WIDTH, WIDER, WIDEST = 0.95, 0.05, 1.5  # half the width of a way: lowest rank, more per rank, limit [safe distances]
 
 HEEDED_ROUNDS = 32
-"""Rounds in a mission for which a robot gives way to one that asks; for twice as long it then heeds no course of it."""
+"""Rounds in a mission for which a robot gives way to one that asks. For twice as long it then ignores that robot."""
 
 BETWEEN = 4
-"""Most rounds between two in which a robot asks that count like those: one that gives way may lose sight of it."""
+"""Most rounds between two requests that count as rounds of asking: a robot that gives way may lose sight of one."""
 
 Rank: TypeAlias = tuple[int, int, bool, int]
-"""Level, then the lower id of whose right it is, then that robot itself before those that make way for it."""
+"""Level, then the lower id of the robot whose right it is, then that robot itself before those that make way for it."""
 
 
 def rank(sender: int, level: int, of: int) -> Rank:
-    """The rank of a robot that asks in the name of `of`; higher ones compare greater."""
+    """The rank of a robot that asks by the right of `of`. Higher ranks compare greater."""
     return level, -of, sender == of, -sender
 
 
@@ -69,10 +62,10 @@ class Way(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class RightOfWay:
-    """What one robot asks of others, and what they may ask of it. Call `count` once in each round, then the others.
+    """The ways that a robot asks for, and those that it gives. Call `count` once in each round, then other methods.
 
-    `apart` is the distance at which bodies pass each other, the safe distance where that is enough [units]. It has
-    `waited` for so many rounds without progress since it was at its goal, or had none.
+    `apart` is the distance at which bodies pass each other, by default the safe distance [units]. `waited` counts
+    rounds without progress since the robot was at its goal, or had none.
     """
 
     def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
@@ -84,7 +77,7 @@ class RightOfWay:
         self.waited = self._kept = self._idle = 0
         self._nearest: tuple[Point, float] = (), math.inf
         self._round = 0
-        # By who asks: rounds, next pause, and the last round, or the first one after a pause.
+        # By asking robot: rounds, next pause, and the last round, or the first one after a pause.
         self._asked: dict[int, tuple[int, int, int]] = {}
 
     @property
@@ -94,18 +87,18 @@ class RightOfWay:
 
     @property
     def _level(self) -> int:
-        return min((self.waited // RISES).bit_length(), HIGHEST)
+        return min((self.waited // RISES).bit_length(), MAX_LEVEL)
 
     def count(self, goal: Point, left: float, within: float, period: int | None = None) -> None:
         """Begin a round, with the length of the way to a goal that counts as reached within a distance [units].
 
-        Of the rounds within one heartbeat `period` the first one counts: without it, robots that a body stops after
-        a moment would wait, and lose patience, faster than those that fly.
+        Only the first round within a heartbeat `period` counts: otherwise robots that a body stops after a moment would
+        lose patience faster than those that fly.
         """
         self._counts, self._period = period is None or period != self._period, period
         at_goal = left <= within
         before, nearest = self._nearest
-        # A share of what is left counts too: beside another robot a place is approached by halves.
+        # A share of the way left counts too: beside another robot, a place is approached by halves.
         nearer = left <= nearest - 0.05 * min(self._limits.max_step, left)
         if at_goal or goal != before or nearer:
             self._nearest, self._idle = (goal, left), 0
@@ -119,16 +112,16 @@ class RightOfWay:
         """The ways that this robot has to give, to robots in sight, the highest rank first.
 
         A robot that has asked for `HEEDED_ROUNDS` in all is not heeded for twice as long, then for four times, and so
-        on, wherever it is and whatever it asks for: otherwise a liar that moves would keep others away for good.
+        on, independent of its position and request: otherwise a moving liar could keep others away without end.
         """
-        own, found = rank(self._robot, self._level, self._robot), list[Way]()
+        own, asked = rank(self._robot, self._level, self._robot), list[Way]()
         for j, course in courses.items():
             if j not in sensed or (theirs := rank(j, course.level, course.of)) <= own:
                 continue
             width = self.apart * min(WIDEST, WIDTH + WIDER * course.level)
             line = np.array([sensed[j], *course.path])
-            found.append(Way(rank=theirs, robot=j, line=line, width=width))
-        heeded = [way for way in found if self._heeds(way.robot)]
+            asked.append(Way(rank=theirs, robot=j, line=line, width=width))
+        heeded = [way for way in asked if self._heeds(way.robot)]
         return sorted(heeded, key=lambda way: way.rank, reverse=True)
 
     def _heeds(self, robot: int) -> bool:
@@ -144,7 +137,7 @@ class RightOfWay:
         return False
 
     def begin_mission(self) -> None:
-        """Heed everybody again: a mission has been given."""
+        """Begin another mission: heed all requests again."""
         self._asked.clear()
 
     def ask(self, path: Sequence[Point]) -> None:
@@ -153,20 +146,20 @@ class RightOfWay:
         self._ask(path, self._level, self._robot)
 
     def go_on_asking(self, path: Sequence[Point]) -> None:
-        """Keep asking for a while after the way has become free, so that nobody closes it again at once."""
+        """Keep asking for a while after the way has become free, so that no robot closes it again at once."""
         self._kept = max(0, self._kept - self._counts)
         if self._kept:
             self._ask(path, self._level, self._robot)
 
     def pass_on(self, path: Sequence[Point], way: Way) -> None:
-        """Ask for the own way, or that to a refuge, by the right of the robot for which this one makes way."""
+        """Ask for the own way, or the way to a refuge, by the right of the robot to which this one gives way."""
         self._ask(path, way.rank[0], -way.rank[1])
 
     def _ask(self, path: Sequence[Point], level: int, of: int) -> None:
         self.course = Course(level=level, of=of, path=tuple(path)) if path else None
 
     def leads_out(self, here: Point, path: Sequence[Point], goal: Point, ways: Sequence[Way]) -> bool:
-        """Whether flying on along a path to the goal leads out of these ways, and past nobody who comes."""
+        """Whether a path to the goal leads out of these ways, and past none of their robots."""
         if any(way.covers(goal) for way in ways):
             return False
         return all(self._leads_away(a, b, ways) for a, b in pairwise((here, *path)))
@@ -174,15 +167,15 @@ class RightOfWay:
     def refuge(
         self, here: Point, goal: Point, ways: Sequence[Way], pressing: Sequence[Way], others: Iterable[Point]
     ) -> Point | None:
-        """Where to wait until those that come have passed [units; world frame]; None if there is no such place.
+        """A place to wait until other robots have passed [units; world frame]; None if there is no such place.
 
-        It is outside all ways if possible, otherwise at least outside those that the robot is in (`pressing`), or the
-        one of highest rank, and the nearest of those on the way to the goal. `others` are the bodies in sight.
+        It is outside all ways if possible; otherwise outside those that the robot is in (`pressing`); otherwise outside
+        the one of highest rank. The place with the smallest detour is chosen. `others` are the bodies in sight.
         """
         for avoided in (ways, pressing, pressing[:1]):
-            found = self._nearest_refuge(here, goal, avoided, np.array([*others]))
-            if found is not None:
-                return found
+            refuge = self._nearest_refuge(here, goal, avoided, np.array([*others]))
+            if refuge is not None:
+                return refuge
         return None
 
     def _nearest_refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Points) -> Point | None:
@@ -211,7 +204,7 @@ class RightOfWay:
         return None
 
     def _leads_away(self, here: Point, stop: Point, ways: Sequence[Way]) -> bool:
-        """Whether a straight flight to a stop leads past none of the robots that come."""
+        """Whether a straight flight to a stop leads past none of the robots of these ways."""
         start, end = np.array(here), np.array(stop)
         for way in ways:
             comes = way.line[:1]
@@ -232,7 +225,7 @@ def outside(ways: Iterable[Way], here: Point, there: Point) -> bool:
 
 @lru_cache
 def _around(dim: int) -> Points:
-    """Where a refuge is looked for: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
+    """Candidate refuges: points on circles or spheres, relative to the robot, shape (m, d) [steps]."""
     rings = np.array((0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0))  # the farthest is beyond the end of any course
     return (rings[:, None, None] * (ring(24, 1.0) if dim == 2 else on_sphere(40))).reshape(-1, dim)
 

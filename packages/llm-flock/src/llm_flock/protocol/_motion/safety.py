@@ -35,15 +35,15 @@ class ShieldedSafety(Safety):
 
     @property
     def course(self) -> Course | None:
-        """Where this robot has to go, for others to leave free; None if nothing is in its way."""
+        """The way that this robot asks others to leave free; None if nothing is in its way."""
         return self._right.course
 
     def begin_mission(self) -> None:
-        """Heed everybody who asks for a way again: a mission has been given."""
+        """Begin another mission: heed all requests for a way again."""
         self._right.begin_mission()
 
     def stay(self, scene: Observation) -> SafeStep:
-        """The step of a robot without a waypoint: hold the position, unless another is too near or has to come past."""
+        """The step of a robot without a waypoint: holds the position, unless another is too near or has to pass."""
         here = scene.position
         self._right.count(here, 0.0, 0.0, scene.period)
         separating = self._separate(scene)
@@ -55,7 +55,7 @@ class ShieldedSafety(Safety):
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
 
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
-        """The safe waypoint for `wish` [units; world frame]; the leg's goal is reached within `tolerance` [units]."""
+        """The safe waypoint for `wish` [units; world frame]. The leg's goal is reached within `tolerance` [units]."""
         right, here, within = self._right, scene.position, tolerance + self._noise_bound
         right.count(leg.goal, leg.left, within, scene.period)
         separating = self._separate(scene)
@@ -104,7 +104,7 @@ class ShieldedSafety(Safety):
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(pressing[0]))
 
     def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
-        """As much of a step as leads into no way that another has."""
+        """The largest part of a step that leads into no other robot's way."""
         here = scene.position
         tried = (self._project(here, _between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
         to = next((safe for safe in tried if outside(ways, here, safe)), here)
@@ -116,7 +116,7 @@ class ShieldedSafety(Safety):
         return () if before == way.robot else (Note("gives_way", {"to": way.robot}),)
 
     def _is_blocked(self, scene: Observation, stop: Point, safe: Point) -> bool:
-        """Whether bodies keep the robot from half of what its planner or obstacles would let it gain."""
+        """Whether bodies cost the robot over half of the gain that planner and obstacles would allow."""
         here, others, apart = scene.position, scene.others, self._right.apart
         straight, far = _towards(here, stop, self._limits.max_step), math.dist(here, stop)
         alone = far - math.dist(self._project(here, straight, ()), stop)
@@ -139,7 +139,7 @@ class ShieldedSafety(Safety):
         return goal if roadmap is None else roadmap.next_stop(here, goal)
 
     def _on_its_way(self, scene: Observation, stop: Point, wish: Point, safe: Point) -> Point:
-        """The safe waypoint, or a shorter step if that slides off the way: it would be sent back to the last corner."""
+        """The safe waypoint, or a shorter step if that one slides off the way, which would lead back to a corner."""
         here = scene.position
         roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
@@ -150,7 +150,7 @@ class ShieldedSafety(Safety):
         return safe
 
     def _project(self, position: Point, wish: Point, others: tuple[Point, ...], distance: float | None = None) -> Point:
-        """The point of the cell nearest to a wish, with bodies kept at the safe distance or at another one."""
+        """The point of the cell nearest to a wish, at the safe distance or another `distance` from other bodies."""
         limits, noise = self._limits, self._noise_bound
         return shield.project(
             position,
@@ -163,7 +163,7 @@ class ShieldedSafety(Safety):
         )
 
     def _separate(self, scene: Observation) -> SafeStep | None:
-        """A step away from the middle of a crowd too close, if there is one: also beside it, in the way of others."""
+        """A step away from the middle of a crowd that is too close, if there is one: also for robots beside it."""
         limits, position, sensed = self._limits, scene.position, scene.sensed
         limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step

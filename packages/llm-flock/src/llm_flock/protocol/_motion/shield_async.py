@@ -16,7 +16,7 @@ from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, clip, ne
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sighting:
-    """The last known position of another body [units; world frame], and how old this is."""
+    """The last known position of another body [units; world frame], and its age."""
 
     position: Point
     age_s: float
@@ -33,7 +33,7 @@ def project_async(
     error: float = 0.0,
     also: Sequence[HalfSpace] = (),
 ) -> Point:
-    """The position nearest to `waypoint` that is safe at the end of the period; the own one if nothing else is.
+    """The position nearest to `waypoint` that is safe at the end of the period; if there is none, the own position.
 
     Call at the start of every control period of `period_s`, with the newest sightings at hand, however old they are.
     Bodies keep the safe distance, and fly at most with this speed [units/s]; believed positions are off by at most an
@@ -48,7 +48,7 @@ def project_async(
         if room >= longest:
             continue
         if gap <= max(margin, TOLERANCE):
-            return position  # it may be in any direction by now
+            return position  # the other may be in any direction
         # Without room: (y - position) . u <= 0 for every y that the other may reach.
         room = room if room >= 0.0 else -longest * margin / gap
         sides.append(HalfSpace(tuple((b - a) / gap for a, b in zip(position, other.position, strict=True)), room))

@@ -1,6 +1,6 @@
-"""Checks of plans: reasons in words for the model that proposed a plan, and a class for the order of plans.
+"""Checks of plans: a reason for the model that proposed a plan, and a class for the order of plans.
 
-All are pure functions, so every receiver comes to the same verdict. Tolerances, shares of the mission's lengths, accept
+All are pure functions, so every receiver reaches the same verdict. Tolerances, shares of the mission's lengths, accept
 rounded coordinates and are tighter than the definition of a formed team.
 """
 
@@ -44,7 +44,7 @@ class PlanClass(IntEnum):
 
 
 def check_plan(mission: Mission, plan: Plan) -> str | None:
-    """The reason to refuse a plan, as a sentence for the model, or None. Call before a plan is adopted or forwarded.
+    """The reason to reject a plan, as a sentence for the model, or None. Call before a plan is adopted or forwarded.
 
     The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
     mean at the centre; all half the safe distance away from obstacles, and in one region, so that robots can get from
@@ -61,7 +61,7 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], position: Point) -> str | None:
-    """As `check_plan`, for a plan of a robot at `position`, who has to get there; nobody may stand `still` in it."""
+    """As `check_plan`, for a plan of a robot at `position`: places must be in its reach and clear of `still` bodies."""
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
@@ -80,8 +80,8 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
 def enlarged(mission: Mission, plan: Plan) -> Plan:
     """The plan, or if rounding put places nearer than the safe distance, a slightly larger one in which they are not.
 
-    Else robots would keep others from their places: between two that are 0.2 % too near to a place on either side, one
-    gets to 6 % of the spacing from it, and 5 % would be at its goal. Call for plans that pass `check_plan`.
+    Otherwise robots would keep others from their places: between two neighbours that are 0.2 % too near, a robot gets
+    to 6 % of the spacing from its place, and only 5 % count as at its goal. Call for plans that pass `check_plan`.
     """
     if len(plan) == 1:
         return plan
@@ -94,7 +94,7 @@ def enlarged(mission: Mission, plan: Plan) -> Plan:
 
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
-    """The class of a plan. Without a known ideal (a shape in words, a single robot) it is at best acceptable."""
+    """The class of a plan. Without a known ideal (a shape given as text, a single robot) it is at best acceptable."""
     return PlanClass.REFUSED if _fault_of_size(mission, plan) else _verdict(mission, plan)[0]
 
 
@@ -130,8 +130,7 @@ def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, floa
 
 def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
     """For each of n >= 2 points, distance and index of its nearest other point, shape (n,) each."""
-    found = scipy.spatial.KDTree(points).query(points, k=2)
-    distance, index = np.asarray(found[0]), np.asarray(found[1])
+    distance, index = map(np.asarray, scipy.spatial.KDTree(points).query(points, k=2))
     rows = np.arange(len(points))
     # For two points at one position, the tree may return the other one first.
     other = np.where(index[:, 0] == rows, index[:, 1], index[:, 0])
@@ -139,7 +138,7 @@ def _nearest(points: Points) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
 
 
 def _fault_of_size(mission: Mission, plan: Plan) -> str | None:
-    """Plans of another size are not worth remembering, however many come."""
+    """Not cached: plans of another size are not worth remembering."""
     if len(plan) != mission.n_places:
         return f"the plan holds {len(plan)} points, {mission.n_places} are required."
     return None
@@ -173,10 +172,10 @@ def _fault_of_world(mission: Mission, plan: Plan) -> str | None:
     """A place at an obstacle, or one that is cut off from another."""
     if not mission.obstacles or mission.velocity is not None:
         return None
-    # Robots keep the whole distance: they end as near to a place as the rounding of coordinates, and so at their goal.
+    # Robots keep the whole distance, and so end within the rounding of coordinates of such a place: at their goal.
     least = mission.body_radius - ROUNDING * mission.spacing
     for i, point in enumerate(plan.points):
-        gap, obstacle = min(((o.distance(point), o) for o in mission.obstacles), key=lambda found: found[0])
+        gap, obstacle = min(((o.distance(point), o) for o in mission.obstacles), key=lambda pair: pair[0])
         if gap < least:
             where = f"inside {_obstacle_text(obstacle)}" if gap < 0 else f"{number_text(gap)} from "
             where += "" if gap < 0 else _obstacle_text(obstacle)

@@ -26,14 +26,14 @@ class Fault(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """Why the model is asked again (None for an answer that fits), and what may be flown, clipped if need be."""
+    """The reason to ask the model again, None for an answer that fits; and the step to fly, clipped if need be."""
 
     reason: str | None
     fit: StepAnswer | None
 
 
 def step_faults(question: StepQuestion, waypoint: Point) -> dict[Fault, str]:
-    """All faults of a waypoint, each with the reason in words for the model.
+    """All faults of a waypoint, each with the reason for the model.
 
     - form: not a finite point of the mission's dimension; nothing else is checked then.
     - length: farther than `max_step`, with a tolerance for printed decimals.
@@ -98,25 +98,25 @@ def judge(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> Ver
         cut = _cut_path(question, answer)
         if cut is not None and _objection(question, cut, shield_on=shield_on) is None:
             return Verdict(reason=reason, fit=cut)
-    waypoint = _clipped(question, answer.waypoint, shield_on=shield_on)
+    waypoint = _clip(question, answer.waypoint, shield_on=shield_on)
     return Verdict(reason=reason, fit=None if waypoint is None else replace(answer, waypoint=waypoint, path=()))
 
 
 def _objection(question: StepQuestion, answer: StepAnswer, *, shield_on: bool) -> str | None:
-    """The reason to refuse an answer as it is, or None."""
+    """The reason to reject an answer as it is, or None."""
     if question.horizon == 1:
         faults = step_faults(question, answer.waypoint)
         return "; ".join(faults.values()) + "." if faults else None
     left_to_shield = {Fault.SEPARATION} if shield_on else set[Fault]()
-    seen = ""
+    origin = ""
     for number, waypoint in enumerate((answer.waypoint, *answer.path), start=1):
         faults = step_faults(question, waypoint)
         reasons = [reason for fault, reason in faults.items() if fault not in left_to_shield]
         if reasons:
-            return f"position {number} of the path{seen}: {'; '.join(reasons)}."
+            return f"position {number} of the path{origin}: {'; '.join(reasons)}."
         question = replace(question, position=waypoint)
         left_to_shield = {Fault.SEPARATION}
-        seen = f", counted from position {number} as yours"
+        origin = f", counted from position {number} as yours"
     return None
 
 
@@ -149,7 +149,7 @@ def towards(here: Point, target: Point, longest: float) -> Point:
     return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
 
 
-def _clipped(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
+def _clip(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
     """A waypoint without faults but those of the shield: as it is, or clipped; None for a wrong direction."""
     mission, faults = question.mission, step_faults(question, waypoint)
     if not faults:

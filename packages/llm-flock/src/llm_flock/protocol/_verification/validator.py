@@ -23,7 +23,7 @@ class Validator(Checker):
         self._shield_on = shield_on
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
-        """The reason to refuse a plan, or None. Call before a plan is adopted or forwarded."""
+        """The reason to reject a plan, or None. Call before a plan is adopted or forwarded."""
         return check_plan(self._standard(mission, plan), plan) if plan is not None else None
 
     def plan_class(self, mission: Mission, plan: Plan | None) -> int:
@@ -38,7 +38,7 @@ class Validator(Checker):
         return (resized(mission, len(plan)) if smaller else None) or mission
 
     def plan(self, question: PlanQuestion, answer: PlanAnswer | NoAnswer) -> PlanAnswer | NoAnswer:
-        """The answer, or the reason to refuse its plan; enlarged where rounding put places too near, if that passes."""
+        """The answer, enlarged if rounding put places too near; or the reason to reject its plan."""
         if not isinstance(answer, PlanAnswer):
             return answer
         mission, still, here = question.mission, question.still, question.position
@@ -49,7 +49,7 @@ class Validator(Checker):
         return answer if check_proposal(mission, plan, still, here) is not None else replace(answer, plan=plan)
 
     def judge(self, question: StepQuestion, answer: StepAnswer) -> Verdict:
-        """What the checks make of the planner's answer."""
+        """The verdict of the checks on the planner's answer."""
         return judge(question, answer, shield_on=self._shield_on)
 
 

@@ -1,8 +1,7 @@
-"""Objects of the user's own code, by `package.module:name`: found in the current folder too."""
+"""Runs code that the user names as `package.module:name`, and describes its exceptions."""
 
 from __future__ import annotations
 
-import asyncio
 import importlib
 import sys
 from pathlib import Path
@@ -15,6 +14,8 @@ from llm_flock.errors import InputError
 def load_own(field: str, name: str, allowed: str) -> Any:
     """The object that the operator named as `package.module:name`. Importing runs the module's code.
 
+    A module that is not installed is also looked for in the current folder.
+
     Never call it with a name from a record or from stored results: those may come from anywhere.
 
     Raises:
@@ -24,17 +25,17 @@ def load_own(field: str, name: str, allowed: str) -> Any:
     if not colon:
         raise InputError(field, name, allowed)
     try:
-        found: Any = _import(module)
+        value: Any = _import(module)
         for part in path.split("."):
-            found = getattr(found, part)
+            value = getattr(value, part)
     except Exception as error:
         kind = "" if isinstance(error, ImportError | AttributeError | ValueError) else f"{type(error).__name__}: "
         raise InputError(field, name, f"{allowed} ({kind}{error})") from error
-    return found
+    return value
 
 
 def _import(module: str) -> ModuleType:
-    """Import a module; one that is not installed may be in the current folder, which scripts do not search."""
+    """Import a module, if need be from the current folder, which scripts do not search."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -51,15 +52,9 @@ def _import(module: str) -> ModuleType:
         raise
 
 
-def shown(error: BaseException) -> str:
-    """An exception of a user's code in words, also one that has none."""
+def describe_exception(error: BaseException) -> str:
+    """A one-line description of an exception, even if its `__str__` raises."""
     try:
         return f"{type(error).__name__}: {error}"
-    except Exception:  # noqa: BLE001 - a user's code may raise anything, here too
+    except Exception:  # noqa: BLE001 - user code may raise anything, here too
         return f"{type(error).__name__}, which cannot be shown"
-
-
-def is_cancelled() -> bool:
-    """Whether the running task is being cancelled. A user's code may also raise a cancellation of its own."""
-    task = asyncio.current_task()
-    return task is None or task.cancelling() > 0
