@@ -177,7 +177,7 @@ def test_nothing_takes_off_without_a_deadman(monkeypatch) -> None:
         async with HeartbeatSender(flight_config(deadman=True, robot="flights:one_by_one"), set):
             raise AssertionError("not reached")
 
-    with pytest.raises(NoDeadman):
+    with pytest.raises(NoDeadman, match="the deadman process did not start"):
         asyncio.run(start())
 
 
@@ -192,7 +192,7 @@ def test_a_flight_that_fails_in_the_air_says_no_farewell(monkeypatch) -> None:
 
     for aloft, farewell in ((set(), True), ({1}, False)):
         said.clear()
-        with pytest.raises(RuntimeError):
+        with pytest.raises(RuntimeError, match="broken"):
             asyncio.run(fail(aloft))
         assert said[-1] == Heartbeat(aloft=tuple(aloft), farewell=farewell)
 
@@ -214,7 +214,7 @@ def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> N
             raise RobotError("d0", "refused")
 
         monkeypatch.setattr(robots[0], "take_off", refuse)
-        with pytest.raises(RobotError):
+        with pytest.raises(RobotError, match="d0: refused"):
             await take_off(config, team, FlightLog(config, NullWriter()))
 
     asyncio.run(whole())

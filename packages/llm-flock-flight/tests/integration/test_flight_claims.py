@@ -131,7 +131,8 @@ def test_a_host_by_its_name_is_the_one_by_its_number(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(socket, "getaddrinfo", resolve)
     with claimed(config_of(["udpout://Drone1.lan:14550", *OTHERS], "mavlink")):
-        with pytest.raises(InputError), claimed(config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")):
+        same = config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")
+        with pytest.raises(InputError, match=r"another flight on this computer flies udpout://192"), claimed(same):
             pass
         with claimed(config_of(["udpout://drone2.lan:14550", *LISTEN[1:]], "mavlink")):
             pass
@@ -154,11 +155,11 @@ def test_a_claim_ends_with_the_last_process_that_keeps_it() -> None:
         process.stdin.close()
         deadman = int(process.stdout.readline())
         try:
-            with pytest.raises(InputError), claimed(config):
+            with pytest.raises(InputError, match="another flight on this computer flies radio"), claimed(config):
                 pass
             process.kill()
             process.wait()
-            with pytest.raises(InputError), claimed(config):
+            with pytest.raises(InputError, match="another flight on this computer flies radio"), claimed(config):
                 pass
         finally:
             os.kill(deadman, signal.SIGKILL)

@@ -171,7 +171,7 @@ def test_a_pilots_switch_is_not_fought():
         await asyncio.sleep(0.3)
         assert len(vehicle.autopilot.set_points) == sent and len(vehicle.autopilot.commands) == commands
         await robot.connect(3.0)
-        with pytest.raises(TakenOver):
+        with pytest.raises(TakenOver, match="a pilot or a failsafe flies it"):
             await robot.land(0.0, 1.0)
         assert vehicle.mode == PILOT[vehicle.flavour]
 
@@ -183,7 +183,7 @@ def test_a_pilots_switch_back_gives_nothing_back():
         vehicle.switch("Position")
         await until(lambda: robot.state().taken_over is not None, 2.0)
         vehicle.switch("Offboard")
-        with pytest.raises(TakenOver):
+        with pytest.raises(TakenOver, match="a pilot or a failsafe flies it"):
             await robot.go_to((1.0, 2.0, 1.0), 1.0)
 
     in_air("px4", act)

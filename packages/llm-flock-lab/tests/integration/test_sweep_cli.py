@@ -46,7 +46,7 @@ def test_variables_and_choices_are_read(tmp_path: Path) -> None:
     given = ("--set", "losses=0.1", "--set", "losses=0.2")
     cells = json.loads(sweep(str(path), "--dry-run", "--json", *given))["cells"]
     assert list(cells)[-1] == "triangle/3 baseline loss=0.2"
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="--set losses: expected NAME=VALUE"):
         sweep(str(path), "--set", "losses")
     for wrong in (("--executor", "two"), ("--keep-records", "some")):
         sweep(str(path), *wrong, code=2)

@@ -128,6 +128,10 @@ def test_wrong_actions_are_refused() -> None:
     with pytest.raises(InputError, match="reset"):
         env.step({})
     env.reset(seed=0)
-    for wrong in ({}, dict.fromkeys(env.agents, "up"), dict.fromkeys(env.agents, np.zeros(3))):
-        with pytest.raises(InputError):
+    for wrong, cause in (
+        ({}, "an action for every agent"),
+        (dict.fromkeys(env.agents, "up"), "numbers of shape"),
+        (dict.fromkeys(env.agents, np.zeros(3)), r"not \(3,\)"),
+    ):
+        with pytest.raises(InputError, match=cause):
             env.step(wrong)

@@ -174,8 +174,12 @@ def test_a_robot_judges_a_sender_so_often_and_no_more(monkeypatch: pytest.Monkey
 
 def test_an_envelope_is_judged_after_it_was_opened() -> None:
     assert signed_payload(FORGED, JUDGE.topic(2), ToyKeys(0))[0] == LIAR
-    for topic, letter in (("say/2", FORGED), (JUDGE.topic(2), b""), (JUDGE.topic(2), b"\x02?" + bytes(64))):
-        with pytest.raises(MessageError):
+    for topic, letter, cause in (
+        ("say/2", FORGED, "bad_signature"),
+        (JUDGE.topic(2), b"", "version"),
+        (JUDGE.topic(2), b"\x02?" + bytes(64), "malformed"),
+    ):
+        with pytest.raises(MessageError, match=cause):
             signed_payload(letter, topic, ToyKeys(0))
 
 

@@ -178,7 +178,7 @@ def test_the_record_of_a_killed_run_is_exported_up_to_its_end(tmp_path: Path) ->
 def test_what_is_no_record_leaves_nothing_behind(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "run.mcap").write_bytes(content)
     before = (tmp_path / "foxglove.mcap").write_bytes(b"an older export")
-    with pytest.raises(RecordError):
+    with pytest.raises(RecordError, match="MCAP"):
         write_file(tmp_path / "run.mcap", tmp_path / "foxglove.mcap")
     assert before and (tmp_path / "foxglove.mcap").read_bytes() == b"an older export"
     assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "foxglove.mcap"}

@@ -74,7 +74,7 @@ def test_the_defaults_are_the_papers() -> None:
 
 def test_a_mission_is_frozen_and_its_digest_is_its_content() -> None:
     mission = Mission()
-    with pytest.raises(ValidationError):
+    with pytest.raises(ValidationError, match="frozen"):
         mission.n_robots = 3
     assert mission.digest == Mission().digest != Mission(n_robots=9).digest
     assert len(mission.digest) == 16

@@ -165,7 +165,7 @@ def test_a_failing_provider_is_no_answer_and_is_told(error: ModelError, cause: s
 
 def test_a_drifting_replay_is_not_swallowed() -> None:
     thinker, _ = planner(Scripted(ReplayDrift("other question")))
-    with pytest.raises(ReplayDrift):
+    with pytest.raises(ReplayDrift, match="other question"):
         asyncio.run(thinker.step(step_question()))
 
 

@@ -7,6 +7,7 @@ from collections import Counter
 import msgspec
 import numpy as np
 import pytest
+from opened_payloads import Opened
 from signed_team import Liar, SignedTeam, channel_of, evidence_of, good_plan, line_up
 from toy_keys import ToyKeys
 
@@ -391,3 +392,11 @@ def test_signatures_of_one_kind_are_not_those_of_another() -> None:
         offer_statement(team.context, 1, Offer(to=1, give=1, take=1, give_version=1, take_version=1, bid=1.0), 1),
     ]
     assert len(set(kinds)) == len(kinds)
+
+
+def test_with_keys_every_payload_is_verified(team: SignedTeam, liar: Liar) -> None:
+    team.begin()
+    opened = Opened(team.agents[0])
+    same = liar.says()
+    assert [opened.during(lambda: team.tell(0, same, team.liar)) for _ in range(3)] == [1, 1, 1]
+    assert team.tell(0, same, 2) == ["impostor"], "another sender"

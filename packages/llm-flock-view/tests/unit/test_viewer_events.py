@@ -70,7 +70,7 @@ FLIGHT_VALUES: dict[str, Any] = {
 
 
 def test_every_kind_of_event_of_a_flight_is_a_sentence() -> None:
-    page = (Path(__file__).parents[2] / "docs/reference/record.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[4] / "docs/reference/record.md").read_text(encoding="utf-8")
     table = page.split("| Kind | What happened | Detail |")[-1].split("\n\n")[0]
     kinds = dict(re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", table, re.MULTILINE))
     assert len(kinds) > 10

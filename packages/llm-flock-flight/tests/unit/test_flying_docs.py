@@ -23,7 +23,7 @@ from llm_flock_flight._flight.dry_run import dry_run
 from llm_flock_flight._flight.fleet import build_fleet
 from llm_flock_flight._flight.monitors import TroubleKind
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 PAGE = (ROOT / "docs" / "how-to" / "flying.md").read_text(encoding="utf-8")
 
 

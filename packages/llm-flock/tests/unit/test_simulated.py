@@ -28,7 +28,7 @@ from llm_flock.planner import StepAnswer, StepQuestion
 from llm_flock.protocol._geometry import turned
 from llm_flock.protocol._verification.plans import check_plan
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 
 
 MISSIONS = [

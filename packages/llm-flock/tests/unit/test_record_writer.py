@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import flock
 from mcap.reader import make_reader
 from sample_records import FakeRun, make_record, run_info
 
@@ -296,13 +295,6 @@ def test_plans_keep_their_colours_when_the_mission_changes(tmp_path: Path) -> No
     assert colours[3] == colours[4]
 
 
-def test_a_swarm_that_cannot_be_recorded_starts_nothing(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    make_record(tmp_path / "have" / "run.mcap", n=2, rounds=1)
-    for out, says in (("notes.txt", "a place that can be written to"), ("have", "a place without a record")):
-        done = flock("swarm", "--robots", "3", "--shape", "triangle", "--out", out, cwd=tmp_path, check=False)
-        assert done.returncode == 2, done.stderr
-        assert done.stderr == f"error: --out {out}/run.mcap: expected {says}" + done.stderr.partition(says)[2]
-        assert done.stdout == "" and done.stderr.count("\n") == 1
+def test_checking_a_new_record_creates_its_folder_only(tmp_path: Path) -> None:
     check_new(tmp_path / "new" / "run.mcap")
     assert (tmp_path / "new").is_dir() and not (tmp_path / "new" / "run.mcap").exists()

@@ -292,7 +292,7 @@ def test_a_vehicle_needs_an_address_and_keeps_its_parameters() -> None:
 
 @pytest.mark.parametrize("name", ["flight.toml", "flight_mavlink.toml"])
 def test_the_examples_are_flights(name: str) -> None:
-    example = Path(__file__).parents[2] / "examples" / name
+    example = Path(__file__).parents[4] / "examples" / name
     settings = FlightConfig.load(example)
     assert len(settings.fleet.drones) == settings.mission.n_robots == 4
 

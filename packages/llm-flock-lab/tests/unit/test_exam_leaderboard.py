@@ -14,7 +14,7 @@ from llm_flock.errors import InputError
 from llm_flock_lab._exam.leaderboard import PAGE, Row, page_text, publish, read_rows
 from llm_flock_lab._exam.splits import paper
 
-FOLDER = Path(__file__).parents[2] / "docs" / "leaderboard"
+FOLDER = Path(__file__).parents[4] / "docs" / "leaderboard"
 ROWS = read_rows(FOLDER)
 IDEAL = next(row for row in ROWS if row.model == "simulated:ideal")
 

@@ -11,7 +11,7 @@ from llm_flock.runtime._config import build_config
 from llm_flock_lab._experiments.grid import trial_id
 from llm_flock_lab._experiments.sweep_file import load_sweep
 
-EXPERIMENTS = Path(__file__).parents[2] / "experiments"
+EXPERIMENTS = Path(__file__).parents[4] / "experiments"
 
 
 def test_trials_are_stated_seed_by_seed_over_all_cells(tmp_path: Path) -> None:

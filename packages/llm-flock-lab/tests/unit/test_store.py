@@ -17,7 +17,7 @@ from llm_flock_lab._experiments.grid import Earlier
 from llm_flock_lab._experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.trial import TrialResult
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[4] / "docs"
 
 
 def stored(name: str, *, seed: int = 0, cell: str = "triangle/3 flock", **fields: Any) -> TrialResult:

@@ -29,7 +29,7 @@ from llm_flock_flight._crazyflie.radios import (
 from llm_flock_flight._flight.preflight import radio_checks, radio_plan
 from llm_flock_flight._testing.crtp.radio import BEHIND_S, QUEUE, RELAXED_S, ModelledRadio
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 TRAFFIC = exchanges_of(round_s=3.0)
 
 

@@ -15,7 +15,7 @@ from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import PlanQuestion, StepQuestion
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 MISSION = build_mission(
     shape="triangle", n_robots=3, center=(41.5, 52), spacing=11, safe_distance=2.5, max_step=7, comm_range=17
 )

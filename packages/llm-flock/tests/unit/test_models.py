@@ -217,7 +217,7 @@ def test_simulated_models_and_others_have_doors_of_their_own() -> None:
     assert model.name == "simulated:ideal"
     assert isinstance(model, SimulatedModel)
     for text in ("geometry", "replay:x"):
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match="expected no replay, geometry or class here"):
             pool.model(text, rng=np.random.default_rng(0))
 
 
@@ -227,7 +227,7 @@ def test_per_robot_names_the_field_it_was_asked_about() -> None:
     assert caught.value.field == "temperature"
 
 
-DOCS = Path(__file__).parents[2] / "docs" / "how-to" / "models.md"
+DOCS = Path(__file__).parents[4] / "docs" / "how-to" / "models.md"
 
 
 def test_cassette_has_the_documented_fields_of_a_recorded_call() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = (Path(__file__).parents[2] / "docs/how-to/drive-an-agent.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[4] / "docs/how-to/drive-an-agent.md").read_text(encoding="utf-8")
 
 
 def block(language: str) -> str:

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 from driven_agent import LINE, PLAN, DrivenAgent, make, says
 from msgspec.structs import replace
-from signed_team import Liar, SignedTeam
+from opened_payloads import Opened
 
-from llm_flock.agent import Agent
 from llm_flock.events import MissionGiven, Received
 from llm_flock.message import Course, decode, encode, mission_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.messaging import COURSE_ROUNDS, REMEMBERED_PAYLOADS, REMEMBERED_REFUSALS
-from llm_flock.protocol._messages.channel import Inbound
 
 
 def test_the_newest_message_of_each_sender_is_handed_over_once() -> None:
@@ -52,27 +48,6 @@ def test_requested_way_is_forgotten_two_rounds_after_silence() -> None:
     assert messaging.courses == {}
 
 
-class Opened:
-    """The payloads that an agent's channel opens."""
-
-    def __init__(self, agent: Agent) -> None:
-        self.payloads: list[bytes] = []
-        channel = agent._messaging.channel
-        opens = channel.open
-
-        def opened(payload: bytes, sender: int | None) -> Inbound:
-            self.payloads.append(payload)
-            return opens(payload, sender)
-
-        channel.open = opened
-
-    def during(self, act: Callable[[], object]) -> int:
-        """How many payloads are opened meanwhile."""
-        before = len(self.payloads)
-        act()
-        return len(self.payloads) - before
-
-
 def test_payload_repeated_in_a_round_is_opened_only_once() -> None:
     driven = DrivenAgent(make())
     opened = Opened(driven.agent)
@@ -103,14 +78,6 @@ def test_a_payload_that_has_more_to_apply_is_applied_each_time() -> None:
     ):
         assert [opened.during(lambda p=payload: driven.comm_round(p)) for _ in range(3)] == [1, 1, 1]
     assert driven.agent.rejected == {"version": 3}
-
-
-def test_with_keys_every_payload_is_verified(team: SignedTeam, liar: Liar) -> None:
-    team.begin()
-    opened = Opened(team.agents[0])
-    same = liar.says()
-    assert [opened.during(lambda: team.tell(0, same, team.liar)) for _ in range(3)] == [1, 1, 1]
-    assert team.tell(0, same, 2) == ["impostor"], "another sender"
 
 
 @pytest.mark.parametrize("by_radio", [True, False])

@@ -149,7 +149,7 @@ def test_illegal_events_are_a_fault_of_the_runtime() -> None:
         make().handle(Arrived())
     agent = make()
     agent.handle(Stopped())
-    with pytest.raises(IllegalEvent):
+    with pytest.raises(IllegalEvent, match="RoundBegan in phase stopped"):
         agent.handle(began())
 
 
