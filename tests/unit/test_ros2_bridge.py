@@ -210,7 +210,7 @@ def test_names_are_legal_in_ros_whatever_the_swarm_is_called() -> None:
         with pytest.raises(ValidationError, match="ros_namespace"):
             Ros2Config(ros_namespace=wrong)
     for wrong in ("/pose", "/{id}/{id}", "/r{id}/*", "/r{id}//x", "/{id}"):
-        with pytest.raises(InputError, match="expected a ROS topic with {id} once"):
+        with pytest.raises(InputError, match=r"expected a ROS topic with \{id\} once"):
             Ros2Config(ros_pose_topic=wrong)
 
 

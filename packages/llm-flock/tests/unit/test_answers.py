@@ -237,10 +237,10 @@ def all_readings_s(text: str) -> float:
             read(text, 3, 2)
         assert len(str(caught.value)) < 300
     for read in (parse_step, parse_step_json):
-        with pytest.raises(AnswerError, match="no complete position|JSON object is not complete"):
+        with pytest.raises(AnswerError, match=r"no complete position|JSON object is not complete"):
             read(text, 2)
     for read in (parse_path, parse_path_json):
-        with pytest.raises(AnswerError, match="no complete path|JSON object is not complete"):
+        with pytest.raises(AnswerError, match=r"no complete path|JSON object is not complete"):
             read(text, 20, 2)
     return time.process_time() - began
 
