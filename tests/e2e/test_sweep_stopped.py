@@ -19,26 +19,16 @@ from llm_flock_lab._experiments.store import read_trial, trial_files
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.trial import TrialResult
 
-SEEDS = 50
+SEEDS = 20
 TRIALS = 2 * SEEDS  # each seed with both protocols
 
 
 @contextlib.contextmanager
 def started_sweep(folder: Path, out: Path, *flags: str, trials: int = 5) -> Iterator[subprocess.Popen[str]]:
-    """A sweep in a group of processes of its own that has finished some trials; what still runs is killed at the end."""
-    command = [
-        sys.executable,
-        "-m",
-        "llm_flock",
-        "sweep",
-        str(small_file(folder, seeds=SEEDS)),
-        "--out",
-        str(out),
-        "-q",
-    ]
-    process = subprocess.Popen(
-        [*command, "--jobs", "2", *flags], cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True
-    )
+    """A sweep in its own process group that has finished some trials. If it still runs at the end, it is killed."""
+    file = small_file(folder, seeds=SEEDS)
+    command = [sys.executable, "-m", "llm_flock", "sweep", str(file), "--out", str(out), "-q", "--jobs", "2", *flags]
+    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
         deadline = time.monotonic() + 120
         while finished(out) < trials:
