@@ -102,7 +102,7 @@ def test_keys_of_the_terminal(key: bytes, end: str) -> None:
     os.close(theirs)
 
 
-def test_a_flight_whose_output_nobody_reads_goes_on() -> None:
+def test_flight_continues_if_its_output_is_not_read() -> None:
     """As with `2>&1 | head`."""
     out, into = os.pipe()
     with subprocess.Popen([*COMMAND, *BRISK, "--yes"], stdout=subprocess.PIPE, stderr=into, text=True) as process:

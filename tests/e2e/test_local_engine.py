@@ -102,7 +102,7 @@ def test_too_long_question_is_refused_and_the_engine_goes_on(engine):
     assert engine.submit(body, threading.Event()).result().usage.output == 1
 
 
-def test_an_answer_that_nobody_waits_for_is_cut_short(engine):
+def test_answer_that_is_no_longer_needed_is_cut_short(engine):
     body = {"messages": [{"role": "user", "content": "Count."}], "max_tokens": 400, "ignore_eos": True}
     stop = threading.Event()
     answer = engine.submit(body, stop)

@@ -36,7 +36,7 @@ def test_one_with_all_of_it_keeps_the_contract(tmp_path: Path) -> None:
         assert not drones[0].flying
 
 
-def test_a_flight_that_fails_leaves_nobody_hovering(tmp_path: Path) -> None:
+def test_failed_flight_leaves_no_drone_hovering(tmp_path: Path) -> None:
     """Two stand too near: the assertion comes after all are connected; a third hovers from before."""
     with StandIns([(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (2.0, 0.0, 0.0)]) as drones:
         team = robots_at(drones.uris, tmp_path)
@@ -53,7 +53,7 @@ def test_a_flight_that_fails_leaves_nobody_hovering(tmp_path: Path) -> None:
         assert not any(drones[k].flying for k in range(3))
 
 
-def test_everybody_is_landed_even_where_a_link_is_lost(tmp_path: Path) -> None:
+def test_all_drones_are_landed_even_if_a_link_is_lost(tmp_path: Path) -> None:
     with StandIns(HOMES[:2]) as drones:
         team = robots_at(drones.uris, tmp_path)
 

@@ -144,7 +144,7 @@ async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
             liar.link.close()
 
 
-def test_a_member_that_lies_holds_one_place_and_hurts_nobody(tmp_path: Path) -> None:
+def test_lying_member_holds_one_place_and_hurts_no_other(tmp_path: Path) -> None:
     make_keys(tmp_path / "team", N)
     config = swarm_config(N, seed=3, keys=str(tmp_path / "team"), gather_s=1.0, out=str(tmp_path / "run"))
     stopped, result, liar = asyncio.run(fly(config))

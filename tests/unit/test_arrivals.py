@@ -52,7 +52,7 @@ def test_twenty_orca_robots_exchange_places_across_a_circle():
     assert figures.ratio < 2.0 and figures.detour < 1.2
 
 
-def test_orca_separates_whoever_finds_an_allowed_velocity():
+def test_orca_separates_robots_with_an_allowed_velocity():
     rng = np.random.default_rng(3)
     feasible = 0
     for _ in range(300):

@@ -67,7 +67,7 @@ def up(name: str, home) -> SimulatedRobot:
     return SimulatedRobot(name, home, body=body)
 
 
-def test_everybody_who_can_be_reached_is_landed() -> None:
+def test_every_reachable_drone_is_landed() -> None:
     config = flight_config(reach_s=1.5, connect_s=0.4)
     robots = [up(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
     assert all(robot.body.position(time.monotonic())[2] == 1.0 for robot in robots)
@@ -81,7 +81,7 @@ def test_everybody_who_can_be_reached_is_landed() -> None:
 
 
 @pytest.mark.usefixtures("skipped_waits")
-def test_nobody_waits_for_one_who_does_not_answer() -> None:
+def test_deadman_does_not_wait_for_a_silent_drone() -> None:
     """With a minute for each connection, those who answer are landed after the first call of three seconds."""
     config = flight_config(reach_s=4.0, connect_s=60.0)
     robots = [up(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
@@ -134,7 +134,7 @@ def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) 
     assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
 
 
-def test_it_lands_whoever_is_up_though_the_terminal_is_gone_too(tmp_path: Path) -> None:
+def test_deadman_lands_flying_drones_without_a_terminal(tmp_path: Path) -> None:
     """Nobody reads what it says any more, as when a window is closed or a pipe breaks."""
     out, into = os.pipe()
     os.close(out)

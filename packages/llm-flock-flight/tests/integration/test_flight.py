@@ -135,7 +135,7 @@ LANDED = {"landed"}
         (emergency, "landing", {TroubleKind.EMERGENCY}, {"motors cut"}, 6.0),
     ],
 )
-def test_whatever_goes_wrong_everybody_is_down_in_time(
+def test_every_fault_ends_with_all_drones_down_in_time(
     sabotage: Sabotage, at: str, ended: set[TroubleKind], ends: set[str] | None, within_s: float
 ) -> None:
     done: list[float] = []
@@ -282,14 +282,14 @@ def test_flight_goes_on_when_its_record_cannot_be_written(tmp_path, caplog) -> N
     assert isinstance(seen[-1], SummaryMessage), "whoever watches live misses nothing"
 
 
-def test_nobody_takes_off_without_room_for_a_record(tmp_path) -> None:
+def test_no_drone_takes_off_without_room_for_a_record(tmp_path) -> None:
     stages: list[str] = []
     with small_files(1000), pytest.raises(RecordError, match="cannot be written"):
         flown(flight_config(out=str(tmp_path)), lambda flight, robots: stages.append("up"), "taking off")
     assert not stages
 
 
-def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
+def test_failed_preflight_prevents_take_off() -> None:
     def discharged(flight: Flight, robots: Robots) -> None:
         robots[1].body.battery_v = 3.5
 
@@ -366,5 +366,5 @@ def test_landing_of_a_mission_in_space() -> None:
     assert all(descent.via is None for descent in side_by_side[0])
 
 
-def test_nobody_is_asked_when_all_is_well() -> None:
+def test_faultless_preflight_asks_no_question() -> None:
     assert trial(asyncio.run(fly(flight_config(), nothing))).formed

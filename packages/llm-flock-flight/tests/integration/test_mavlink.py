@@ -67,7 +67,7 @@ def test_an_emergency_stop_that_is_refused_becomes_a_termination():
     in_air("ardupilot", act)
 
 
-def test_an_emergency_stop_that_nobody_hears_is_not_confirmed():
+def test_unheard_emergency_stop_is_not_confirmed():
     async def act(robot, vehicle):
         vehicle.deaf = True
         assert await robot.stop_motors() is False

@@ -44,7 +44,7 @@ async def cancelled_as_it_ends(work: Callable[[End], Coroutine[Any, Any, Any]]) 
 
 @pytest.mark.usefixtures("skipped_waits")
 @pytest.mark.parametrize("command", ["arm", "take_off"])
-def test_nobody_rises_after_a_flight_ended_at_a_confirmation(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_drone_rises_after_a_flight_ended_at_a_confirmation(command: str, monkeypatch: pytest.MonkeyPatch) -> None:
     async def whole() -> list[bool]:
         config = flight_config(take_off_group=1)
         robots = build_fleet(config)

@@ -238,7 +238,7 @@ def test_a_driver_of_ones_own() -> None:
         ("flights:too_few", ", 4 here (not 3)"),
     ],
 )
-def test_what_makes_no_robot_for_each_drone_is_refused_in_words(name: str, wrong: str) -> None:
+def test_class_that_makes_no_robot_per_drone_is_explained(name: str, wrong: str) -> None:
     with pytest.raises(InputError) as caught:
         build_fleet(flight_config(robot=name))
     expected = "expected a function (config, drones) that returns a robot for each drone"

@@ -119,7 +119,7 @@ def test_drones_begun_at_different_times_have_their_own_delays() -> None:
     assert found.off_m[2] == pytest.approx(0.03)
 
 
-def test_heights_count_less_where_nobody_flies_above_another() -> None:
+def test_heights_count_less_if_no_drone_flies_above_another() -> None:
     config = flight_config()
     assert config.height_tracking_m == 0.15
     assert distance_m(config, (0.0, 0.0, 1.0), (0.03, 0.0, 1.09)) == pytest.approx(math.hypot(0.03, 0.03))

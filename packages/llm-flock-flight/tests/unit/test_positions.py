@@ -110,7 +110,7 @@ def test_a_second_sender_is_named_until_one_of_the_two_is_silent() -> None:
     assert found.senders(11.3) == ("127.0.0.1:5002",)
 
 
-def test_a_stranger_is_not_followed_whatever_it_sends() -> None:
+def test_poses_of_an_unknown_sender_are_never_used() -> None:
     found, frames = port()
     assert reason(found.hear, b"garbage", "stranger", 10.0) == "malformed"
     assert reason(found.hear, text(name="nobody"), "stranger", 10.0) == "unknown_name"
@@ -151,7 +151,7 @@ def test_a_drone_that_flies_is_let_through() -> None:
     assert not found.refused
 
 
-def test_who_is_nobody_is_counted_without_a_name() -> None:
+def test_unknown_names_are_counted_together() -> None:
     found = gate()
     assert set(found.take(frame(0.0, a=(0, 0, 0), x=(0, 0, 0)), 1.0)) == {"a"}
     assert found.refused == {("", "unknown_name"): 1}

@@ -42,7 +42,7 @@ def test_a_drone_that_cannot_fly_keeps_all_on_the_floor(fault: str) -> None:
     assert failed(but_one(fault=fault)) == [f"d1: ready: {fault}, ready to fly"]
 
 
-def test_a_parameter_that_was_not_taken_is_told() -> None:
+def test_parameter_that_was_not_accepted_is_reported() -> None:
     wrong = replace(PID, complaints=("stabilizer.controller is 1, though it was set to 2",))
     assert failed(but_one(equipment=wrong))[0].startswith("d1: ready: stabilizer.controller is 1")
 

@@ -116,7 +116,7 @@ def test_a_provider_that_turns_away_is_asked_again(tmp_path: Path) -> None:
     assert row.command == f"llm-flock exam openai-compatible:test {questions} --temperature 0.0" and not row.simulated
 
 
-def test_models_that_cannot_sit_are_refused_in_words(tmp_path: Path) -> None:
+def test_models_that_cannot_take_the_exam_are_explained(tmp_path: Path) -> None:
     said = {
         "simulated:idael": "did you mean 'ideal'",
         "simulated:ideal simulated:ideal": "each model once",

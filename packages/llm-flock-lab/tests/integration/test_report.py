@@ -92,7 +92,7 @@ def test_tables_say_how_trials_ended(results: Results) -> None:
     assert "no answers" not in sheet.header
 
 
-def test_numbers_in_words() -> None:
+def test_intervals_are_formatted_for_reading() -> None:
     from llm_flock_lab._experiments.statistics import Estimate
 
     assert interval(None, 2) == "-"
@@ -320,7 +320,7 @@ def _one(folder: Path, **changes: object) -> Path:
     [{"model": "openai:o3-mini"}, {"record_llm": "TALK"}, {"prompts": "/somewhere"}],
     ids=lambda s: next(iter(s)),
 )
-def test_a_stored_trial_asks_nobody_and_writes_nothing(section: dict[str, str], tmp_path: Path) -> None:
+def test_stored_trial_asks_no_model_and_writes_nothing(section: dict[str, str], tmp_path: Path) -> None:
     """A directory of results may come from anywhere; that a trial is simulated is only what it says."""
     fields = {"model": "simulated:ideal"} | {k: v.replace("TALK", str(tmp_path / "talk")) for k, v in section.items()}
     config = {"mission": {"shape": "circle", "n_robots": 10}, "model": fields, "protocol": {}, "trial": {"seed": 1}}

@@ -30,7 +30,7 @@ def test_a_dry_run_forecasts_and_leaves_nothing(tmp_path: Path, monkeypatch: pyt
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_it_flies_goes_on_and_says_how_it_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sweep_flies_resumes_and_reports_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = small_file(tmp_path)
     one = ("--executor", "one", "-q")

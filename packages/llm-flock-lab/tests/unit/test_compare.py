@@ -190,7 +190,7 @@ def test_separation_rounded_too_small_is_no_violation() -> None:
     assert row(CELL, from_zero(good(min_separation=3 - 2e-6))).violations == 1
 
 
-def test_starts_too_near_are_told_apart_from_later_violations() -> None:
+def test_starts_too_near_are_counted_apart_from_violations() -> None:
     near = {"start_violations": 2, "min_separation": 0.5}
     later = good(**near, min_separation_after_start=3.1), good(min_separation_after_start=3.2)
     found = row(CELL, from_zero(good(), *later))

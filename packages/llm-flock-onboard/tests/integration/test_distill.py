@@ -192,7 +192,7 @@ def test_an_adapter_is_written_as_llama_cpp_reads_it(tmp_path: Path) -> None:
     assert np.allclose(tensors["blk.0.ffn_up.weight.lora_b"], made.factors["blk.0.ffn_up"][1], atol=1e-3)
 
 
-def test_what_is_told_in_an_example_is_what_a_run_asks() -> None:
+def test_example_has_the_prompt_of_a_run() -> None:
     question = replace(STEP, neighbors=())
     example = step_example(BRIEF, question)
     assert example == Example(

@@ -128,7 +128,7 @@ def test_a_closed_way_is_refused_with_the_reason() -> None:
     assert isinstance(given_up, NoAnswer) and "one of L, R, H is required" in given_up.reason
 
 
-def test_nobody_is_asked_where_there_is_nothing_to_choose() -> None:
+def test_no_model_is_asked_if_there_is_nothing_to_choose() -> None:
     arrives = question(goal=(24.0, 21.0))
     answer, attempts = asked(Saying(), arrives)
     assert answer == StepAnswer(waypoint=(24.0, 21.0), by="geometry") and not attempts

@@ -110,7 +110,7 @@ def test_without_a_form_a_schema_holds_the_answer(file):
     assert "json_schema" not in asyncio.run(go(question()))
 
 
-def test_robots_and_runs_share_one_engine_until_nobody_needs_it(file):
+def test_robots_and_runs_share_one_engine_while_in_use(file):
     engines = Engines()
 
     async def go():
@@ -150,7 +150,7 @@ def test_context_follows_the_question_up_to_the_trained_length(file):
     assert asyncio.run(go()) == 512  # as the file says
 
 
-def test_whoever_stops_waiting_stops_the_answer(file):
+def test_cancelled_question_stops_the_answer(file):
     async def go():
         engines = Engines()
         model = LocalModel(f"local:{file}", EngineLeases(engines))
@@ -252,7 +252,7 @@ def test_engine_still_loading_is_stopped_with_the_pool(file, monkeypatch):
     assert made[0].closed == 1 and engines.running == 0
 
 
-def test_an_engine_that_cannot_be_loaded_says_so_to_everybody(file, monkeypatch):
+def test_engine_that_cannot_be_loaded_fails_every_question(file, monkeypatch):
     def fail(*_):
         raise InputError("model", str(file), "what the engine can load")
 

@@ -70,7 +70,7 @@ def test_untaught_plans_come_from_geometry_and_say_so(question: PlanQuestion) ->
     assert len(answer.plan) == question.mission.n_places
 
 
-def test_a_shape_in_words_has_no_plan_by_geometry() -> None:
+def test_described_shape_has_no_plan_by_geometry() -> None:
     assert isinstance(asyncio.run(KnownPlans(Saying(), is_taught).plan(asked("text:a heart", 5))), NoAnswer)
 
 

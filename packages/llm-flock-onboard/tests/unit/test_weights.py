@@ -44,7 +44,7 @@ def test_widths_of_keys_and_values_may_be_given(tmp_path):
     assert read_header(write_model(tmp_path / "n.gguf", {"general.architecture": "llama"})).cache_bytes == 0
 
 
-def test_whatever_else_a_file_holds_it_is_refused_in_words(tmp_path):
+def test_file_of_any_other_content_is_refused_with_reason(tmp_path):
     whole = gguf(MODEL, TENSORS)
     path = tmp_path / "m.gguf"
     cuts = [whole[:length] for length in range(1, len(whole), 7)]

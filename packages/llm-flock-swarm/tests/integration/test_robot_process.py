@@ -164,7 +164,7 @@ def test_the_process_says_why_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
         asyncio.run(run_robot(CONFIG, 0))
 
 
-def test_a_flood_of_bad_messages_is_not_told_message_by_message() -> None:
+def test_flood_of_bad_messages_is_not_logged_one_by_one() -> None:
     def act(process: RobotProcess, link: FakeLink) -> None:
         link.see()
         for _ in range(2 * MAX_NOTES):

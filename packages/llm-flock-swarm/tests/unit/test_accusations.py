@@ -138,7 +138,7 @@ def test_without_keys_nothing_is_proven() -> None:
     assert observer.shown_to_lie == {}
 
 
-def test_a_member_that_accuses_falsely_is_not_judged_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_false_accusations_are_judged_a_limited_number_of_times(monkeypatch: pytest.MonkeyPatch) -> None:
     judged: list[object] = []
     monkeypatch.setattr(JUDGE, "confirms", lambda *_: judged.append(1))
     observer = Observer(CONFIG, Sink(), judge=JUDGE)

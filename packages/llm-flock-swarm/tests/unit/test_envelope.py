@@ -54,7 +54,7 @@ def test_noise_is_refused(noise: bytes) -> None:
     assert refused(pair()[1], b"\2" + noise)
 
 
-def test_nobody_speaks_for_another_or_for_the_reader() -> None:
+def test_envelope_in_the_name_of_another_is_rejected() -> None:
     @dataclass(frozen=True)
     class Impostor(ToyKeys):
         def sign(self, statement: bytes) -> bytes:

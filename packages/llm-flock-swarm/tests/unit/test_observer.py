@@ -299,7 +299,7 @@ def test_the_supplier_of_the_plan_is_what_most_robots_say() -> None:
     assert seen.supplier is None
 
 
-def test_a_plan_is_recorded_once_however_often_it_is_told() -> None:
+def test_plan_that_is_repeated_is_recorded_once() -> None:
     seen = observer()
     sink = seen._sink
     assert isinstance(sink, Sink)
@@ -315,7 +315,7 @@ def test_only_whole_reports_pass_the_wire() -> None:
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_swarm_told_to_fly_on_does_not_end_once_formed(stops: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_swarm_that_flies_on_does_not_end_once_formed(stops: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     class Launched:
         """Stands for the processes, and for an observer that has seen a formation."""
 

@@ -164,7 +164,7 @@ def test_topic_may_bring_its_rate_and_twice_that_at_once() -> None:
     assert seldom.spend(0.0) and not seldom.spend(5.0) and seldom.spend(11.0)
 
 
-def test_who_may_send_what_is_told_to_the_network() -> None:
+def test_access_rules_name_the_keys_of_each_sender() -> None:
     told = access_control({"robot-0": ["flock/say/0"], "watcher": []})["access_control"]
     assert told["enabled"] and told["default_permission"] == "deny"
     ingress = [r for r in told["rules"] if r["flows"] == ["ingress"]]

@@ -108,7 +108,7 @@ def test_a_port_that_is_taken_is_refused_in_a_line() -> None:
             FoxgloveServer(port, 4)
 
 
-def test_a_client_that_reads_nothing_holds_nobody_up() -> None:
+def test_client_that_reads_nothing_delays_no_other() -> None:
     flown = FakeRun(n=4, rounds=2)
     with server() as live, FoxgloveClient(live.url) as good:
         bad = FoxgloveClient(live.url)

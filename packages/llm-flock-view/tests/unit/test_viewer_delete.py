@@ -84,7 +84,7 @@ def test_one_record_by_two_names_is_one_run(tmp_path: Path) -> None:
     assert records_in([tmp_path / "c", tmp_path]) == [tmp_path / "c" / "run.mcap", tmp_path / "b" / "run.mcap"]
 
 
-def test_a_record_that_is_being_written_stays_whoever_writes_it(tmp_path: Path) -> None:
+def test_record_being_written_by_any_process_stays(tmp_path: Path) -> None:
     path = tmp_path / "run" / "run.mcap"
     with RecordWriter(path) as writer:
         FakeRun(n=2, rounds=2).write(writer, finish=False)

@@ -37,7 +37,7 @@ def test_every_kind_of_event_is_a_sentence(kind: str) -> None:
     assert not re.search(r"True|False|None|[\[\]{}_=]|ab12|aGVsbG8", sentence), sentence
 
 
-def test_no_kind_is_told_that_is_not_noted() -> None:
+def test_every_described_kind_is_noted_by_the_protocol() -> None:
     assert told_kinds() == frozenset(NOTES)
 
 
@@ -55,7 +55,7 @@ def test_the_same_kind_says_which_way_it_went() -> None:
     assert words("asked_again", reason="new_goal").endswith("its place is another one")
 
 
-def test_one_of_a_kind_is_told_in_the_singular() -> None:
+def test_single_event_is_described_in_the_singular() -> None:
     assert "after 1 refusal in a row" in words("breaker", refusals=1) and "3 refusals" in words("breaker")
     assert "for 1 round," in words("deadlock", rounds=1) and "1 unit away" in words("deadlock", goal_distance=1.0)
     assert words("gap") == "leaves place 4 of the formation empty, after robot 5 was not found"
@@ -83,7 +83,7 @@ def test_every_kind_of_event_of_a_flight_is_a_sentence() -> None:
             assert not re.search(r"True|False|None|[\[\]{}_=]", sentence) or not detail, sentence
 
 
-def test_what_is_not_known_is_told_all_the_same() -> None:
+def test_unknown_events_are_described_too() -> None:
     assert words("swerved", battery_v=3.2) == "reports: swerved; battery v 3.2"
 
 

@@ -46,7 +46,7 @@ def test_who_joins_late_completes_the_shape(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_spares_are_in_nobodys_way(seed: int) -> None:
+def test_spare_robots_block_no_place(seed: int) -> None:
     figures = flown(llm_flock.Mission(shape="circle", n_robots=8, places=6), seed).summary
     assert (figures.gaps, figures.spares) == (0, 2)
 

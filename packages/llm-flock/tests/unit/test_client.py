@@ -273,7 +273,7 @@ def test_no_key_leaves_as_the_name_of_the_model() -> None:
     assert KEY not in reply.model and len(reply.model) < 150
 
 
-def test_whatever_an_sdk_raises_is_a_failed_call() -> None:
+def test_any_exception_of_an_sdk_is_a_failed_call() -> None:
     """pydantic-ai raises RuntimeError at custom tool calls."""
 
     def trip(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:

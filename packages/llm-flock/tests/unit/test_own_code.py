@@ -75,7 +75,7 @@ def test_a_name_that_is_not_there_leaves_the_path_alone(folder: Path) -> None:
     assert sys.path == before
 
 
-def test_the_error_of_a_users_module_is_told(folder: Path) -> None:
+def test_error_in_a_users_module_is_reported(folder: Path) -> None:
     (folder / "my_own_rules.py").write_text("def (\n")
     with pytest.raises(InputError, match=r"SyntaxError.*line 1"):
         load_own("consensus", "my_own_rules:Nobody", "a rule")
@@ -93,7 +93,7 @@ def test_a_misspelt_provider_is_no_class(text: str) -> None:
         parse_model(text)
 
 
-def test_a_class_in_lower_case_is_told_its_capital_letter() -> None:
+def test_lower_case_class_is_reported_to_need_a_capital() -> None:
     for text, told in (("my_models:answer", True), ("opnai:o3-mini", False), ("my_models", False), ("openai:", False)):
         with pytest.raises(InputError) as caught:
             parse_model(text)
@@ -112,7 +112,7 @@ def test_a_run_by_name_makes_one_object_and_closes_it(folder: Path) -> None:
     assert "my_own_models:Corners" in told and "only the name" in told
 
 
-def test_an_object_is_told_to_be_unrepeatable(tmp_path: Path) -> None:
+def test_model_given_as_an_object_is_marked_unrepeatable(tmp_path: Path) -> None:
     result = llm_flock.run(n_robots=3, shape="triangle", model=Echo("x"), max_retries=0, rounds=1, out=tmp_path)
     assert result.summary.models == (NAME,) and not result.summary.simulated
     (told,) = llm_flock.read_record(tmp_path).run.unrepeatable or []
@@ -166,7 +166,7 @@ def test_text_is_a_reply() -> None:
         (ModelError("rate_limit", "slow down"), "rate_limit"),
     ],
 )
-def test_whatever_it_does_is_a_failed_call(answer: Any, kind: str) -> None:
+def test_unusable_answer_of_own_code_is_a_failed_call(answer: Any, kind: str) -> None:
     with pytest.raises(ModelError) as caught:
         ask(answer)
     assert caught.value.kind == kind
@@ -189,7 +189,7 @@ def test_what_is_no_rule_is_refused(field: str) -> None:
             llm_flock.run(**{field: wrong})
 
 
-def test_rules_of_ones_own_are_told_to_be_unrepeatable(folder: Path) -> None:
+def test_own_rules_are_marked_unrepeatable(folder: Path) -> None:
     (folder / "my_own_rules.py").write_text(RULE)
     named = llm_flock.run(n_robots=3, shape="triangle", rounds=1, consensus="my_own_rules:Nobody")
     assert named.config.protocol.consensus == "my_own_rules:Nobody"
@@ -226,7 +226,7 @@ class Unspeakable(Exception):
 
 
 @pytest.mark.parametrize("raised", [asyncio.CancelledError(), SystemExit(0), Unspeakable()], ids=repr)
-def test_whatever_a_model_raises_is_a_failed_call(raised: BaseException) -> None:
+def test_any_exception_of_a_model_is_a_failed_call(raised: BaseException) -> None:
     """A cancellation of its own ended the run, and `sys.exit` with exit code 0."""
 
     class Raising:

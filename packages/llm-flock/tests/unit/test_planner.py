@@ -155,7 +155,7 @@ def test_after_too_many_tries_there_is_no_answer(retries: int) -> None:
     ("error", "cause"),
     [(ModelError("server", "500", faults=("server", "server")), "server"), (BudgetExceeded("max_calls"), "budget")],
 )
-def test_a_failing_provider_is_no_answer_and_is_told(error: ModelError, cause: str) -> None:
+def test_failing_provider_is_no_answer_and_is_reported(error: ModelError, cause: str) -> None:
     thinker, heard = planner(Scripted("nothing", error))
     answer = asyncio.run(thinker.step(step_question()))
     assert isinstance(answer, NoAnswer) and answer.cause == cause and error.detail in answer.reason
@@ -241,7 +241,7 @@ def test_where_several_waypoints_may_be_given_a_path_is_read(form: str) -> None:
         assert (model.calls[0].schema or {})["properties"]["path"]["maxItems"] == 2
 
 
-def test_checks_can_object_in_words_for_the_model() -> None:
+def test_check_gives_the_model_its_reason_as_text() -> None:
     def too_far(question: StepQuestion, answer: StepAnswer) -> Verdict:
         long = answer.waypoint[0] > question.position[0] + 6
         return Verdict(reason="the step is too long." if long else None, fit=None)

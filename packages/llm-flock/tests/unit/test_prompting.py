@@ -163,7 +163,7 @@ def test_numbers_are_short(value: float, text: str) -> None:
 
 
 @pytest.mark.parametrize(("max_step", "decimals"), [(6.0, 3), (60.0, 3), (0.6, 4), (0.06, 5), (1e-6, 6)])
-def test_positions_are_told_to_a_thousandth_of_a_step(max_step: float, decimals: int) -> None:
+def test_prompt_rounds_positions_to_a_thousandth_of_a_step(max_step: float, decimals: int) -> None:
     assert position_decimals(max_step) == decimals
 
 
@@ -241,7 +241,7 @@ def test_the_documentation_lists_exactly_the_variables() -> None:
     }
 
 
-def test_obstacles_if_any_are_told_and_alter_nothing_else() -> None:
+def test_obstacles_alter_one_line_of_the_prompt() -> None:
     prompts = PromptSet.load()
     bare = build_mission()
     disc: dict[str, object] = {"center": (50, 50), "radius": 5}
@@ -262,7 +262,7 @@ def test_obstacles_if_any_are_told_and_alter_nothing_else() -> None:
     assert "a ball of radius 5 around [9, 9, 9]" in prompts.system(ball)
 
 
-def test_places_are_told_only_if_not_one_for_each_robot() -> None:
+def test_prompt_names_places_if_robots_are_more_or_fewer() -> None:
     prompts = PromptSet.load()
     team = build_mission(shape="circle", n_robots=10)
     for mission in (team, team.change(places=10)):
@@ -276,7 +276,7 @@ def test_places_are_told_only_if_not_one_for_each_robot() -> None:
     assert "lists all 8 places" in PromptSet.load(json=True).plan(plan_question(mission=spares))
 
 
-def test_a_travelling_formation_is_told_of_its_velocity() -> None:
+def test_prompt_of_a_travelling_formation_has_its_velocity() -> None:
     prompts = PromptSet.load()
     mission = MISSION.change(velocity=(1, -0.5), since=2)
     line = (
@@ -296,7 +296,7 @@ def test_the_written_out_missions_of_a_long_way_stay_apart() -> None:
     assert prompts.system(mission.at(1)) == first
 
 
-def test_a_spare_is_told_where_it_waits() -> None:
+def test_prompt_tells_a_spare_where_it_waits() -> None:
     text = PromptSet.load().step(step_question(slot=None, target=(1.0, 2.0)))
     assert "Your goal, where you wait, out of the others' way: [1.0, 2.0]\n" in text
     with pytest.raises(AssertionError, match="where to wait"):

@@ -33,5 +33,5 @@ def test_separation_along_segments(
     assert segment_separation(before, after) == pytest.approx(nearest, abs=1e-12)
 
 
-def test_one_robot_meets_nobody() -> None:
+def test_separation_of_a_single_robot_is_infinite() -> None:
     assert segment_separation([(0, 0)], [(1, 1)]) == math.inf

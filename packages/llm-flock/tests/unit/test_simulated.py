@@ -77,7 +77,7 @@ def test_orientations_are_uniform() -> None:
     assert ((counts - 50) ** 2 / 50).sum() < 24.3
 
 
-def test_a_shape_in_words_becomes_a_circle() -> None:
+def test_described_shape_becomes_a_circle() -> None:
     mission = build_mission(shape="text:the letter A", n_robots=6)
     plan, _ = parse_plan(responder().answer(plan_talk(mission, robot=0)), 6, 2)
     circle = formations.ideal_points("circle", 6, (50, 50), 10)
@@ -346,7 +346,7 @@ def test_turning_keeps_the_reference_unchanged() -> None:
 
 
 @pytest.mark.parametrize("places", [8, 12])
-def test_a_stand_in_plans_for_as_many_places_as_it_is_told(places: int) -> None:
+def test_stand_in_plans_as_many_places_as_the_prompt_asks(places: int) -> None:
     mission = CIRCLE.change(places=places)
     plan, slot = parse_plan(responder().answer(plan_talk(mission, robot=9)), places, 2)
     assert len(plan) == places and slot == 9 % places and check_plan(mission, plan) is None

@@ -78,7 +78,7 @@ def test_a_thought_is_never_an_answer(text: str) -> None:
         parse_plan(text.replace(DRAFT, "Plan: [[1, 2]]\nmy plan: 0"), 1, 2)
 
 
-def test_what_is_said_is_all_of_the_text_where_nobody_thinks() -> None:
+def test_text_without_thoughts_is_kept_whole() -> None:
     assert spoken(SAID).text is SAID and not spoken(SAID).thought
     closed = spoken(f"<think>hm</think>{SAID}")
     assert (closed.text, closed.thought, closed.unfinished) == (SAID, True, False)
@@ -94,7 +94,7 @@ UNITS = [
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("begin", ["", "analysisW", "{", '{"'])
-def test_marks_without_end_are_told_apart_in_linear_time(unit: str, begin: str) -> None:
+def test_unclosed_thought_marks_are_read_in_linear_time(unit: str, begin: str) -> None:
     text = begin + unit * (MAX_CHARS // 10 // len(unit))
     began = time.process_time()
     spoken(text)
@@ -134,6 +134,6 @@ def test_a_reasoning_in_json_is_not_read(text: str, position: tuple[float, ...])
         'The set {a: {"reasoning": "Position: [5, 0]", "posi',
     ],
 )
-def test_a_json_object_that_is_cut_off_is_no_answer_in_words(text: str) -> None:
+def test_cut_off_json_object_is_not_read_as_text(text: str) -> None:
     with pytest.raises(AnswerError, match="not complete"):
         parse_step_json(text, 2)

@@ -56,7 +56,7 @@ def test_two_that_lie_together_change_nothing_where_two_may(lie: str) -> None:
 
 @pytest.mark.no_cover
 @pytest.mark.parametrize(("lie", "rounds"), HUNTS.items())
-def test_no_robot_is_kept_from_a_place_for_ever(lie: str, rounds: int) -> None:
+def test_every_robot_gets_a_place_in_the_end(lie: str, rounds: int) -> None:
     """However often it is driven away: bids are drawn by lot, and exchanges end long before claims do."""
     team = flown(lie, TWO, rounds)
     assert team.settled()
@@ -66,7 +66,7 @@ def test_no_robot_is_kept_from_a_place_for_ever(lie: str, rounds: int) -> None:
 
 
 @pytest.mark.no_cover
-def test_who_is_told_first_has_no_right_to_a_place() -> None:
+def test_robot_that_is_told_first_has_no_right_to_a_place() -> None:
     """Three of ten that claim each freed place before others know of it kept one to three without a place for ever."""
     found = fly("moves on before others know", 10, 3, seed=2)
     assert found.formed is not None and found.separation >= MISSION.safe_distance - 1e-6
@@ -125,7 +125,7 @@ def test_two_liars_stop_a_team_that_reckons_with_one() -> None:
 
 
 @pytest.mark.no_cover
-def test_every_lie_of_the_library_is_told() -> None:
+def test_gang_can_tell_every_lie_of_the_library() -> None:
     told = dict.fromkeys(LIES, 0)
     for lie in LIES:
         team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)

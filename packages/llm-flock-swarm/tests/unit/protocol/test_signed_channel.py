@@ -105,7 +105,7 @@ def test_origins_are_remembered_in_bounded_memory(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("adopted", [False, True])
-def test_origin_of_the_current_plan_is_kept_whatever_comes(adopted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_message_changes_the_origin_of_the_current_plan(adopted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its proposer floods the team with earlier plans, and falls silent: the others go on to hear each other."""
     monkeypatch.setattr("llm_flock_swarm._signed.channel.REMEMBERED_ORIGINS", 4)
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
@@ -183,7 +183,7 @@ def test_signed_messages_fill_no_cache(team: SignedTeam, liar: Liar) -> None:
     assert _verdict.cache_info().misses == before
 
 
-def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:
+def test_message_in_anothers_name_is_rejected(team: SignedTeam, liar: Liar) -> None:
     said = liar.says(sender=2)
     assert team.tell(1, said, team.liar) == ["impostor"]
     assert team.tell(1, liar.says(), 3) == ["impostor"]

@@ -121,7 +121,7 @@ def test_claim_is_renewed_after_an_offer_without_effect(team: SignedTeam) -> Non
     assert {evidence_of(other)._page.last[0] for other in team.agents} == {evidence.precedence(slot, claim.table[slot])}
 
 
-def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: Liar) -> None:
+def test_restarted_robot_learns_its_last_number(team: SignedTeam, liar: Liar) -> None:
     """Its first claims count for nothing, as its former life has made later ones: it would claim in vain for long."""
     slot = free_slot(team)
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=-1.0, number=41)}, slot=slot)])
@@ -158,7 +158,7 @@ def test_robot_without_place_takes_a_given_one_despite_claims() -> None:
     assert evidence._page.number == 7
 
 
-def test_nobody_is_told_a_number_by_another(team: SignedTeam, liar: Liar) -> None:
+def test_robot_learns_its_number_only_from_its_own_claims(team: SignedTeam, liar: Liar) -> None:
     evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table or ()
     before, entry = evidence._page.number, (0, -1.0, 0)
     forged = LastClaim(1, *entry, 50, liar.keys.sign(claim_statement(team.context, 1, entry, 50)), None)

@@ -134,7 +134,7 @@ def test_without_the_shield_the_model_is_obeyed_to_the_letter() -> None:
     assert move == MoveTo(waypoint=(99.0, 1.0), proposed=(99.0, 1.0), origin=Origin.MODEL)
 
 
-def test_robot_without_shield_and_answer_holds_whoever_is_near() -> None:
+def test_robot_without_shield_and_answer_holds_near_others() -> None:
     agent = make(shield_on=False)
     agent.handle(began(r1=(48.5, 50.0)))
     agent.handle(Planned(PlanAnswer(plan=PLAN, slot=0)))

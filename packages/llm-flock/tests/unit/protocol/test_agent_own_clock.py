@@ -80,7 +80,7 @@ def deciding(agent: Agent, plan: Plan = PLAN) -> Agent:
     return agent
 
 
-def test_it_sends_and_receives_before_its_first_round() -> None:
+def test_robot_communicates_before_its_first_round() -> None:
     agent = make()
     agent.handle(seen())
     agent.handle(HeartbeatDue(1))
@@ -140,7 +140,7 @@ def test_an_answer_about_a_mission_of_before_is_dropped() -> None:
     assert isinstance(effects[-1], MoveTo) and effects[-1].origin is Origin.HOLD and agent.phase is Phase.MOVING
 
 
-def test_a_step_is_flown_from_what_is_seen_when_it_is_decided() -> None:
+def test_step_is_shielded_by_the_newest_observation() -> None:
     agent = deciding(make())
     agent.handle(seen(r1=(53.0, 50.0)))
     effects = agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
@@ -148,7 +148,7 @@ def test_a_step_is_flown_from_what_is_seen_when_it_is_decided() -> None:
     assert move.origin is Origin.SHIELD and move.waypoint[0] <= 49.0 + 1e-9
 
 
-def test_it_sends_and_receives_while_it_flies() -> None:
+def test_robot_communicates_while_it_flies() -> None:
     agent = deciding(make())
     agent.handle(Decided(StepAnswer(waypoint=(50.0, 50.0))))
     agent.handle(Received(said_by(2, BETTER, degree=2)))

@@ -90,7 +90,7 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
     assert isinstance(note, Note) and "taken by others" in note.detail["reason"]
 
 
-def test_robot_without_place_hearing_nobody_seeks_the_others() -> None:
+def test_robot_without_place_that_hears_none_seeks_the_others() -> None:
     """A liar told it that every place is taken, and it is out of everybody's reach: what it knows will stay old."""
     agent = make(2)
     planned(agent)

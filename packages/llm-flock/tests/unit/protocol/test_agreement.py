@@ -109,7 +109,7 @@ def test_a_flood_of_plans_costs_bounded_memory() -> None:
     assert driven.agent.plan == last
 
 
-def test_moving_mission_is_seen_in_its_own_frame_once_heard() -> None:
+def test_moving_mission_applies_in_its_own_frame_once_heard() -> None:
     """It has travelled since round 1; a spare robot's places are where the frame has them, not where they began."""
     moving = LINE.change(velocity=(2.0, 0.0), since=1)
     driven = DrivenAgent(make(), here=(50.0, 50.0))

@@ -212,7 +212,7 @@ def test_places_of_the_last_versions_are_not_exchanged(slot: int) -> None:
         assert one.slot == (0 if version < LAST_EXCHANGED else 1)
 
 
-def test_whoever_may_not_exchange_neither_offers_nor_accepts() -> None:
+def test_robot_that_may_not_exchange_neither_offers_nor_accepts() -> None:
     zero, one, sensed = crossed()
     offered = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     assert offered.offer is not None

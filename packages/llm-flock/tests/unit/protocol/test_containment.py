@@ -279,7 +279,7 @@ def test_a_place_that_travels_has_to_be_reached_not_followed() -> None:
     assert reasons[0] is not None and reasons[1:] == [None, None]
 
 
-def test_the_purist_holds_and_asks_for_ever() -> None:
+def test_fallback_hold_holds_and_asks_in_every_round() -> None:
     robot = Robot(fallback="hold").fly(6)
     assert robot.origins == ["hold"] * 6 and robot.here == START and not robot.agent.open_breakers
     assert len([q for q in robot.asked if isinstance(q, StepQuestion)]) == 6 and not robot.breaker_notes()

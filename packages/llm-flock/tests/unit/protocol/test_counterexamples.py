@@ -62,7 +62,7 @@ HUBS: tuple[Point, ...] = (
 )
 
 
-def test_two_hubs_hold_two_plans_for_ever() -> None:
+def test_two_hubs_never_agree_on_one_plan() -> None:
     """One is strictly more influential, and the graph is connected; but robots 1 and 2 each listen to their own hub."""
     nine = Mission(shape="circle", n_robots=9)
     plans = turned(nine, 9)

@@ -101,7 +101,7 @@ def test_a_restarted_robot_counts_on_from_its_former_reports() -> None:
     assert (report(in_touch, (1.0, 1.0), EMPTY, greeting=True) or {})[0] == (LAST_ROUND, (9.0, 9.0), ())
 
 
-def test_reports_end_once_all_are_placed_or_nobody_new_comes() -> None:
+def test_reports_end_once_all_are_placed_or_none_arrives() -> None:
     everybody: BidTable = ((N * VERSION, 0.0, 0),) * N
     in_touch = knowing((0.0, 0.0), (5.0, 0.0))
     assert report(in_touch, (0.0, 0.0), everybody, greeting=True) is None
@@ -221,7 +221,7 @@ def test_teams_of_any_size_are_placed_together(n: int, jointly: int) -> None:
 
 
 @pytest.mark.parametrize("n", [5, MANY + 1])
-def test_who_places_nobody_together_states_no_positions(n: int) -> None:
+def test_rule_without_joint_placement_states_no_positions(n: int) -> None:
     """The paper's rule has no table to write."""
     mission = Mission(shape="circle", n_robots=n, arena=((-200, -200), (300, 300)))
     row = Plan.of(mission.ideal or ())

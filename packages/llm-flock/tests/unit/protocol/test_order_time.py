@@ -22,7 +22,7 @@ from llm_flock.message import (
 NOW = 1_700_000_000_000
 
 
-def test_every_order_is_later_than_the_last_whatever_the_clock() -> None:
+def test_orders_get_later_even_if_the_clock_goes_back() -> None:
     walls = iter([NOW, NOW, NOW + 5, NOW - 10_000, NOW + 6])
     clock = OperatorClock(lambda: next(walls))
     times = [clock.next() for _ in range(5)]

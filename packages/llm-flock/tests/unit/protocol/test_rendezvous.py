@@ -123,7 +123,7 @@ def test_a_robot_comes_to_the_circle_in_its_own_direction(away: float) -> None:
         assert meeting_point(SQUARE, PLAN, here, [on_circle(1.0)]) == pytest.approx(there)
 
 
-def test_without_a_circle_in_the_plane_nobody_waits() -> None:
+def test_without_a_circle_in_the_plane_no_robot_waits() -> None:
     grid = Mission(shape="grid", n_robots=41, arena=((-200, -200), (300, 300)))
     assert landing(grid, Plan.of(grid.ideal or ()), (0.0, 0.0)) is None
     there = meeting_places(SQUARE, PLAN, owned(1)).points[3]
@@ -134,7 +134,7 @@ def test_without_a_circle_in_the_plane_nobody_waits() -> None:
     assert landing(space, Plan.of(space.ideal or ()), (1.0, 0.0, 0.0)) is None
 
 
-def test_nobody_moves_alone_or_where_all_are_at_hold_distance() -> None:
+def test_robot_stays_if_alone_or_all_are_at_hold_distance() -> None:
     apart = HOLD * SQUARE.comm_range
     assert went(0.0, []) == pytest.approx(0.0)
     for k in range(5):
@@ -162,7 +162,7 @@ def test_a_chain_across_the_antipode_is_one_chain(turn: float) -> None:
     assert went(where[0], where[1:]) < -1.0 and went(where[-1], where[:-1]) > 1.0
 
 
-def test_on_a_closed_circle_everybody_stays() -> None:
+def test_robots_on_a_closed_circle_stay() -> None:
     around = math.tau * RADIUS
     count = int(around / 9.0)
     where = [around * k / count + (k % 2) for k in range(count)]
@@ -217,7 +217,7 @@ def test_after_the_first_call_a_robot_waits_instead_of_searching() -> None:
     assert not [e for e in flown(agent, ROUNDS + 2, here) if isinstance(e, Note)]
 
 
-def test_it_leaves_once_all_robots_it_hears_are_jointly_placed() -> None:
+def test_robot_leaves_once_all_it_hears_are_jointly_placed() -> None:
     agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[5]
     for number in range(1, ROUNDS + 1):

@@ -204,7 +204,7 @@ def test_nowhere_to_go() -> None:
     assert step.origin is Origin.SHIELD and safety.course is not None and safety.course.of == 0
 
 
-def test_a_refuge_leads_past_nobody_who_comes() -> None:
+def test_way_to_a_refuge_passes_no_oncoming_robot() -> None:
     right = RightOfWay(1, MISSION)
     sensed = {0: (46.0, 50.0)}
     (way,) = right.ways(sensed, {0: course((64.0, 50.0))})
@@ -247,7 +247,7 @@ def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
 
 
 @pytest.mark.parametrize("shield_on", [True, False])
-def test_a_new_mission_makes_a_pilot_heed_everybody_again(shield_on: bool) -> None:
+def test_pilot_heeds_all_robots_again_after_a_new_mission(shield_on: bool) -> None:
     parts = Parts(safety=ShieldedSafety(1, MISSION, 0.0) if shield_on else Safety())
     pilot = Pilot(1, MISSION, parts, noise_bound=0.0, on_event=False, fallback="hold")
     courses = {0: course((64.0, 50.0))}
@@ -337,7 +337,7 @@ def test_two_layers_change_places() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_whatever_is_claimed_the_cells_keep_the_distance(seed: int) -> None:
+def test_false_claims_cannot_break_the_safe_distance(seed: int) -> None:
     """Members that lie ask for anything, in anybody's name."""
     rng = np.random.default_rng(seed)
     grid = 50 + 5.0 * (np.array([[i, j] for i in range(3) for j in range(3)]) - 1.0)

@@ -152,7 +152,7 @@ def test_looks_of_others_count() -> None:
     assert search.given_up and search.target is None
 
 
-def test_with_everybody_in_touch_nobody_searches() -> None:
+def test_robots_in_touch_with_all_do_not_search() -> None:
     search = Search()
     for _ in range(50):
         search = step(search, 20.0, 2, table(0, 1, 2, NO_OWNER), strangers=0)
@@ -227,7 +227,7 @@ def test_placeless_robots_are_missed_unless_they_may_be_liars(liars: int, misses
     assert not looks(10 + APART + 9, 0, 1, 2, 3)
 
 
-def test_nobody_is_looked_for_where_a_body_stands() -> None:
+def test_place_with_a_standing_body_is_not_searched() -> None:
     """Its robot is out of radio range, or not heard for the loss of messages; it needs no visit."""
     owners = table(0, NO_OWNER, 2, 3)
     search = Search()

@@ -13,7 +13,7 @@ MISSION = Mission(shape="line", n_robots=4, places=3)
 PLAN = Plan.of(MISSION.ideal or ())
 
 
-def test_a_robot_that_is_in_nobodys_way_stays() -> None:
+def test_robot_that_blocks_no_place_stays() -> None:
     assert waiting_place(MISSION, (50.0, 60.0), PLAN, []) == (50.0, 60.0)
 
 
