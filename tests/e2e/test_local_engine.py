@@ -83,7 +83,7 @@ def test_a_capped_answer_says_that_it_was_cut_off():
         whole_answer(reply)
 
 
-def test_what_two_questions_begin_with_is_read_once(engine):
+def test_common_beginning_of_two_questions_is_read_once(engine):
     body = {"messages": [{"role": "system", "content": "Be brief. " * 20}], "max_tokens": 1}
     for place in ("here", "there"):
         asked = {**body, "messages": [*body["messages"], {"role": "user", "content": f"Robot {place}?"}]}

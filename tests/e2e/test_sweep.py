@@ -125,7 +125,7 @@ def test_missing_key_is_reported_before_anything_is_made(tmp_path: Path) -> None
         fly_sweep(small(tmp_path, model="vllm:x", budget={"max_cost": 1.0}), tmp_path / "out")
 
 
-def test_what_real_models_will_cost_is_rehearsed_by_stand_ins(tmp_path: Path) -> None:
+def test_cost_of_real_models_is_estimated_by_stand_ins(tmp_path: Path) -> None:
     sweep = small(tmp_path, model="openai:gpt-4o", more="[expect]\noutput_tokens = 100\nprofile = 'ideal'")
     expected = expect_cells(sweep)
     free = expect_cells(small(tmp_path))

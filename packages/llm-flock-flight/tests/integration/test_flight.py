@@ -300,7 +300,7 @@ def test_failed_preflight_prevents_take_off() -> None:
     assert str(failed[0]) == "d1: battery: 3.50 V, at least 3.80 V"
 
 
-def test_who_does_not_confirm_does_not_fly() -> None:
+def test_unconfirmed_flight_does_not_start() -> None:
     async def no(report) -> bool:
         assert report.passed
         return False

@@ -224,7 +224,7 @@ def test_a_driver_is_a_plug_in_and_a_wrong_name_gets_a_hint(monkeypatch: pytest.
     assert len(build_fleet(flight_config(robot="tricycle"))) == 4
 
 
-def test_a_driver_of_ones_own() -> None:
+def test_own_driver_makes_a_robot_for_each_drone() -> None:
     made = build_fleet(flight_config(robot="flights:one_by_one"))
     assert [robot.name for robot in made] == ["d0", "d1", "d2", "d3"]
 
@@ -269,7 +269,7 @@ def test_vehicles_at_one_address_differ_by_their_system_ids() -> None:
         mavlink_config(same)
 
 
-def test_where_positions_begin_has_to_be_known() -> None:
+def test_mavlink_needs_a_start_or_an_origin_for_positions() -> None:
     drones = [{"name": f"d{k}", "uri": f"udp://0.0.0.0:{14540 + k}"} for k in range(4)]
     with pytest.raises(InputError, match="a start for each drone"):
         build_fleet(mavlink_config(drones))

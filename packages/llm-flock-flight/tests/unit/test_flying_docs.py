@@ -49,7 +49,7 @@ def test_all_of_the_paper_s_flights_landed() -> None:
     assert f"all {sum(int(row['Runs']) for row in flights)} formed" in PAGE.replace("\n", " ")
 
 
-def test_what_ends_a_flight_is_listed() -> None:
+def test_page_lists_every_trouble_that_ends_a_flight() -> None:
     table = re.search(r"^\| Kind \|.*\n(?:^\|.*\n)+", PAGE, re.MULTILINE)
     assert table is not None
     assert set(re.findall(r"^\| `(\w+)` \|", table[0], re.MULTILINE)) == {kind.value for kind in TroubleKind}

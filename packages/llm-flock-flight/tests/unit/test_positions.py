@@ -157,7 +157,7 @@ def test_unknown_names_are_counted_together() -> None:
     assert found.refused == {("", "unknown_name"): 1}
 
 
-def test_what_comes_late_or_out_of_order_is_refused() -> None:
+def test_late_and_reordered_poses_are_rejected() -> None:
     found = gate()
     assert found.take(frame(5.0, a=(0, 0, 0)), 100.0)
     assert found.take(frame(5.1, a=(0, 0, 0)), 100.19)

@@ -106,7 +106,7 @@ def test_each_drone_has_its_own_battery_limits() -> None:
     assert [(trouble.kind, trouble.robot) for trouble in found] == [(TroubleKind.BATTERY_LOW, 2)]
 
 
-def test_what_is_not_watched_is_said() -> None:
+def test_preflight_names_what_is_not_watched() -> None:
     blind = replace(PID, unwatched=("its battery",))
     states = but_one(equipment=blind, battery_v=None)
     assert failed(states) == []

@@ -69,7 +69,7 @@ def test_addresses_are_read_as_cflib_reads_them(uri: str, found: RadioAddress | 
         "radio://0/80/2M/E7E7E7E701/9",
     ],
 )
-def test_what_is_no_address_is_a_fault(uri: str) -> None:
+def test_malformed_address_is_a_fault_of_the_plan(uri: str) -> None:
     assert plan_radios([("cf1", uri)], TRAFFIC).faults[0].startswith(f"cf1: {uri}: expected ")
 
 
@@ -122,7 +122,7 @@ def test_proposed_radios_have_no_fault_and_warn_only_of_load() -> None:
         (on(20), "radio 0 needs 144%"),
     ],
 )
-def test_what_is_warned_of(uris: list[str], says: str) -> None:
+def test_radio_plan_warns_of_bad_channels_and_load(uris: list[str], says: str) -> None:
     found = plan_radios(drones(uris), TRAFFIC)
     assert not found.faults and [says in warning for warning in found.warnings] == [True]
 

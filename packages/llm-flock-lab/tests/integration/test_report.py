@@ -252,7 +252,7 @@ def test_a_figure_on_a_page_takes_the_pages_colours(results: Results) -> None:
     assert all(name.startswith("x-") for name in re.findall(r'\bid="([^"]+)"', text))
 
 
-def test_what_is_refused(results: Results, tmp_path: Path) -> None:
+def test_report_rejects_bad_input_and_writes_nothing(results: Results, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="directory of results"):
         write_report(tmp_path / "nothing", tmp_path / "out")
     (tmp_path / "empty" / "trials").mkdir(parents=True)

@@ -117,7 +117,7 @@ def test_a_file_is_read_and_flags_win(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("teams", "protocols", "cause"), [([("circle", 60)], ["flock"], "^arena"), ([("circle", 5)], ["best"], "^protocol")]
 )
-def test_what_a_run_refuses_is_refused(teams: list[tuple[str, int]], protocols: list[str], cause: str) -> None:
+def test_cells_reject_what_a_run_rejects(teams: list[tuple[str, int]], protocols: list[str], cause: str) -> None:
     with pytest.raises(InputError, match=cause):
         build_cells(teams, protocols)
 

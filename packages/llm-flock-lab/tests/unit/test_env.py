@@ -110,7 +110,7 @@ def test_pictures_have_one_size() -> None:
         ({"no_such_field": 1}, "no_such_field"),
     ],
 )
-def test_what_an_environment_cannot_do_is_refused(options: dict[str, Any], field: str) -> None:
+def test_environment_rejects_options_that_it_cannot_follow(options: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as caught:
         parallel_env(**SQUARE, **options)
     assert caught.value.field == field

@@ -57,7 +57,7 @@ def test_a_row_of_other_questions_or_models_is_not_replaced(tmp_path: Path) -> N
     assert read_rows(tmp_path) == [IDEAL]
 
 
-def test_what_was_taught_stays_with_the_same_prompts(tmp_path: Path) -> None:
+def test_taught_scores_stay_with_the_same_prompts(tmp_path: Path) -> None:
     publish(tmp_path, [IDEAL.model_copy(update={"taught": {"step": 0.5}})])
     publish(tmp_path, [IDEAL])
     assert read_rows(tmp_path)[0].taught == {"step": 0.5}

@@ -15,7 +15,7 @@ from llm_flock_lab._experiments.grid import Earlier
 from llm_flock_lab._experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
 
 
-def test_what_is_saved_is_loaded(tmp_path: Path) -> None:
+def test_saved_trial_is_loaded_unchanged(tmp_path: Path) -> None:
     store = Store(tmp_path)
     trial = stored_trial("a", earlier=(Earlier(stopped="budget", model_calls=3, tokens=9, cost_usd=None),))
     store.save(trial)

@@ -93,7 +93,7 @@ def test_the_address_is_the_content_wherever_files_are_put(tmp_path: Path) -> No
         ({"more": "seed = 3"}, "seed"),
     ],
 )
-def test_what_is_not_allowed_is_named(tmp_path: Path, options: dict[str, Any], field: str) -> None:
+def test_sweep_names_the_field_that_it_rejects(tmp_path: Path, options: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as error:
         small(tmp_path, **options)
     assert error.value.field.split(".")[-1] == field.split(".")[-1], error.value

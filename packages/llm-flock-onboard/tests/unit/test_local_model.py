@@ -206,7 +206,7 @@ def test_the_pool_builds_models_on_board_without_loading_them(file):
         parse_model("local:")
 
 
-def test_what_does_not_fit_into_memory_is_refused_unloaded(file):
+def test_model_too_large_for_the_memory_is_not_loaded(file):
     check_memory(Weights(file), 1000, free=2**30)
     with pytest.raises(InputError, match=r"takes about 0.3 GiB, 0.2 GiB are free"):
         check_memory(Weights(file), 1000, free=2**28)

@@ -44,7 +44,7 @@ class Saying:
         return StepAnswer(waypoint=(1.0, 2.0))
 
 
-def test_what_it_knows_is_what_the_recipe_teaches() -> None:
+def test_taught_plans_are_those_of_the_recipe() -> None:
     assert {(shape, n) for shape, sizes in TEAMS for n in sizes} == set(TAUGHT_PLANS)
 
 

@@ -199,7 +199,7 @@ def test_beacons_of_members_that_are_no_robots_are_refused() -> None:
         ("prompts", {"prompts": "nowhere"}),
     ],
 )
-def test_what_would_end_each_robot_is_refused_before_starting(
+def test_errors_that_end_each_robot_prevent_the_start(
     field: str, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def start(*_: object, **__: object) -> None:

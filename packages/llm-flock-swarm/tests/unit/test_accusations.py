@@ -82,7 +82,7 @@ def test_messages_of_another_flight_prove_nothing(other: dict[str, Any]) -> None
     assert judge.topic(LIAR) != JUDGE.topic(LIAR) and judge.verdict(LIAR, FORGED, [config.mission]) is None
 
 
-def test_where_plans_are_not_verified_none_proves_anything() -> None:
+def test_without_verification_no_plan_is_evidence() -> None:
     bad = Plan.of([(50.0, 50.0)] * N)
     origin = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, degree=1, proposer=LIAR, sequence=0)
     message = Message(sender=LIAR, sequence=0, degree=1, plan=bad, provenance=origin)

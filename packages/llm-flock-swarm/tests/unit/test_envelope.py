@@ -25,7 +25,7 @@ def refused(reader: Envelope, sealed: bytes, topic: str = "") -> str:
     return error.value.reason
 
 
-def test_what_is_sealed_is_opened_once() -> None:
+def test_sealed_message_is_opened_once() -> None:
     writer, reader = pair()
     sealed = writer.seal(b"hello", "gossip")
     assert len(sealed) <= 5 + OVERHEAD
@@ -108,7 +108,7 @@ def test_each_is_taken_once_in_any_order_within_the_window(seed: int) -> None:
     assert sorted(opened) == sorted(bytes([k]) for k in range(60) if sealed[k] in sent)
 
 
-def test_what_is_older_than_the_window_is_refused() -> None:
+def test_message_older_than_the_window_is_rejected() -> None:
     writer, reader = pair()
     sealed = [writer.seal(b"x") for _ in range(WINDOW + 2)]
     reader.open(sealed[0])

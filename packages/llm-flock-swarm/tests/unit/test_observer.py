@@ -214,7 +214,7 @@ def test_sums_of_what_robots_say_have_room_in_a_record(changes: dict[str, Any]) 
     assert len(rows) == 3 and seen.said.tokens <= 2**53
 
 
-def test_what_one_robot_tells_takes_bounded_memory() -> None:
+def test_reports_of_one_robot_take_bounded_memory() -> None:
     """Plans, their suppliers and latencies; and the other robots' are heard all the same."""
     seen = observer()
     for k in range(400):

@@ -41,7 +41,7 @@ def test_the_air_carries_within_range_only() -> None:
     assert not own.carries(3) and own.neighbors(100.1) == 2
 
 
-def test_who_has_not_said_where_it_is_is_not_heard() -> None:
+def test_sender_without_a_beacon_is_not_heard() -> None:
     own = Radio(
         0,
         MISSION,
@@ -115,7 +115,7 @@ def test_loss_duplicates_and_delays_are_injected() -> None:
     assert now[-1] == -1
 
 
-def test_what_comes_over_the_wire_is_checked() -> None:
+def test_received_messages_are_checked() -> None:
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     assert unpack(Beacon, pack(beacon)) == beacon
     assert unpack(BeaconedMessage, pack(BeaconedMessage(beacon=beacon, message=b"abc"))) == BeaconedMessage(

@@ -90,7 +90,7 @@ def test_early_subscriber_misses_no_robot_of_announced_team() -> None:
         assert "/robots/3/pose" in client.channels and not client.statuses
 
 
-def test_who_comes_late_gets_the_arena_and_the_last_scene() -> None:
+def test_late_client_gets_the_arena_and_the_last_scene() -> None:
     with server() as live:
         FakeRun(n=4, rounds=3).write(live)
         with FoxgloveClient(live.url) as client:

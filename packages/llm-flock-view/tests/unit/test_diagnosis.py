@@ -97,7 +97,7 @@ def _changed(run: RunHistory, **fields: Any) -> Diagnosis:
     return diagnose(run)
 
 
-def test_who_cannot_hear_the_others_is_named_and_since_when(tmp_path: Path) -> None:
+def test_robot_out_of_range_is_named_and_since_when(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=5))
     plan = run.states[-1].plan_ids[0]
     near = [[50.0 + 8.0 * k, 50.0] for k in range(4)]

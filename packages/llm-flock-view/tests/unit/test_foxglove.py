@@ -182,7 +182,7 @@ def test_the_record_of_a_killed_run_is_exported_up_to_its_end(tmp_path: Path) ->
         (b"\x89MCAP0\r\n", "ended before its start was recorded"),
     ],
 )
-def test_what_is_no_record_leaves_nothing_behind(tmp_path: Path, content: bytes, cause: str) -> None:
+def test_failed_export_leaves_the_older_file(tmp_path: Path, content: bytes, cause: str) -> None:
     (tmp_path / "run.mcap").write_bytes(content)
     before = (tmp_path / "foxglove.mcap").write_bytes(b"an older export")
     with pytest.raises(RecordError, match=cause):

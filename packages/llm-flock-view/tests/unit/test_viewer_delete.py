@@ -55,7 +55,7 @@ def test_a_folder_that_was_not_made_for_a_record_stays(tmp_path: Path) -> None:
     assert (tmp_path / "mine").is_dir() and not named.exists()
 
 
-def test_where_the_viewer_was_started_and_behind_a_link_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_here_and_behind_a_link_can_be_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record(tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")
     assert "done" in deleted(shown(Path("run.mcap")))

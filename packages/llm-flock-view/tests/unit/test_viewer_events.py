@@ -41,7 +41,7 @@ def test_every_described_kind_is_noted_by_the_protocol() -> None:
     assert told_kinds() == frozenset(NOTES)
 
 
-def test_the_same_kind_says_which_way_it_went() -> None:
+def test_event_is_described_by_its_details() -> None:
     assert words("search") == "set out to look for robots for places 0, 1"
     assert "ended its search" in words("search", begun=False)
     assert words("claimed", before=1) == "claimed place 3 instead of 1"

@@ -62,7 +62,7 @@ def test_a_growing_record_is_read_in_whole_messages(tmp_path: Path) -> None:
     assert list(stream.entries()) == []
 
 
-def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> None:
+def test_broken_record_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> None:
     path = make_record(tmp_path / "run.mcap", n=3, rounds=6, finish=False)
     whole = path.read_bytes()
     path.write_bytes(whole[: whole.rindex(b'"round":5')])
@@ -72,7 +72,7 @@ def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("content", [b"", b"not a record", b"\x89MCAP0\r\n"])
-def test_what_is_no_record_says_so(tmp_path: Path, content: bytes) -> None:
+def test_viewer_reports_a_file_that_is_no_record(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     run = replayed(path)

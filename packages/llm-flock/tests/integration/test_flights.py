@@ -39,7 +39,7 @@ def test_those_left_form_a_smaller_shape(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_who_joins_late_completes_the_shape(seed: int) -> None:
+def test_robot_that_joins_late_completes_the_shape(seed: int) -> None:
     figures = flown(CIRCLE, seed, join="2@15").summary
     assert (figures.distinct_goals, figures.gaps) == (8, 0)
     assert figures.procrustes_mean is not None and figures.procrustes_mean <= 0.1 * CIRCLE.spacing

@@ -256,7 +256,7 @@ def test_scrubbing_leaves_other_text_alone() -> None:
     assert scrub(text, ("", KEY)) == text
 
 
-def test_what_cannot_be_written_to_a_record_is_replaced() -> None:
+def test_lone_surrogate_in_an_answer_is_replaced() -> None:
     """A lone surrogate is no text in UTF-8, and would break every record and cassette after it."""
     reply = ask(model(lambda *_: ModelResponse(parts=[TextPart("Position: \ud800 [1, 2] ☃")])))
     assert reply.text == "Position: ? [1, 2] ☃"

@@ -129,7 +129,7 @@ def test_a_model_for_each_robot() -> None:
 
 
 @pytest.mark.parametrize("wrong", [Echo, object(), 3, [], [3]])
-def test_what_is_no_model_is_refused(wrong: Any) -> None:
+def test_object_that_is_no_model_is_rejected(wrong: Any) -> None:
     with pytest.raises(InputError) as caught:
         llm_flock.run(model=wrong)
     assert caught.value.field == "model"
@@ -182,7 +182,7 @@ def test_a_fault_of_the_code_is_logged_once_with_its_traceback(caplog: pytest.Lo
 
 
 @pytest.mark.parametrize("field", ["consensus", "assignment"])
-def test_what_is_no_rule_is_refused(field: str) -> None:
+def test_object_that_is_no_rule_is_rejected(field: str) -> None:
     wrongs: list[Any] = [3, object(), type(consensus_rule("none"))]
     for wrong in wrongs:
         with pytest.raises(InputError, match=field):

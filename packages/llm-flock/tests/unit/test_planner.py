@@ -122,7 +122,7 @@ USED = Usage(input=300, output=64)
         (reply("", "stop", settings=CAPPED), "it holds no complete position"),
     ],
 )
-def test_what_was_cut_off_or_only_thought_is_no_answer(answer: Reply, reason: str) -> None:
+def test_cut_off_or_thought_only_reply_is_no_answer(answer: Reply, reason: str) -> None:
     model = Scripted(answer, reply("Position: [3, 2]", "stop"))
     thinker, heard = planner(model)
     asked = replace(step_question(), position=(1.0, 2.0))
@@ -228,7 +228,7 @@ def test_json_answers_come_with_a_schema() -> None:
 
 
 @pytest.mark.parametrize("form", ["text", "json"])
-def test_where_several_waypoints_may_be_given_a_path_is_read(form: str) -> None:
+def test_path_is_read_if_several_waypoints_may_be_given(form: str) -> None:
     said = '{"path": [[1, 2], [3, 4]]}' if form == "json" else "Path: [[1, 2], [3, 4]]"
     model = Scripted("Path: [[1, 2], [3, 4], [5, 6]]", said)
     thinker, heard = planner(model, answers=form)

@@ -103,7 +103,7 @@ def test_channels_of_others_are_passed_over(tmp_path: Path) -> None:
         (b"\x89MCAP0\r\n", "nothing to show"),
     ],
 )
-def test_what_is_no_record_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+def test_file_that_is_no_record_is_rejected(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordError, match=rf"run\.mcap: .*{message}"):

@@ -160,7 +160,7 @@ def test_same_run_same_bytes(tmp_path: Path) -> None:
     assert one.read_bytes() != make_record(tmp_path / "c.mcap", seed=4).read_bytes()
 
 
-def test_what_may_differ_between_runs_of_one_seed_is_declared() -> None:
+def test_fields_that_differ_between_equal_runs_are_declared() -> None:
     volatile = {
         topic: {name for name, field in channel_schema(model)["properties"].items() if "volatile" in field}
         for topic, model in CHANNELS.items()

@@ -45,7 +45,7 @@ NO_ANSWER = 'no complete position|no "position"|nothing but thoughts|JSON object
         f"My reasoning: a step. 3 < 4 > 2, so I think.\n{SAID}",
     ],
 )
-def test_what_stands_after_the_last_thought_is_the_answer(text: str) -> None:
+def test_text_after_the_last_thought_is_the_answer(text: str) -> None:
     assert parse_step(text, 2) == (1.0, 2.0)
     assert parse_step_json(text.replace(SAID, '{"position": [1, 2]}'), 2) == (1.0, 2.0)
 

@@ -207,7 +207,7 @@ def spread(mission: Mission) -> list[Point]:
     return [tuple(row) for row in start_positions(mission, None, "connected", rng).tolist()]
 
 
-def test_who_moves_on_again_and_again_is_excluded_by_all() -> None:
+def test_robot_that_moves_on_repeatedly_is_excluded_by_all() -> None:
     team = beside_lies("moves on before others know", MISSION, line_up(N), liars=TWO, rounds=40)
     assert {evidence_of(agent).excluded for agent in team.agents} == {frozenset({5})} and team.settled()
 
@@ -290,7 +290,7 @@ def test_departure_words_count_only_of_possible_claimants() -> None:
     assert heard == {(slot, 1, left_by(0))}
 
 
-def test_who_left_a_place_has_not_blocked_it() -> None:
+def test_robot_that_left_a_place_has_not_blocked_it() -> None:
     team, gang = settled_team()
     slot = team.slots[0] or 0
     statement = word_statement(gang.about, slot, 1, left_by(0))
@@ -301,7 +301,7 @@ def test_who_left_a_place_has_not_blocked_it() -> None:
     assert not evidence._holds(slot, (1, 0.0, BLOCKED), certificate, N)
 
 
-def test_who_is_silent_claims_nothing() -> None:
+def test_silent_robot_claims_nothing() -> None:
     """Its heart does not beat, so the place would be freed again in the next round."""
     team, gang = settled_team()
     free = next(a for a in gang.places if a not in team.slots)

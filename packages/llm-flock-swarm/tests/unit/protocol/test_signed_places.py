@@ -119,7 +119,7 @@ def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> 
     assert [list(words) for words in second._page.words._said.values()] == [[team.liar]]
 
 
-def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
+def test_liar_cannot_change_entries_that_others_signed(team: SignedTeam, liar: Liar) -> None:
     agent = team.agents[0]
     table, evidence = agent.claim.table, evidence_of(agent)
     assert table is not None

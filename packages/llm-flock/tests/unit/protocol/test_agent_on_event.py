@@ -83,7 +83,7 @@ def test_a_surprise_is_noted_and_asked_about() -> None:
     assert isinstance(ask, AskStep) and ask.question.position == WAY[0] and not agent.on_path
 
 
-def test_what_the_shield_made_of_a_step_is_remembered() -> None:
+def test_change_by_the_shield_is_remembered() -> None:
     agent = make()
     begin(agent, START, {1: (START[0] + 0.1, START[1] - 4.0)})
     flown = move(agent.handle(Decided(StepAnswer(waypoint=WAY[0], path=WAY[1:]))))

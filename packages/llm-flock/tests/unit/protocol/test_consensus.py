@@ -146,7 +146,7 @@ def test_a_rule_knows_its_own_robot() -> None:
     assert result.formed and result.summary.plans_in_use == 1
 
 
-def test_what_has_no_name_is_no_rule() -> None:
+def test_rule_without_a_name_is_rejected() -> None:
     for nameless in (object(), SimpleNamespace(name=""), SimpleNamespace(name=3)):
         with pytest.raises(AssertionError, match="a rule has a name"):
             check_consensus_rule(cast("Any", nameless))

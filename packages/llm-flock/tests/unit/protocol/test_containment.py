@@ -310,7 +310,7 @@ def test_robot_without_plan_goes_to_centre_and_asks_rarely() -> None:
     assert robot.agent.plan == IDEAL and robot.agent.hopeless is None, "the first acceptable plan that it hears"
 
 
-def test_without_the_shield_it_goes_there_too() -> None:
+def test_gathering_reaches_the_centre_without_the_shield() -> None:
     robot = Robot(no_plan, shield_on=False).fly(12)
     assert math.dist(robot.here, MISSION.center) <= 0.5 * MISSION.spacing
 

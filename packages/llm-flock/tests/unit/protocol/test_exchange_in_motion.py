@@ -71,7 +71,7 @@ def test_robots_exchange_on_hearing_each_other_and_turn_round() -> None:
     assert max(there) <= AT_GOAL * MISSION.spacing
 
 
-def test_who_hears_nothing_exchanges_nothing() -> None:
+def test_robots_without_messages_exchange_no_places() -> None:
     """To see another body head-on is not enough: without a message neither knows what the other's place is."""
     team = Corridor(apart=14.0)
     team.fly(4, heard=False)
@@ -79,7 +79,7 @@ def test_who_hears_nothing_exchanges_nothing() -> None:
 
 
 @pytest.mark.parametrize("apart", [-4.0, -14.0])
-def test_they_keep_their_places_where_an_exchange_would_cost(apart: float) -> None:
+def test_robots_keep_places_if_an_exchange_would_cost(apart: float) -> None:
     """The same meeting, but each with its place behind it."""
     team = Corridor(apart)
     before = team.squares

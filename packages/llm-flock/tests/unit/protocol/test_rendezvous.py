@@ -81,7 +81,7 @@ def test_obstacle_on_the_circle_keeps_the_places_as_they_are() -> None:
     assert meeting_places(mission, PLAN, owned(1)) == PLAN
 
 
-def test_a_robot_that_misses_most_of_a_large_team_goes_there() -> None:
+def test_robot_missing_most_of_a_large_team_goes_to_meet_it() -> None:
     agent = whole_agent(0, SQUARE, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
     here = PLAN.points[0]
     agent.handle(RoundBegan(round=1, position=here, sensed={}, observed=(), degree=0))
@@ -227,7 +227,7 @@ def test_robot_leaves_once_all_it_hears_are_jointly_placed() -> None:
     assert target(flown(agent, ROUNDS + 2, here, message(1, 40 * VERSION), message(2, 40 * VERSION))) is None
 
 
-def test_where_there_is_no_circle_it_searches_on() -> None:
+def test_robot_searches_on_if_there_is_no_meeting_circle() -> None:
     there = meeting_places(SQUARE, PLAN, owned(1)).points[3]
     walled = SQUARE.model_copy(update={"obstacles": (Obstacle(center=there, radius=1.0),)})
     agent = whole_agent(0, walled, ProvenanceConsensus(), AuctionAssignment(), shield_on=True)
