@@ -79,7 +79,7 @@ def test_ctrl_c_lands_and_twice_cuts(presses: int, end: str) -> None:
             time.sleep(0.1)
         out = process.stdout.read()
         assert process.wait(10.0) == 1
-    # The first trouble is what ended the flight; motors are cut whatever that was.
+    # The first trouble is what ended the flight; motors are cut in any case.
     assert re.search(r"ended by\W+abort", out) and out.count(end) >= 4
 
 

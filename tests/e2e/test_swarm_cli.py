@@ -116,7 +116,7 @@ def wait_for_places(record: Path, *, missions: int) -> None:
             found = read_record(record)
             if len(found.missions) == missions and None not in found.states[-1].slots:
                 return
-    raise AssertionError("nobody took a place")
+    raise AssertionError("no robot took a place")
 
 
 def test_missing_swarm_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

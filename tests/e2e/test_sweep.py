@@ -1,4 +1,4 @@
-"""Sweeps from their file to their tables: each trial once, wherever it is flown and whatever comes in between."""
+"""Sweeps from their file to their tables: each trial once, in any place and with any interruption."""
 
 from pathlib import Path
 from typing import Any

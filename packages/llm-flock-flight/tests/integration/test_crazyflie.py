@@ -33,7 +33,7 @@ def robot_of(drones, k=0, **options):
 
 
 class Stubborn(Parameter):
-    """Stays 0, whatever it is set to."""
+    """Stays 0, also if it is set."""
 
     def packed(self):
         return b"\0\0\0\0"

@@ -135,7 +135,7 @@ def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) 
 
 
 def test_deadman_lands_flying_drones_without_a_terminal(tmp_path: Path) -> None:
-    """Nobody reads what it says any more, as when a window is closed or a pipe breaks."""
+    """Its output is no longer read, as when a window is closed or a pipe breaks."""
     out, into = os.pipe()
     os.close(out)
     landed = tmp_path / "landed"
@@ -198,7 +198,7 @@ def test_a_flight_that_fails_in_the_air_says_no_farewell(monkeypatch) -> None:
 
 
 def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> None:
-    """Whatever happens between the two, the drone is called down."""
+    """If anything happens between the two, the drone is called down."""
     happened: list[object] = []
 
     async def whole() -> None:

@@ -219,7 +219,7 @@ def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
 
 
 def test_a_process_that_stood_still_does_not_blame_the_drones(monkeypatch) -> None:
-    """Estimates come twelve times a second; ten times nobody looks at them for 0.7 s, as on a busy machine."""
+    """Estimates come twelve times a second; ten times they are not read for 0.7 s, as on a busy machine."""
     plain, lost_s = time.monotonic, [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: plain() + lost_s[0])
     tasks: list[asyncio.Task[None]] = []
@@ -279,7 +279,7 @@ def test_flight_goes_on_when_its_record_cannot_be_written(tmp_path, caplog) -> N
     assert "the record breaks off here, and the flight goes on" in caplog.text
     record = read_record(tmp_path / "run.mcap")
     assert record.result is None and 0 < record.rounds < trial(result).summary.rounds
-    assert isinstance(seen[-1], SummaryMessage), "whoever watches live misses nothing"
+    assert isinstance(seen[-1], SummaryMessage), "a live viewer misses nothing"
 
 
 def test_no_drone_takes_off_without_room_for_a_record(tmp_path) -> None:
@@ -353,7 +353,7 @@ def test_a_mission_in_space_is_formed_and_landed(at_end: str) -> None:
 
 
 def test_landing_of_a_mission_in_space() -> None:
-    """Drones above each other: the lower one first, and nobody on another."""
+    """Drones above each other: the lower one first, and none on another."""
     config = in_space()
     low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)
     groups = landing.plan_landing(config, {0: high, 1: low, 2: aside}, [])

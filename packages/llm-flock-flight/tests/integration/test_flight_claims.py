@@ -41,7 +41,7 @@ def config_of(uris: list[str], robot: str = OWN, **fields: Any) -> FlightConfig:
 
 
 def test_second_flight_of_a_drone_is_refused_the_first_goes_on(skipped_waits: None) -> None:
-    """Both flight files list one drone, by two radios; the second flight calls nobody."""
+    """Both flight files list one drone, by two radios; the second flight calls no drone."""
     second = config_of([RADIOS[0].replace("//0", "//1"), *(f"radio://1/90/2M/E7E7E7E71{k}" for k in range(3))])
     called: list[str] = []
     refusals: list[str] = []
@@ -126,7 +126,7 @@ def test_which_drones_are_the_same(robot: str, first: list[str], second: list[st
 def test_a_host_by_its_name_is_the_one_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
     def resolve(host: str, *_: object) -> list[Any]:
         if host != "drone1.lan":
-            raise socket.gaierror(socket.EAI_NONAME, "nobody knows it")
+            raise socket.gaierror(socket.EAI_NONAME, "unknown host")
         return [(socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("192.0.2.7", 0))]
 
     monkeypatch.setattr(socket, "getaddrinfo", resolve)

@@ -133,7 +133,7 @@ def test_lost_answers_do_no_harm(number):
 
 def test_an_autopilot_that_never_answers_is_named_in_time():
     async def act(robot, vehicle):
-        vehicle.autopilot.refuse[176] = (5, "")  # in progress, for ever
+        vehicle.autopilot.refuse[176] = (5, "")  # in progress, without end
         began = time.monotonic()
         with pytest.raises(RobotError, match="did not answer to mode"):
             await robot.arm()

@@ -126,7 +126,7 @@ def test_an_address_that_cannot_be_opened():
 
 
 TIOCGEXCL = 0x80045440
-"""Linux: asks whether a terminal may be opened by nobody else."""
+"""Linux: asks whether no other process may open a terminal."""
 
 
 def test_a_serial_line():

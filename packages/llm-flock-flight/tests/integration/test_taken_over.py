@@ -24,7 +24,7 @@ WHY = "its mode is Position"
 
 
 class Stubborn(SimulatedRobot):
-    """In the air at a height that its test decides, whatever it is told; a pilot may have it."""
+    """In the air at a height that its test decides, not its orders; a pilot may take it over."""
 
     def __init__(self, name: str, home: Position) -> None:
         super().__init__(name, home)

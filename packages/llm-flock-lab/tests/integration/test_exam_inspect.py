@@ -29,14 +29,14 @@ from llm_flock_lab._exam.splits import paper
 
 pytestmark = pytest.mark.skipif(find_spec("inspect_ai") is None, reason="the extra exam is not installed")
 
-TESTS = Path(__file__).parents[1]
-FOLDER = Path(__file__).parents[2] / "docs" / "leaderboard"
+ROOT = Path(__file__).parents[4]
+FOLDER = ROOT / "docs" / "leaderboard"
 ROWS = {row.model: row for row in read_rows(FOLDER)}
 
 
 def child(script: str, *arguments: str, cwd: Path) -> Any:
     """What a script beside the tests prints last."""
-    line = [sys.executable, str(TESTS / script), *arguments]
+    line = [sys.executable, str(ROOT / "tests" / script), *arguments]
     env = {name: value for name, value in ENV.items() if not name.endswith("_API_KEY")}
     done = subprocess.run(line, capture_output=True, text=True, timeout=300, env=env, cwd=cwd)
     assert done.returncode == 0, done.stderr

@@ -177,7 +177,7 @@ def test_one_trial_of_one_robot_is_enough(tmp_path: Path) -> None:
 
 
 def test_figures_of_trials_that_do_not_differ_have_axes(tmp_path: Path) -> None:
-    """One robot stands in formation from the start, whatever the protocol."""
+    """One robot stands in formation from the start, with any protocol."""
     rounds = {**trial("line", 1, "flock", 0).rounds, "error": [0.0] * 5}
     for protocol in ("flock", "baseline"):
         one = trial("line", 1, "flock", 0)

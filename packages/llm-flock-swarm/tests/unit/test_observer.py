@@ -76,7 +76,7 @@ def test_a_team_at_its_places_has_formed() -> None:
     ],
 )
 def test_one_member_cannot_say_that_the_team_has_formed(lie: dict[str, Any]) -> None:
-    """Robot 2 is not at its place, whatever it says of itself, of a place or of the mission."""
+    """Robot 2 is not at its place, and no statement of its own changes that."""
     bodies = (*PLACES[:2], (20.0, 20.0))
     last = told(2) if "goal" in lie else told(2, **{"points": None, **lie})
     assert not formed(observer(bodies), told(0), told(1), last)

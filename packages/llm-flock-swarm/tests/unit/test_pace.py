@@ -12,7 +12,7 @@ from llm_flock_swarm._network.process import PeriodClock, phase_s
 
 @dataclass
 class Clock:
-    """An event loop's clock; whoever sleeps moves it, by a little less than asked for where `early` says so."""
+    """An event loop's clock. Every sleep moves it, by a little less than asked for if `early` is set."""
 
     now: float = 100.0
     early: float = 0.0

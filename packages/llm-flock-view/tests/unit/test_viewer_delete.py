@@ -1,4 +1,4 @@
-"""Records that a page deletes: only what it showed, only when nobody writes it, and never half."""
+"""Records that a page deletes: only what it showed, only if no process writes it, and never half."""
 
 from __future__ import annotations
 

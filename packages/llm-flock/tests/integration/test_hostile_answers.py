@@ -1,4 +1,4 @@
-"""Whatever a provider sends is an answer or a failed call, through the real clients of the providers."""
+"""Any reply of a provider is an answer or a failed call, through the real clients of the providers."""
 
 from __future__ import annotations
 

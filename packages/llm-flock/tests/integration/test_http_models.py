@@ -56,7 +56,7 @@ def test_answer_comes_with_usage_and_the_name_of_who_answered() -> None:
     assert reply.text == ANSWER
     assert reply.model == "openai-compatible:stand-in"
     assert reply.usage.input > 0 and reply.usage.output == 5
-    assert reply.cost_usd is None  # nobody knows what a server at another address charges
+    assert reply.cost_usd is None  # the price of a server at another address is unknown
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Heartbeats and missions in flight, whatever happens to the messages: real agents, driven by hand."""
+"""Heartbeats and missions with lost, late and repeated messages: real agents, driven by hand."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_last_order_is_flown_however_many_were_given_elsewhere(
 
 @cases(6)
 @given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, comes_back=st.sampled_from(["restarted", "as it was"]))
-@example(  # two that live stand for ever beside the place that the silent one's body had blocked
+@example(  # two that live stand without end beside the place that the silent one's body had blocked
     seed=996,
     n=6,
     faults=LinkFaults(loss=0.48046875, delay=2, duplicate=0.294921875, reorder=0.2421875),

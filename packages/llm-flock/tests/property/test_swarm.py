@@ -1,4 +1,4 @@
-"""Many agents over a fake link, without a clock: what must hold whatever happens to the messages."""
+"""Many agents over a fake link, without a clock: what must hold with any loss, delay or repetition of messages."""
 
 from collections.abc import Callable
 

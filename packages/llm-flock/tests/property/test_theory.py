@@ -114,7 +114,7 @@ TABLES = st.lists(ENTRIES, min_size=3, max_size=3).map(tuple)
 
 @given(a=TABLES, b=TABLES, c=TABLES)
 def test_merging_is_the_join_of_a_lattice(a: BidTable, b: BidTable, c: BidTable) -> None:
-    """Lemma 1: whatever the order and however often tables arrive, the outcome is the same."""
+    """Lemma 1: tables may arrive in any order and repeatedly; the outcome is the same."""
     assert merge(a, b) == merge(b, a)
     assert merge(merge(a, b), c) == merge(a, merge(b, c))
     assert merge(a, a) == a
@@ -124,7 +124,7 @@ def test_merging_is_the_join_of_a_lattice(a: BidTable, b: BidTable, c: BidTable)
 
 @given(a=ENTRIES, b=ENTRIES)
 def test_entries_of_equal_rank_are_equal(a: BidEntry, b: BidEntry) -> None:
-    """The order of claims is total: no two different claims can stand side by side for ever."""
+    """The order of claims is total: no two different claims can stand side by side without end."""
     assert (rank(a) == rank(b)) == (a == b)
     assert (rank(a) > rank(b)) == (a[0] > b[0] or (a[0] == b[0] and rank(a)[1:] > rank(b)[1:]))
 
@@ -143,7 +143,7 @@ def greedy(bids: list[tuple[float, ...]]) -> list[int]:
 @cases(20)
 @given(seed=SEEDS, n=st.integers(1, 8))
 def test_auction_ends_greedily_within_n_times_the_diameter(seed: int, n: int) -> None:
-    """Theorem 5: all follow one plan from the beginning, nobody exchanges, and none are assigned together."""
+    """Theorem 5: all follow one plan from the beginning, none exchanges places, and none are assigned together."""
     rng = np.random.default_rng(seed)
     links, adjacent = random_links(n, rng)
     diameter = max(max(hops(adjacent, i)) for i in range(n))

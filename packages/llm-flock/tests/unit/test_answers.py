@@ -1,4 +1,4 @@
-"""Reading answers: whatever models wrap them in, and what is refused with which words."""
+"""Reading answers in any wrapping, and the reasons for which they are rejected."""
 
 from __future__ import annotations
 

@@ -211,15 +211,6 @@ def test_check_model_takes_an_object_and_says_what_is_wrong() -> None:
         check_model("nomodule_at_all:Mine")
 
 
-def test_nothing_of_a_record_is_imported(folder: Path) -> None:
-    (folder / "my_own_models.py").write_text(MODEL)
-    llm_flock.run(n_robots=3, shape="triangle", model="my_own_models:Corners", rounds=1, out=folder / "run")
-    del sys.modules["my_own_models"]
-    record = llm_flock.read_record(folder / "run")
-    assert record._repr_html_() and record.to_polars().height
-    assert "my_own_models" not in sys.modules
-
-
 class Unspeakable(Exception):
     def __str__(self) -> str:
         raise ValueError("no words")

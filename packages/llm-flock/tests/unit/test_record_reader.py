@@ -152,7 +152,7 @@ def test_an_mcap_file_of_something_else_is_no_record(tmp_path: Path) -> None:
 
 def test_message_on_an_unannounced_channel_is_damage(tmp_path: Path) -> None:
     data = plain_file(tmp_path / "run.mcap", ("/run", run_info().encoded())).read_bytes()
-    # The channel record says id 1; the message after it then belongs to nobody.
+    # The channel record says id 1; the message after it then belongs to no channel.
     damaged = data.replace(b"\x01\x00\x00\x00\x04\x00\x00\x00/run", b"\x09\x00\x00\x00\x04\x00\x00\x00/run", 1)
     assert damaged != data
     (tmp_path / "run.mcap").write_bytes(damaged)

@@ -115,7 +115,7 @@ def test_places_of_the_excluded_are_free_and_their_claims_void() -> None:
     team.comm_round(said_by=[gang.message(6, {free: gang.claim(6, free)}, slot=free)])
     assert all(table[free][2] == 6 for table in tables(team))
     told(team, gang, words_about(team, 6, range(TWO)))
-    assert all(table[free][2] == 6 for table in tables(team)), "as many words as there may be liars exclude nobody"
+    assert all(table[free][2] == 6 for table in tables(team)), "as many words as there may be liars exclude no robot"
     told(team, gang, words_about(team, 6, range(TWO + 1)))
     assert all(table[free] == UNSAID for table in tables(team))
     before = team.slots

@@ -280,4 +280,4 @@ def test_robot_that_followed_no_other_plan_listens_then_asks(team: SignedTeam, l
     for event in (AgreementEnded(), Arrived()):
         fresh.handle(event)
     began = fresh.handle(round_began(10, team.positions[0], near))
-    assert [effect for effect in began if isinstance(effect, AskPlan)], "but nobody spoke"
+    assert [effect for effect in began if isinstance(effect, AskPlan)], "but no robot spoke"

@@ -67,7 +67,7 @@ def test_every_robot_gets_a_place_in_the_end(lie: str, rounds: int) -> None:
 
 @pytest.mark.no_cover
 def test_robot_that_is_told_first_has_no_right_to_a_place() -> None:
-    """Three of ten that claim each freed place before others know of it kept one to three without a place for ever."""
+    """Three of ten that claim each freed place before others know of it left one to three without a place."""
     found = fly("moves on before others know", 10, 3, seed=2)
     assert found.formed is not None and found.separation >= MISSION.safe_distance - 1e-6
 

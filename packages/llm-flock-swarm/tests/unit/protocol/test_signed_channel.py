@@ -126,7 +126,7 @@ def test_no_message_changes_the_origin_of_the_current_plan(adopted: bool, monkey
 
 @pytest.mark.parametrize("places", [3, 4, 5])
 def test_last_epoch_plan_yields_only_to_one_for_more_robots(places: int) -> None:
-    """A liar proposes the last plan that counts, for fewer robots than are there: nobody is left without a place."""
+    """A liar proposes the last plan that counts, for fewer robots than are there: none is left without a place."""
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
     liar = Liar(team)
     team.fly(2)
@@ -361,7 +361,7 @@ def signed(mission: Mission, time: int) -> MissionGiven:
 
 
 def test_older_order_does_not_replace_the_signature_passed_on(team: SignedTeam) -> None:
-    """Otherwise a robot would show the signature of another mission with its own, and nobody would take it over."""
+    """Otherwise a robot would show the signature of another mission with its own, and no other would take it over."""
     last, older = MISSION.change(center=(52.0, 50.0)), MISSION.change(center=(47.0, 50.0))
     team.agents[0].handle(signed(last, 7))
     (note,) = team.agents[0].handle(signed(older, 6))

@@ -139,7 +139,7 @@ place = st.tuples(coordinate, coordinate).map(lambda x: (GOAL[0] + x[0], GOAL[1]
 def test_no_step_is_flown_unverified_or_unshielded(
     way: list[Point], crowd: list[dict[int, Point]], start: Point
 ) -> None:
-    """Whatever path is given and whoever comes along: a step is a fit wish that went through the shield, or a hold."""
+    """With any path and any other robots near, a step is a fit wish that went through the shield, or a hold."""
     agent, here = make(), start
     for sensed in crowd:
         projected: list[Point] = []
@@ -190,7 +190,7 @@ def test_shield_measures_arrival_by_current_mission_spacing() -> None:
 
 
 def test_a_step_that_ends_beside_a_corner_is_flown_to_the_corner() -> None:
-    """From beside it the way on may not be free, and a model that rounds would answer the same for ever."""
+    """From beside it the way on may not be free, and a model that rounds would give the same answer again and again."""
     disc = Obstacle(center=(50.0, 50.0), radius=6.0)
     mission = MISSION.change(obstacles=(disc,), shape="text:any")
     parts = Parts(safety=ShieldedSafety(0, mission, 0.0), verifier=Validator(shield_on=True))

@@ -91,7 +91,7 @@ def test_with_every_slot_lost_the_robot_waits_out_of_the_way() -> None:
 
 
 def test_robot_without_place_that_hears_none_seeks_the_others() -> None:
-    """A liar told it that every place is taken, and it is out of everybody's reach: what it knows will stay old."""
+    """A liar told it that every place is taken, and it is out of reach of all: what it knows will stay old."""
     agent = make(2)
     planned(agent)
     won = ((9, 0.0, 0), (9, 0.0, 1), (9, 0.0, 0))
@@ -120,7 +120,7 @@ def test_robot_without_place_that_hears_none_seeks_the_others() -> None:
 
 
 def test_a_robot_at_its_place_goes_to_look_for_the_others() -> None:
-    """Nobody was ever heard: two places are vacant as far as robot 0 knows."""
+    """No other was ever heard: two places are vacant as far as robot 0 knows."""
     agent = make()
     goals: list[tuple[float, ...]] = []
     kinds: list[str] = []

@@ -1,4 +1,4 @@
-"""Verification: whatever fails is neither followed nor forwarded nor flown."""
+"""Verification: a plan or step that fails is neither followed nor forwarded nor flown."""
 
 from __future__ import annotations
 

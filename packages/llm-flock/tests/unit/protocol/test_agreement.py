@@ -88,7 +88,7 @@ def test_plan_named_by_digest_is_followed_if_it_came_in_full() -> None:
     driven.begin()
     own = driven.agent.plan
     driven.comm_round(named)
-    assert driven.agent.plan == own, "nobody ever said which plan that is"
+    assert driven.agent.plan == own, "the plan itself was never sent"
     driven.comm_round(says(1, plan=PLAN))
     assert driven.agent.plan == PLAN
     wrong = says(2, plan=PLAN, named_only=True, places=2)
@@ -247,7 +247,7 @@ def test_rule_is_asked_again_once_its_occupancy_is_used_up() -> None:
 
 
 def test_rule_is_asked_each_communication_round_of_an_offer() -> None:
-    """The offer expires after a number of communication rounds, whatever is heard."""
+    """The offer expires after a number of communication rounds, with any messages."""
     rule, driven = counting()
     table: BidTable = ((1, -1.0, 1), (1, -1.0, 0), (0, 0.0, NO_OWNER))
     driven.begin({1: PLAN.points[1]})

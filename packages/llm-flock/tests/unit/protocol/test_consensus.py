@@ -69,7 +69,7 @@ def test_influence_tie_between_neighbours_goes_as_configured() -> None:
 
 
 def test_influence_never_resolves_a_tie_of_all() -> None:
-    """Three robots in range of each other all have I = 2/3: nobody outranks anybody, for ever."""
+    """Three robots in range of each other all have I = 2/3: none ever outranks another."""
     plans = [A, B, Plan.of([[2, 2], [12, 2], [7, 10]])]
     for i in range(3):
         heard = [says(j, 2, plans[j]) for j in range(3) if j != i]

@@ -266,7 +266,7 @@ def test_a_model_that_is_slow_between_refusals_is_found_out_too() -> None:
 
 
 def test_a_place_that_travels_has_to_be_reached_not_followed() -> None:
-    """Whoever flies half of what is left trails behind by a whole step of the formation."""
+    """A robot that flies half of what is left trails behind by a whole step of the formation."""
     travels = MISSION.change(velocity=(2.0, 0.0))
     goal = IDEAL.points[0]
     reasons: list[str | None] = []

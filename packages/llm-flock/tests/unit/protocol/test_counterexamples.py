@@ -33,7 +33,7 @@ def one_plan_and_distinct_places(team: DrivenTeam) -> bool:
 
 
 def test_equal_influences_never_resolve() -> None:
-    """Three robots in range of each other all have influence 2/3: nobody outranks anybody."""
+    """Three robots in range of each other all have influence 2/3: none outranks another."""
     plans = turned(THREE, 3)
     paper = DrivenTeam(THREE, "paper", plans)
     paper.begin(IN_RANGE)
@@ -121,7 +121,7 @@ def test_plans_go_round_because_influence_belongs_to_the_carrier() -> None:
 
 
 def test_two_robots_take_the_same_goal() -> None:
-    """Both adopt the plan of the robot between them, both are nearest to its upper point, and nobody is told."""
+    """Both adopt the plan of the robot between them, both are nearest to its upper point, and neither learns of it."""
     apart: tuple[Point, ...] = ((42.0, 75.0), (50.0, 68.0), (58.0, 75.0))
     upright = Plan.of(THREE.ideal or ())
     top = max(range(3), key=lambda a: upright.points[a][1])

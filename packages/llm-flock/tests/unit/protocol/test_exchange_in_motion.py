@@ -61,7 +61,7 @@ class Corridor(DrivenTeam):
 def test_robots_exchange_on_hearing_each_other_and_turn_round() -> None:
     team = Corridor()
     while math.dist(*team.positions) > MISSION.comm_range:
-        assert team.slots == [0, 1], "out of radio range nobody knows of the other"
+        assert team.slots == [0, 1], "out of radio range neither knows of the other"
         team.fly(1, heard=True)
     before = team.squares
     team.fly(1, heard=True)

@@ -140,7 +140,7 @@ def test_a_table_is_due_when_more_robots_live_than_it_places() -> None:
     assert in_touch.positions(MISSION, ROW, table, ()) is None, "the same three"
     two = in_touch.positions(MISSION, ROW, EMPTY, {1})
     assert two is not None and two[1] == (0, 2), "robot 1 is silent"
-    assert in_touch.positions(MISSION, ROW, EMPTY, {1, 2}) is None, "nobody else is left"
+    assert in_touch.positions(MISSION, ROW, EMPTY, {1, 2}) is None, "no other is left"
     assert in_touch.positions(MISSION, ROW, (*EMPTY[:-1], (1, 0.0, BLOCKED)), ()) is None
 
 
@@ -151,7 +151,7 @@ def test_robot_unheard_for_rounds_has_flown_towards_its_place() -> None:
     found = in_touch.positions(MISSION, ROW, table, ())
     far = 60.0 - 2 * MISSION.max_step
     assert found is not None and found[2] == ((0.0, 1.0), (10.0, far), (20.0, 0.0))
-    assert in_touch.positions(MISSION, ROW, EMPTY, ()) != found, "without a place nobody knows where it flies"
+    assert in_touch.positions(MISSION, ROW, EMPTY, ()) != found, "without a place its destination is unknown"
 
 
 def written(*places: Point) -> BidTable:
@@ -166,7 +166,7 @@ def test_of_two_tables_the_one_that_places_more_wins_as_a_whole() -> None:
     every = written((30.0, 0.0), (19.0, 0.0), (9.0, 0.0), (1.0, 0.0))
     assert owners(every) == [3, 2, 1, 0]
     for three in fewer:
-        assert merge(three, every) == merge(every, three) == every, "whatever their digests are"
+        assert merge(three, every) == merge(every, three) == every, "with any digests"
         assert merge(three, fewer[0]) == merge(fewer[0], three) and merge(three, fewer[0]) in (three, fewer[0])
         assert all(rank(entry) > rank((VERSION - 1, 0.0, 0)) for entry in three), "above bids and exchanges"
 
@@ -198,7 +198,7 @@ def test_robot_moves_to_its_new_place_though_its_old_is_free() -> None:
     freed: BidTable = ((1, 0.0, NO_OWNER), (1, 0.0, 0), UNSAID, UNSAID)
     held = Claim(slot=0, table=freed, bids=(0.0, -10.0, -20.0, -30.0))
     assert reclaimed(0, held, freed) is freed
-    assert reclaimed(0, held, (freed[0], *EMPTY[1:]))[0] == (2, 0.0, 0), "nobody gave it another one"
+    assert reclaimed(0, held, (freed[0], *EMPTY[1:]))[0] == (2, 0.0, 0), "it was given no other one"
 
 
 def test_robot_unplaced_by_any_joint_table_takes_a_free_place() -> None:

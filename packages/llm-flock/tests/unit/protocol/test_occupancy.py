@@ -43,7 +43,7 @@ def test_place_under_a_silent_body_is_blocked_until_it_moves() -> None:
     for _ in range(3):
         driven.round(sensed=body)
     table = driven.agent.claim.table
-    assert table is not None and table[1][2] == NO_OWNER, "a robot that hears nobody takes nobody for dead"
+    assert table is not None and table[1][2] == NO_OWNER, "a robot that hears no other takes none for dead"
     driven.round(says(2, (0, 8, 4)), sensed=body)
     table = driven.agent.claim.table
     assert table is not None and table[1][2] == BLOCKED
@@ -56,7 +56,7 @@ def test_place_under_a_silent_body_is_blocked_until_it_moves() -> None:
 
 
 def test_restarted_robot_frees_the_place_its_own_body_blocked() -> None:
-    """Those who noted it may be out of sight by now, and it has never met a body itself."""
+    """Those that noted it may be out of sight, and it has never met a body itself."""
     theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     driven = DrivenAgent(make(), here=PLAN.points[1])
     driven.round(says(1, plan=PLAN, table=theirs))
@@ -90,7 +90,7 @@ def test_a_living_robot_blocks_no_place() -> None:
 
 
 def test_robot_without_place_checks_if_a_blocked_one_is_free() -> None:
-    """Nobody else may be near enough, and in the others' tables the place is blocked for ever."""
+    """No other may be near enough, and in the others' tables the place stays blocked."""
     near = Mission(shape="line", n_robots=3, comm_range=15)
     theirs: BidTable = ((0, -1.0, 1), (3, 0.0, BLOCKED), (0, -1.0, 2))
     driven = DrivenAgent(make(mission=near), here=(40.0, 90.0))
@@ -126,7 +126,7 @@ def test_places_out_of_sight_stay_as_in_the_tables_of_others() -> None:
 def test_place_searched_in_vain_is_a_gap_naming_missing_robots() -> None:
     """One of two others has been heard of and is silent, one never was: after enough looks a place stays empty.
 
-    The silent one keeps its place: who hears nobody takes nobody's.
+    The silent one keeps its place: a robot that hears no other takes no place of others.
     """
     driven = DrivenAgent(make())
     kept: BidTable = ((0, 0.0, NO_OWNER), (0, -1.0, 1), (0, 0.0, NO_OWNER))
@@ -151,7 +151,7 @@ def test_place_searched_in_vain_is_a_gap_naming_missing_robots() -> None:
 
 
 def test_silence_out_of_radio_contact_frees_or_blocks_nothing() -> None:
-    """Places 10 apart, and a radio that reaches 5: whoever is at its place hears nobody, and is not dead."""
+    """Places 10 apart, and a radio that reaches 5: a robot at its place hears no other, and is not dead."""
     short = Mission(shape="line", n_robots=3, comm_range=5, sense_range=15)
     driven = DrivenAgent(make(mission=short))
     theirs: BidTable = ((0, 0.0, NO_OWNER), (4, -1.0, 1), (0, 0.0, NO_OWNER))

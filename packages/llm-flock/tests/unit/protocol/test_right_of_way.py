@@ -1,4 +1,4 @@
-"""Right of way: who asks, who steps aside and where to, and that courses move nobody too near another."""
+"""Right of way: who asks, who steps aside and where to, and that courses move no robot too near another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plans and the world: places at obstacles, in rooms that nobody can enter, and geometry that fits its plans in."""
+"""Plans and the world: places at obstacles, in rooms without an entrance, and geometry that fits its plans in."""
 
 from __future__ import annotations
 
