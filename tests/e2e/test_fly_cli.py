@@ -46,7 +46,7 @@ def test_a_flight_that_cannot_be_safe_is_wrong_input() -> None:
     assert flock(*FLY, "--geofence=-1,-1,0,1,1,2", cwd=ROOT, check=False).returncode == 2
 
 
-def test_nothing_takes_off_unless_the_operator_says_so() -> None:
+def test_nothing_takes_off_without_the_operators_consent() -> None:
     done = run(*BRISK, text="no\n")
     assert done.returncode == 1 and "not confirmed" in done.stderr and "cf3" in done.stdout
     assert done.stderr.count("connected in") == 4 and "waiting for cf2, cf3, cf4" in done.stderr

@@ -28,7 +28,7 @@ from llm_flock_flight._positions.udp import (
 # ------------------------------------------------------------------ datagrams
 
 
-def test_a_frame_is_read_as_it_was_written() -> None:
+def test_written_frame_is_read_back() -> None:
     sent = PoseFrame(
         stamp_s=12.5, poses={"a": Pose((1.0, -2.0, 0.5), (0.0, 0.0, 0.6, 0.8)), "b": Pose((0.0, 0.0, 0.0))}
     )

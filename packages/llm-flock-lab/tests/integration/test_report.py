@@ -228,7 +228,7 @@ def test_a_simulated_trial_without_a_record_is_flown_again(tmp_path: Path) -> No
     assert failure.figure is None
 
 
-def test_a_damaged_record_is_said_and_hurts_nothing(tmp_path: Path) -> None:
+def test_damaged_record_is_reported_and_hurts_nothing(tmp_path: Path) -> None:
     write_results(tmp_path)
     (tmp_path / "records" / "circle10paper1.mcap").write_bytes(b"nonsense")
     shown = {failure.trial.id: failure for failure in gallery(Results.read(tmp_path), 100)}
@@ -288,7 +288,7 @@ def test_no_text_of_csv_tables_begins_as_a_formula(begins: str, tmp_path: Path) 
     assert tables.read_trials(tmp_path)["cell"].to_list() == [evil], "the tables of the sweep are left as they are"
 
 
-def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:
+def test_every_figure_of_simulated_models_is_labelled(tmp_path: Path) -> None:
     Store(tmp_path).save(trial("circle", 10, "flock", 0, simulated=True))
     for drawing in draw_all(Results.read(tmp_path), "flock"):
         assert [legend.get_title().get_text() for legend in drawing.figure.legends] == ["simulated language models"]

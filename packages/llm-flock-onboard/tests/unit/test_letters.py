@@ -138,7 +138,7 @@ def test_no_model_is_asked_if_there_is_nothing_to_choose() -> None:
     assert isinstance(shut, StepAnswer) and shut.by == "geometry" and shut.waypoint == pytest.approx((26.0, 20.0))
 
 
-def test_plans_come_by_geometry_and_say_so() -> None:
+def test_plans_by_geometry_are_marked() -> None:
     planner = LanguagePlanner(1, Saying(), PromptSet.load("letters"))
     answer = asyncio.run(
         planner.plan(PlanQuestion(mission=MISSION, robot=1, round=1, position=(0.0, 0.0), neighbors=()))

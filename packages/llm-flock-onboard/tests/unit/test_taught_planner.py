@@ -64,7 +64,7 @@ def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
         asked("circle", 5, fields={"obstacles": [{"center": [80, 80], "radius": 2}]}),
     ],
 )
-def test_untaught_plans_come_from_geometry_and_say_so(question: PlanQuestion) -> None:
+def test_untaught_plans_by_geometry_are_marked(question: PlanQuestion) -> None:
     answer = asyncio.run(KnownPlans(Saying(), is_taught).plan(question))
     assert isinstance(answer, PlanAnswer) and answer.by == "geometry"
     assert len(answer.plan) == question.mission.n_places

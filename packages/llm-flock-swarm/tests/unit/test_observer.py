@@ -82,7 +82,7 @@ def test_one_member_cannot_say_that_the_team_has_formed(lie: dict[str, Any]) -> 
     assert not formed(observer(bodies), told(0), told(1), last)
 
 
-def test_a_place_is_blocked_once_two_say_so() -> None:
+def test_place_is_blocked_once_two_robots_report_it() -> None:
     """Robot 2 is dead, bodies that do not move stand on two places, and robot 1 is left without one."""
     spare = told(1, slot=None, blocked=(1, 2))
     for word, expected in (((), False), ((1, 2), True)):

@@ -176,7 +176,7 @@ def test_ways_cross_discs_balls_and_polygons() -> None:
     assert crosses(([0.0, 0.0, 8.0], [10.0, 0.0, 8.0]), ball)
 
 
-def test_a_run_whose_last_round_is_in_order_says_so(tmp_path: Path) -> None:
+def test_run_with_its_last_round_in_order_is_diagnosed(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
     mission = run.missions[0].mission
     run.missions[0] = run.missions[0].model_copy(update={"mission": {**mission, "comm_range": 1000.0}})

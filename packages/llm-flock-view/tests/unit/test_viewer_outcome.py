@@ -198,7 +198,7 @@ def test_close_pairs_are_nearer_than_the_safe_distance(rows: list[list[float]], 
     assert close_pairs(rows, 3.0) == pairs
 
 
-def test_a_summary_that_is_not_as_it_should_be_breaks_nothing(tmp_path: Path) -> None:
+def test_malformed_summary_breaks_nothing(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=2))
     for result in ({"missions": ["x"]}, {"missions": [{"formed": "x"}]}, {"missions": 3, "formed": True}):
         run.write(SummaryMessage(result=result))

@@ -49,7 +49,7 @@ async def ask_once(server: Server | str, timeout_s: float = 5.0) -> Reply | Mode
             return error
 
 
-def test_answer_comes_with_usage_and_the_name_of_who_answered() -> None:
+def test_answer_has_usage_and_name_of_the_model() -> None:
     with running(fixed_answer=ANSWER) as server:
         reply = asyncio.run(ask_once(server))
     assert isinstance(reply, Reply)

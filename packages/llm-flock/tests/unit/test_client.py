@@ -123,7 +123,7 @@ def test_an_empty_answer_is_an_answer(text: str) -> None:
     ],
     ids=["a part of its own", "hidden", "only counted", "in the text"],
 )
-def test_an_answer_of_nothing_but_thoughts_is_empty_and_says_so(response: ModelResponse) -> None:
+def test_answer_of_thoughts_only_is_empty_and_marked(response: ModelResponse) -> None:
     reply = ask(model(lambda *_: response))
     assert reply.text == "" and reply.thought
     assert not ask(model(lambda *_: ModelResponse(parts=[TextPart("")]))).thought

@@ -65,7 +65,7 @@ def test_restarted_robot_frees_the_place_its_own_body_blocked() -> None:
     assert table is not None and driven.agent.claim.slot == 1 and table[1] == (4, 0.0, 0)
 
 
-def test_place_under_an_unknown_body_is_left_to_who_knows_it() -> None:
+def test_place_under_an_unknown_body_is_left_to_others() -> None:
     """A late joiner has not counted the silence yet: it takes the dead for alive."""
     theirs: BidTable = ((0, 0.0, NO_OWNER), (3, 0.0, BLOCKED), (0, 0.0, NO_OWNER))
     driven = DrivenAgent(make())
