@@ -18,6 +18,7 @@ class Corners:
 
 def test_record_is_read_without_the_code_that_it_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry])
     monkeypatch.delitem(sys.modules, "my_own_models", raising=False)
     (tmp_path / "my_own_models.py").write_text(MODEL)
     llm_flock.run(n_robots=3, shape="triangle", model="my_own_models:Corners", rounds=1, out=tmp_path / "run")
