@@ -39,7 +39,7 @@ UNIT := $(wildcard packages/*/tests/unit) tests/unit
 ALL_TESTS := $(wildcard packages/*/tests/unit packages/*/tests/property packages/*/tests/integration) tests/unit tests/property tests/integration
 # Tests that are skipped where a kit is not installed.
 KITTED = $(shell grep -rl importorskip packages/*/tests tests --include='test_*.py' | grep -v /e2e/)
-COVERED := $(wildcard packages/*/tests/unit/protocol tests/unit/protocol packages/llm-flock/tests/unit/test_algorithm1.py packages/llm-flock/tests/unit/test_geometry_planner.py)
+COVERED := $(wildcard packages/*/tests/unit/protocol packages/llm-flock/tests/unit/test_algorithm1.py packages/llm-flock/tests/unit/test_geometry_planner.py)
 
 define section
 awk -v set="$(1)" '/^[#] / { on = 0; for (i = 2; i <= NF; i++) if ($$i == set) on = 1 } on' requirements.txt

@@ -45,7 +45,7 @@ class LoopLink:
         self._team.carry(kind, number, payload)
 
     def watch_alive(self, handler: Callable[[int, bool], None]) -> None:
-        """Nobody tells: the robots begin when `gather_s` is over."""
+        """Does nothing: the robots begin when `gather_s` is over."""
 
     def declare_alive(self, number: int) -> None:
         """Nobody asks."""

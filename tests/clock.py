@@ -18,7 +18,7 @@ import pytest
 
 
 class Clock:
-    """Takes the place of `time.monotonic`; at rate 1 it is the real time, for whoever keeps it beyond a test."""
+    """Takes the place of `time.monotonic`; at rate 1 it is the real time, also for code that keeps it beyond a test."""
 
     def __init__(self, rate: float) -> None:
         self.rate = rate

@@ -42,7 +42,7 @@ STOCK: dict[str, Any] = {"round_s": 3.0, "max_speed_m_s": 1.0, "take_off_s": 2.5
 
 
 def stock(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
-    """Drones that lag behind their set-points as Crazyflies do that nobody has tuned."""
+    """Drones that lag behind their set-points, as Crazyflies do before they are tuned."""
     homes = [start_of(config, drone) for drone in drones]
     bodies = [PointMass(home=home, ground_m=home[2], controlled=pid()) for home in homes]
     untuned = Equipment(controller="PID", lag_s=0.5, max_speed_m_s=1.0)
@@ -53,7 +53,7 @@ def stock(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[Simulated
 
 
 async def yes(report: PreflightReport) -> bool:
-    """Whoever confirms every flight."""
+    """An operator who confirms every flight."""
     return True
 
 
@@ -104,7 +104,7 @@ def flown(
 
 
 def trial(result: FlightResult) -> RunResult:
-    """What was flown; fails where nobody took off, and says why."""
+    """The trial that was flown. Fails with the reason if no drone took off."""
     assert result.result is not None, [str(check) for check in result.report.checks if not check.passed]
     return result.result
 
@@ -132,7 +132,7 @@ def too_few(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[Simulat
 
 
 def telling(config: FlightConfig, drones: Sequence[DroneConfig]) -> list[SimulatedRobot]:
-    """Drones that write their names to the file LANDED once they are told to land, in whatever process."""
+    """Drones that write their names to the file LANDED once they are told to land, in any process."""
     robots, file = one_by_one(config, drones), os.open(os.environ["LANDED"], os.O_WRONLY | os.O_CREAT | os.O_APPEND)
 
     def tell(robot: SimulatedRobot) -> None:

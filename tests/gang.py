@@ -128,7 +128,7 @@ class Gang:
         number: int | None = None,
         bid: float | None = None,
     ) -> tuple[BidEntry, Certificate]:
-        """A claim with the member's own signature, whoever is to own the place, and the best bid that may be."""
+        """A claim with the member's own signature, for any owner of the place, and with the best bid that may be."""
         at = self.version(slot) if version is None else version
         owner = member if owner is None else owner
         if bid is None:
@@ -180,7 +180,7 @@ class Gang:
     def freed(self, slot: int) -> ReleaseGrant | None:
         """The words that free a place, one of them an honest robot's; None where none has said so."""
         at = self.version(slot) + 1
-        for stated in (NO_OWNER, *map(left_by, self.members)):  # words that blame nobody first
+        for stated in (NO_OWNER, *map(left_by, self.members)):  # words that blame no robot first
             honest = {j: word for j, word in self.words.get((slot, at, stated), {}).items() if j not in self.keys}
             if honest:
                 statement = word_statement(self.about, slot, at, stated)

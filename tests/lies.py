@@ -97,7 +97,7 @@ def _states(gang: Gang, member: int, owner: int) -> list[Said]:
 
 
 def frees_all_the_time(gang: Gang, member: int) -> list[Said]:
-    """Every place is given to nobody, as often as possible."""
+    """Every place is given to no robot, as often as possible."""
     return _states(gang, member, NO_OWNER)
 
 
@@ -184,7 +184,7 @@ def _gained(gang: Gang, member: int) -> int | None:
 
 
 def frames_one(gang: Gang, member: int) -> list[Said]:
-    """One honest robot alone hears that it is outbid, by a claim that counts for nobody else, who hear a later one.
+    """One honest robot alone hears that it is outbid, by a claim that counts for no other, since they hear a later one.
 
     To them it leaves place after place without cause.
     """
@@ -252,7 +252,7 @@ def another_mission(gang: Gang, member: int) -> list[Said]:
 
 
 def heartbeats(gang: Gang, member: int) -> list[Said]:
-    """Others' hearts beat for ever, or not at all."""
+    """Others' hearts beat without end, or not at all."""
     n = gang.mission.n_robots
     return [gang.message(member, beats=((2**39,) * n, (0,) * n)[gang.rounds % 2])]
 

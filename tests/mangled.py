@@ -1,4 +1,4 @@
-"""Hostile copies of good bytes: flipped, cut, doubled and spliced, or well-formed with values that nobody expects."""
+"""Hostile copies of good bytes: flipped, cut, doubled and spliced, or well-formed with unexpected values."""
 
 from __future__ import annotations
 

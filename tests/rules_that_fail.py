@@ -29,7 +29,7 @@ class Raising:
 
 @dataclass(frozen=True)
 class Cancelling:
-    """Raises what asyncio raises in a task that is cancelled, though nobody cancels it."""
+    """Raises what asyncio raises in a cancelled task, without a cancellation."""
 
     name: str = "cancelling"
 

@@ -1,4 +1,4 @@
-"""A team of real agents that sign, driven by a test, and a robot with keys that sends whatever it likes."""
+"""A team of real agents that sign, driven by a test, and a robot with keys that sends anything."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class SignedTeam:
         loss: share of messages lost.
         liars: robots without an agent, the last ones.
         tolerated: number of liars that the honest reckon with.
-        gaps: what the honest do about places that nobody can take.
+        gaps: what the honest do about places that no robot can take.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class SignedTeam:
 
 
 class Liar:
-    """A member that signs whatever it likes, but only as itself."""
+    """A member that signs anything, but only as itself."""
 
     def __init__(self, team: SignedTeam, robot: int | None = None) -> None:
         self.team = team
@@ -328,7 +328,7 @@ def good_plan(mission: Mission, angle: int) -> Plan:
 
 
 def free_slot(team: SignedTeam) -> int:
-    """The first place that nobody has."""
+    """The first place without an owner."""
     table = team.agents[0].claim.table
     assert table is not None
     return next(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)

@@ -1,4 +1,4 @@
-"""What is flown on whatever answers at some addresses: firmware in the loop, stand-ins, or drones."""
+"""Flights on the drones at some addresses: firmware in the loop, stand-ins, or real ones."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def robots_at(uris: Sequence[str], cache: Path | None = None) -> list[CrazyflieR
 
 
 async def everybody_down(team: Sequence[CrazyflieRobot]) -> None:
-    """Land whoever is in the air, whatever has failed before, and close all links."""
+    """Land all drones that are in the air, even after a failure, and close all links."""
     for robot in team:
         with contextlib.suppress(RobotError, TimeoutError):
             state = robot.state()
@@ -36,7 +36,7 @@ async def everybody_down(team: Sequence[CrazyflieRobot]) -> None:
 
 
 async def fly_together(team: Sequence[CrazyflieRobot]) -> None:
-    """Take off, fly half a metre, and land side by side; afterwards everybody is down, also if an assertion fails."""
+    """Take off, fly half a metre, and land side by side; afterwards all are down, also if an assertion fails."""
     try:
         await asyncio.gather(*(r.connect(CONNECT_S) for r in team))
         await wait_until(lambda: all(r.state().settled for r in team), 20.0, "all estimators settle")

@@ -82,7 +82,7 @@ class StillTeam:
         faults: faults of the links.
         asleep: robots that start later.
         time_out: rounds without a heartbeat after which a robot is taken for dead.
-        gaps: what to do about places that nobody is alive to take.
+        gaps: what to do about places that no living robot can take.
         verify: whether plans are checked.
     """
 

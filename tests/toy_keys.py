@@ -1,4 +1,4 @@
-"""Signatures that are quick: a hash keyed by the signer. Tests keep to the rule that nobody signs as another."""
+"""Signatures that are quick: a hash keyed by the signer. Tests keep to the rule that no member signs as another."""
 
 from __future__ import annotations
 

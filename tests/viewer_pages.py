@@ -39,7 +39,7 @@ def page_at(
 ) -> Iterator[Page]:
     """A page that must neither complain, nor ask anybody else, nor give a request up.
 
-    What was asked for by a page that has been left, or loaded again, is given up by the browser: nobody's fault. Where
+    What was asked for by a page that has been left, or loaded again, is given up by the browser: no fault. Where
     it is not `still`, a record plays when it appears.
     """
     context = browser.new_context(
@@ -65,7 +65,7 @@ def page_at(
     page.on("websocket", lambda socket: sockets.append(socket.url))
     page.goto(url)
     yield page
-    # A page of a run in flight asks on; what is under way when it is left is nobody's fault.
+    # A page of a run in flight asks on; an unfinished request of a page that is left is no fault.
     page.remove_listener("requestfailed", give_up)
     own = re.escape(url.split("/")[2])
     assert said == [], said

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from llm_flock.agent import Agent
 from llm_flock.bounds import TIME_OUT
 from llm_flock.mission import Mission
@@ -12,8 +14,9 @@ from llm_flock.protocol._membership.team import TeamMembership
 from llm_flock.protocol._motion.safety import ShieldedSafety
 from llm_flock.protocol._parts import Checker, Gaps, Parts, Safety
 from llm_flock.protocol._verification.validator import Validator
-from llm_flock_swarm._signed.certificates import LIARS, Authenticator
-from llm_flock_swarm._signed.parts import signed_parts
+
+if TYPE_CHECKING:
+    from llm_flock_swarm._signed.certificates import Authenticator
 
 
 def whole_agent(
@@ -32,7 +35,7 @@ def whole_agent(
     own_clock: bool = False,
     apart: float | None = None,
     authenticator: Authenticator | None = None,
-    liars: int = LIARS,
+    liars: int = 1,
 ) -> Agent:
     """An agent whose membership, safety and verifier are as given, with signatures if there is an authenticator."""
     any_size = gaps == "replan"
@@ -44,6 +47,8 @@ def whole_agent(
         verifier=Validator(shield_on=shield_on, any_size=any_size) if verify else Checker(any_size=any_size),
     )
     if authenticator is not None:
+        from llm_flock_swarm._signed.parts import signed_parts  # tests of the core run without the swarm
+
         parts = signed_parts(parts, robot, mission, authenticator, liars=liars)
     return Agent(
         robot,

@@ -179,7 +179,7 @@ def test_a_comparison_that_cannot_be_is_one_line(tmp_path: Path, arguments: list
     refused(done, words)
 
 
-def test_broken_trials_are_told_by_the_exit_code(tmp_path: Path) -> None:
+def test_exit_code_reports_broken_trials(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text(
         "class Broken:\n  name = 'broken'\n  def choose(self, own, heard):\n    raise AttributeError('broken')\n"
     )

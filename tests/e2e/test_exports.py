@@ -137,7 +137,7 @@ def served(folder: Path, *arguments: str) -> Iterator[str]:
             process.wait(30)
 
 
-def test_a_run_is_seen(tmp_path: Path) -> None:
+def test_foxglove_client_gets_a_run(tmp_path: Path) -> None:
     options = ("--robots", "5", "--rounds", "200", "--no-stop-when-formed", "--quiet", "--pace", "20", "--out", "demo")
     with served(tmp_path, "run", *options) as url, FoxgloveClient(url) as client:
         client.subscribe("/state", "/robots/4/pose")
@@ -145,7 +145,7 @@ def test_a_run_is_seen(tmp_path: Path) -> None:
     assert read_record(tmp_path / "demo" / "run.mcap").rounds >= 3
 
 
-def test_a_swarm_is_seen_and_takes_a_mission_from_the_command(tmp_path: Path) -> None:
+def test_foxglove_client_gets_a_swarm_and_its_new_mission(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     options = ("--robots", "4", "--quiet", "--no-record", "--no-stop-when-formed", "--connect", endpoint)
     with served(tmp_path, "swarm", *options) as url, FoxgloveClient(url) as client:

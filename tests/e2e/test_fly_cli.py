@@ -46,7 +46,7 @@ def test_a_flight_that_cannot_be_safe_is_wrong_input() -> None:
     assert flock(*FLY, "--geofence=-1,-1,0,1,1,2", cwd=ROOT, check=False).returncode == 2
 
 
-def test_nothing_takes_off_unless_the_operator_says_so() -> None:
+def test_nothing_takes_off_without_the_operators_consent() -> None:
     done = run(*BRISK, text="no\n")
     assert done.returncode == 1 and "not confirmed" in done.stderr and "cf3" in done.stdout
     assert done.stderr.count("connected in") == 4 and "waiting for cf2, cf3, cf4" in done.stderr
@@ -79,7 +79,7 @@ def test_ctrl_c_lands_and_twice_cuts(presses: int, end: str) -> None:
             time.sleep(0.1)
         out = process.stdout.read()
         assert process.wait(10.0) == 1
-    # The first trouble is what ended the flight; motors are cut whatever that was.
+    # The first trouble is what ended the flight; motors are cut in any case.
     assert re.search(r"ended by\W+abort", out) and out.count(end) >= 4
 
 
@@ -102,7 +102,7 @@ def test_keys_of_the_terminal(key: bytes, end: str) -> None:
     os.close(theirs)
 
 
-def test_a_flight_whose_output_nobody_reads_goes_on() -> None:
+def test_flight_continues_if_its_output_is_not_read() -> None:
     """As with `2>&1 | head`."""
     out, into = os.pipe()
     with subprocess.Popen([*COMMAND, *BRISK, "--yes"], stdout=subprocess.PIPE, stderr=into, text=True) as process:

@@ -116,7 +116,7 @@ BAD = "openai-compatible:bad"
 
 @pytest.mark.parametrize(("shape", "robots"), [("circle", 10), ("square", 8)])
 @pytest.mark.parametrize("one_in", [5, 2])
-def test_robots_with_a_bad_model_harm_nobody(shape: str, robots: int, one_in: int) -> None:
+def test_robots_with_a_bad_model_harm_no_other(shape: str, robots: int, one_in: int) -> None:
     """Every fifth or second robot's model always distorts its plan and always overshoots, over real HTTP.
 
     `python -m benchmarks containment-http` flies twenty of each.

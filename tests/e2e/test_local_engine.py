@@ -83,7 +83,7 @@ def test_a_capped_answer_says_that_it_was_cut_off():
         whole_answer(reply)
 
 
-def test_what_two_questions_begin_with_is_read_once(engine):
+def test_common_beginning_of_two_questions_is_read_once(engine):
     body = {"messages": [{"role": "system", "content": "Be brief. " * 20}], "max_tokens": 1}
     for place in ("here", "there"):
         asked = {**body, "messages": [*body["messages"], {"role": "user", "content": f"Robot {place}?"}]}
@@ -102,7 +102,7 @@ def test_too_long_question_is_refused_and_the_engine_goes_on(engine):
     assert engine.submit(body, threading.Event()).result().usage.output == 1
 
 
-def test_an_answer_that_nobody_waits_for_is_cut_short(engine):
+def test_answer_that_is_no_longer_needed_is_cut_short(engine):
     body = {"messages": [{"role": "user", "content": "Count."}], "max_tokens": 400, "ignore_eos": True}
     stop = threading.Event()
     answer = engine.submit(body, stop)

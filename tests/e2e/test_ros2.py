@@ -162,7 +162,7 @@ def diagnosed(heard: list[Any]) -> dict[str, str]:
     return {pair.key: pair.value for status in found for pair in status.values}
 
 
-def test_a_swarm_is_seen_takes_missions_and_survives_its_router(tmp_path: Path) -> None:
+def test_ros_gets_a_swarm_that_survives_its_router(tmp_path: Path) -> None:
     endpoint, own = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
     with ExitStack() as stack:
         first = stack.enter_context(router(endpoint))

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.clock(2)
 HOMES = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
 
 
-def test_three_with_all_of_it_fly_together(tmp_path: Path) -> None:
+def test_three_drones_with_all_these_faults_fly_together(tmp_path: Path) -> None:
     """The stock controller, no battery in the log, another client before, and a tenth of all packets lost."""
     with StandIns(HOMES, missing=("pm.vbat",), loss=0.1, seed=2) as drones:
         for k in range(len(HOMES)):
@@ -29,14 +29,14 @@ def test_three_with_all_of_it_fly_together(tmp_path: Path) -> None:
         assert all(drones[k].position[2] == 0.0 for k in range(len(HOMES)))
 
 
-def test_one_with_all_of_it_keeps_the_contract(tmp_path: Path) -> None:
+def test_drone_with_all_these_faults_keeps_the_contract(tmp_path: Path) -> None:
     with StandIns(HOMES[:1], missing=("pm.vbat",), loss=0.1, seed=4) as drones:
         drones[0].serve_another_client()
         asyncio.run(check_robot(robots_at(drones.uris, tmp_path)[0], patience_s=4.0))
         assert not drones[0].flying
 
 
-def test_a_flight_that_fails_leaves_nobody_hovering(tmp_path: Path) -> None:
+def test_failed_flight_leaves_no_drone_hovering(tmp_path: Path) -> None:
     """Two stand too near: the assertion comes after all are connected; a third hovers from before."""
     with StandIns([(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (2.0, 0.0, 0.0)]) as drones:
         team = robots_at(drones.uris, tmp_path)
@@ -53,7 +53,7 @@ def test_a_flight_that_fails_leaves_nobody_hovering(tmp_path: Path) -> None:
         assert not any(drones[k].flying for k in range(3))
 
 
-def test_everybody_is_landed_even_where_a_link_is_lost(tmp_path: Path) -> None:
+def test_all_drones_are_landed_even_if_a_link_is_lost(tmp_path: Path) -> None:
     with StandIns(HOMES[:2]) as drones:
         team = robots_at(drones.uris, tmp_path)
 

@@ -28,7 +28,7 @@ def free_port() -> int:
         return probe.getsockname()[1]
 
 
-def test_they_say_where_they_are() -> None:
+def test_stand_ins_print_their_addresses_and_positions() -> None:
     port = free_port()
     done = stand_ins("3", "--port", str(port), "--spacing", "0.5", "--seconds", "0.1")
     assert done.returncode == 0, done.stderr

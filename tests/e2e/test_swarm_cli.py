@@ -116,10 +116,10 @@ def wait_for_places(record: Path, *, missions: int) -> None:
             found = read_record(record)
             if len(found.missions) == missions and None not in found.states[-1].slots:
                 return
-    raise AssertionError("nobody took a place")
+    raise AssertionError("no robot took a place")
 
 
-def test_nobody_there_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_swarm_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(watch, "MEET_S", 0.5)
     done = flock(
         "mission", "--set", "shape=line", "--connect", f"tcp/127.0.0.1:{free_port()}", cwd=tmp_path, check=False

@@ -51,7 +51,7 @@ def test_a_killed_recorder_is_not_missed(tmp_path: Path) -> None:
     assert found.states and found.result is None
 
 
-def test_a_stopped_robot_goes_on_where_it_was() -> None:
+def test_stopped_robot_resumes_at_its_position() -> None:
     async def strike(swarm: Swarm) -> None:
         await asyncio.sleep(2.0)
         os.kill(swarm.pids["robot-1"], signal.SIGSTOP)

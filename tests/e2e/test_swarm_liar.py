@@ -79,7 +79,7 @@ class Liar:
             self.here = unpack(WorldState, payload).bodies[LIAR].position
 
     def lies(self) -> list[bytes]:
-        """Claims on all places, for itself or another, at whatever version; a hallucinated plan; another's message."""
+        """Claims on all places, for itself or another, at any version; a hallucinated plan; another's message."""
         known = self.heard
         if known is None or known.plan is None or known.provenance is None:
             return []
@@ -116,7 +116,7 @@ class Liar:
         return wrap(encode(message), Proofs(claims=numbers, grants=grants, origin=own))
 
     def speak(self) -> None:
-        """Tell where the body is, which is true, and whatever is not."""
+        """Tell the true position of the body, and false ones."""
         if self.here is None:
             return
         beacon = Beacon(stamp=time.time(), position=self.here)
@@ -144,7 +144,7 @@ async def fly(config: SwarmConfig) -> tuple[str, SwarmResult, Liar]:
             liar.link.close()
 
 
-def test_a_member_that_lies_holds_one_place_and_hurts_nobody(tmp_path: Path) -> None:
+def test_lying_member_holds_one_place_and_hurts_no_other(tmp_path: Path) -> None:
     make_keys(tmp_path / "team", N)
     config = swarm_config(N, seed=3, keys=str(tmp_path / "team"), gather_s=1.0, out=str(tmp_path / "run"))
     stopped, result, liar = asyncio.run(fly(config))

@@ -1,4 +1,4 @@
-"""Missions for a swarm with keys: taken from who has the operator's key, and from nobody else."""
+"""Missions for a swarm with keys: accepted only from the holder of the operator's key."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
 
     async def give(swarm: Swarm) -> None:
         config, observer = swarm.config, swarm.observer
-        while not formed(observer):  # noqa: ASYNC110 - nobody sets an event
+        while not formed(observer):  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0.1)
         without = operator_config(config, tmp_path / "without.toml", None)
         foreign = operator_config(config, tmp_path / "foreign.toml", str(tmp_path / "others"))
@@ -71,7 +71,7 @@ def test_only_the_operator_gives_missions(tmp_path: Path) -> None:
         steps.append("refused")
         code, said = await command(operator_config(config, tmp_path / "own.toml", keys))
         assert code == 0 and said.count("robot") == 2, said  # one more than may lie
-        while observer.mission.shape != "line":  # noqa: ASYNC110 - nobody sets an event
+        while observer.mission.shape != "line":  # noqa: ASYNC110 - there is no event
             await asyncio.sleep(0.1)
         steps.append("taken")
 

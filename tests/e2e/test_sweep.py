@@ -1,4 +1,4 @@
-"""Sweeps from their file to their tables: each trial once, wherever it is flown and whatever comes in between."""
+"""Sweeps from their file to their tables: each trial once, in any place and with any interruption."""
 
 from pathlib import Path
 from typing import Any
@@ -65,7 +65,7 @@ def test_finished_trials_are_never_reflown_more_seeds_may_come(tmp_path: Path) -
     assert (out / "sweep.toml").read_text() == small_file(tmp_path, seeds=2).read_text()
 
 
-def test_broken_trials_are_counted_and_redone_only_when_told(tmp_path: Path) -> None:
+def test_broken_trials_are_counted_and_redone_on_request(tmp_path: Path) -> None:
     sweep = small(tmp_path, seeds=1, consensus="rules_that_fail:Raising", start="uniform")
     status = fly_sweep(sweep, tmp_path / "out", executor="one")
     assert (status.finished, status.broken, status.formed, status.complete) == (2, 2, 0, True)
@@ -116,7 +116,7 @@ def test_many_trials_wait_for_one_server_within_its_rates(tmp_path: Path) -> Non
     assert not found["simulated"].any()
 
 
-def test_a_missing_key_is_told_before_anything_is_made(tmp_path: Path) -> None:
+def test_missing_key_is_reported_before_anything_is_made(tmp_path: Path) -> None:
     sweep = small(tmp_path, model="openai:gpt-4o")
     with pytest.raises(InputError, match="OPENAI_API_KEY"):
         fly_sweep(sweep, tmp_path / "out")
@@ -125,7 +125,7 @@ def test_a_missing_key_is_told_before_anything_is_made(tmp_path: Path) -> None:
         fly_sweep(small(tmp_path, model="vllm:x", budget={"max_cost": 1.0}), tmp_path / "out")
 
 
-def test_what_real_models_will_cost_is_rehearsed_by_stand_ins(tmp_path: Path) -> None:
+def test_cost_of_real_models_is_estimated_by_stand_ins(tmp_path: Path) -> None:
     sweep = small(tmp_path, model="openai:gpt-4o", more="[expect]\noutput_tokens = 100\nprofile = 'ideal'")
     expected = expect_cells(sweep)
     free = expect_cells(small(tmp_path))

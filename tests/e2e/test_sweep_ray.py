@@ -53,7 +53,7 @@ def cluster() -> Iterator[str]:
 
 
 def stop(process: subprocess.Popen[bytes]) -> None:
-    """End the head, which ends what it started; then whatever is left of its group."""
+    """End the head, which ends what it started; then the rest of its group."""
     process.terminate()
     with contextlib.suppress(subprocess.TimeoutExpired):
         process.wait(30)

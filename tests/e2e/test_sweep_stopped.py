@@ -1,11 +1,14 @@
 """A sweep that is killed or interrupted: what is finished is kept, and the same command goes on."""
 
+from __future__ import annotations
+
 import contextlib
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,39 +19,52 @@ from llm_flock_lab._experiments.store import read_trial, trial_files
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.trial import TrialResult
 
+SEEDS = 20
+TRIALS = 2 * SEEDS  # each seed with both protocols
 
-@pytest.mark.parametrize("executor", ["one", "pool"])
-def test_a_kill_loses_no_trial_that_is_finished_and_stops_nobody(tmp_path: Path, executor: str) -> None:
-    path, out = small_file(tmp_path, seeds=6), tmp_path / "out"
-    command = [sys.executable, "-m", "llm_flock", "sweep", str(path), "--out", str(out), "-q", "--executor", executor]
-    process = subprocess.Popen([*command, "--jobs", "2"], cwd=tmp_path, start_new_session=True)
+
+@contextlib.contextmanager
+def started_sweep(folder: Path, out: Path, *flags: str, trials: int = 5) -> Iterator[subprocess.Popen[str]]:
+    """A sweep in its own process group that has finished some trials. If it still runs at the end, it is killed."""
+    file = small_file(folder, seeds=SEEDS)
+    command = [sys.executable, "-m", "llm_flock", "sweep", str(file), "--out", str(out), "-q", "--jobs", "2", *flags]
+    process = subprocess.Popen(command, cwd=folder, stderr=subprocess.PIPE, text=True, start_new_session=True)
     try:
         deadline = time.monotonic() + 120
-        while time.monotonic() < deadline and not (out / "trials").is_dir():
-            time.sleep(0.02)
-        while time.monotonic() < deadline and len(list(trial_files(out))) < 4:
+        while finished(out) < trials:
+            assert time.monotonic() < deadline and process.poll() is None, "the sweep did not get that far"
             time.sleep(0.01)
+        yield process
     finally:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def finished(out: Path) -> int:
+    """Number of trials in a directory of results, which may not be there yet."""
+    try:
+        return len(list(trial_files(out)))
+    except OSError:
+        return 0
+
+
+@pytest.mark.parametrize("executor", ["one", "pool"])
+def test_killed_sweep_keeps_finished_trials_and_resumes(tmp_path: Path, executor: str) -> None:
+    out = tmp_path / "out"
+    with started_sweep(tmp_path, out, "--executor", executor):
+        pass
     kept = {path.name: path.stat().st_mtime_ns for path in trial_files(out)}
-    assert 4 <= len(kept) < 12
+    assert 5 <= len(kept) < TRIALS
     assert all(isinstance(read_trial(out / "trials" / name), TrialResult) for name in kept)
-    assert fly_sweep(small(tmp_path, seeds=6), out, executor="one").complete
+    assert fly_sweep(small(tmp_path, seeds=SEEDS), out, executor="one").complete
     assert {path.name: path.stat().st_mtime_ns for path in trial_files(out) if path.name in kept} == kept
 
 
-def test_an_interruption_keeps_what_is_finished_in_the_tables(tmp_path: Path) -> None:
-    path, out = small_file(tmp_path, seeds=50), tmp_path / "out"
-    command = [sys.executable, "-m", "llm_flock", "sweep", str(path), "--out", str(out), "-q", "--jobs", "2"]
-    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline:
-        with contextlib.suppress(OSError):
-            if len(list(trial_files(out))) >= 5:
-                break
-        time.sleep(0.01)
-    os.killpg(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130 and "the same command goes on" in said
-    assert (out / "trials.parquet").exists() and 5 <= tables.read_trials(out).height < 100
+def test_interrupted_sweep_keeps_finished_trials_in_its_tables(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with started_sweep(tmp_path, out) as process:
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130 and "the same command goes on" in errors
+    assert (out / "trials.parquet").exists() and 5 <= tables.read_trials(out).height < TRIALS

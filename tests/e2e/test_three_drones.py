@@ -1,4 +1,4 @@
-"""Three stand-ins by cflib and by MAVLink: they return, or one dies in any phase; what becomes of everybody."""
+"""Three stand-ins by cflib and by MAVLink: they return, or one dies in any phase; what becomes of all."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_drone_dead_before_connecting_keeps_all_on_the_ground(driver: str) -> No
 @pytest.mark.parametrize("driver", ["crazyflie", "px4"])
 def test_one_that_dies_is_named_and_the_others_land(driver: str, phase: str, monkeypatch: pytest.MonkeyPatch) -> None:
     ended, victim, others = PHASES[phase]
-    if phase == "hold":  # they hover while nobody has a plan
+    if phase == "hold":  # they hover while no drone has a plan
         monkeypatch.setattr(GeometryPlanner, "plan", _for_ever)
     with team_of(driver) as (team, config):
         done = asyncio.run(flown(config, phase, team.kill))

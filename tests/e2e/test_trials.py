@@ -59,7 +59,7 @@ def test_a_refused_trial_ends_it_all_with_the_reason() -> None:
     assert multiprocessing.active_children() == []
 
 
-def test_a_killed_worker_is_told() -> None:
+def test_killed_worker_is_reported() -> None:
     with pytest.raises(FlockError, match="killed after 0 trials"):
         compare([Cell(config=build_config(consensus="rules_that_fail:Killing"))], trials=3)
     assert multiprocessing.active_children() == []

@@ -352,7 +352,7 @@ class Answering(BaseHTTPRequestHandler):
         pass
 
 
-def test_a_mission_in_words_is_confirmed_before_it_flies(tmp_path: Path, browser: Browser) -> None:
+def test_described_mission_is_confirmed_before_it_flies(tmp_path: Path, browser: Browser) -> None:
     server = ThreadingHTTPServer(("127.0.0.1", 0), Answering)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     base = f"http://127.0.0.1:{server.server_port}/v1"

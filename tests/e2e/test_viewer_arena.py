@@ -184,7 +184,7 @@ def test_a_robot_is_not_compared_with_itself(tmp_path: Path, browser: Browser) -
         assert other.locator("option[disabled]").all_text_contents() == ["2"]
 
 
-def test_what_is_gone_is_said_in_words(tmp_path: Path, browser: Browser) -> None:
+def test_missing_record_is_explained(tmp_path: Path, browser: Browser) -> None:
     record = make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
     page = browser.new_page()
     with viewer(tmp_path, "one") as url:

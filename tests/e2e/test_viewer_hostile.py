@@ -1,4 +1,4 @@
-"""Whatever a model, a peer or a file says stays words on the viewer's pages."""
+"""Text from a model, a peer or a file stays text on the viewer's pages."""
 
 from __future__ import annotations
 

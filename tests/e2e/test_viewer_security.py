@@ -91,7 +91,7 @@ def test_no_file_is_read_but_the_records_that_were_given(served: str, cookie: st
 
 
 @pytest.mark.parametrize("origin", ["", "http://evil.example", None, "null"])
-def test_a_websocket_is_refused_whoever_asks(served: str, cookie: str, origin: str | None) -> None:
+def test_websocket_is_refused_to_any_client(served: str, cookie: str, origin: str | None) -> None:
     parts = urlsplit(served)
     host = f"{parts.hostname}:{parts.port}"
     lines = [

@@ -306,7 +306,7 @@ def answering(body: bytes, repeat: int = 1, **headers: str) -> Iterator[tuple[st
 
 
 def end_with_stdin() -> None:
-    """End this process when whoever started it is gone."""
+    """End this process when the one that started it is gone."""
 
     def wait() -> None:
         sys.stdin.read()

@@ -36,7 +36,7 @@ def test_a_trial_is_another_one_when_its_weights_are(tmp_path: Path, monkeypatch
     assert not ids() & before
 
 
-def test_what_a_sweep_will_use_is_rehearsed_without_an_engine(tmp_path: Path) -> None:
+def test_use_of_a_sweep_is_estimated_without_an_engine(tmp_path: Path) -> None:
     sweep = small(tmp_path, model=STOCK, prompts="brief", frame="own", more="[expect]\noutput_tokens = 20")
     for found in expect_cells(sweep).values():
         assert found.calls > 0 and found.cost_usd == 0.0

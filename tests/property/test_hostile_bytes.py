@@ -1,4 +1,4 @@
-"""Whatever comes in from a network, a file or a provider is taken or refused by name: no traceback, no hang, no flood.
+"""Any input from a network, a file or a provider is used or rejected by name: no traceback, no hang, no flood.
 
 A plain run tries a few cases of each; `make fuzz` tries ten thousand.
 """
@@ -96,7 +96,7 @@ def team(n: int = 4) -> list[Agent]:
 
 
 def fly(agents: list[Agent], rng: random.Random, hostile: Callable[[bytes], list[bytes]]) -> None:
-    """Rounds in which everybody hears everybody, and whatever `hostile` makes of each message."""
+    """Rounds in which all robots hear each other, and what `hostile` makes of each message."""
     spots = [(45.0 + 10.0 * (j % 2), 45.0 + 10.0 * (j // 2)) for j in range(len(agents))]
     ideal = agents[0].mission.ideal or ()
     for number in range(1, 4):
@@ -131,7 +131,7 @@ def test_no_message_ends_an_agent(seed: int) -> None:
 @cases(CASES)
 @given(seed=seeds)
 def test_no_signed_message_ends_an_agent(seed: int) -> None:
-    """The certificates too: of honest robots, changed on the way, and of a member that signs whatever it likes."""
+    """The certificates too: of honest robots, changed on the way, and of a member that signs anything."""
     rng = random.Random(seed)
     honest = SignedTeam(Mission(shape="line", n_robots=4), [(20.0 + 10 * j, 50.0 + 3 * j) for j in range(4)])
     liar = Liar(honest)

@@ -41,7 +41,7 @@ def test_orca_robots_that_meet_head_on_pass_each_other():
     figures = arrivals.measure(meeting, flight)
     assert figures.arrived is not None and figures.arrived <= 12
     assert 3.0 - 1e-6 <= figures.separation < 4.0  # they pass closely
-    # Speeds are those of the mission, and nobody gets ahead of the clock.
+    # Speeds are those of the mission, and no robot gets ahead of the clock.
     steps = np.linalg.norm(np.diff(flight.track, axis=0), axis=2)
     assert steps.max() <= meeting.mission.max_step / arrivals.SUBSTEPS + 1e-9
 
@@ -52,7 +52,7 @@ def test_twenty_orca_robots_exchange_places_across_a_circle():
     assert figures.ratio < 2.0 and figures.detour < 1.2
 
 
-def test_orca_separates_whoever_finds_an_allowed_velocity():
+def test_orca_separates_robots_with_an_allowed_velocity():
     rng = np.random.default_rng(3)
     feasible = 0
     for _ in range(300):
@@ -134,7 +134,7 @@ def test_ours_arrives_when_its_summary_says_so():
 def test_motion_alone_and_straight_steps_keep_the_safe_distance():
     meeting = scene([(40.0, 50.0), (60.0, 50.0)], [(60.0, 50.0), (40.0, 50.0)])
     alone, faced = figures_of(OURS, meeting), figures_of(arrivals.straight, meeting)
-    assert alone.arrived is not None and faced.arrived is None  # without right of way they face each other for ever
+    assert alone.arrived is not None and faced.arrived is None  # without right of way they face each other without end
     assert not alone.violated and not faced.violated
 
 

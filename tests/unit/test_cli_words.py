@@ -66,7 +66,7 @@ def test_picture_of_a_broken_run_says_so_and_what_it_replaces(tmp_path: Path, mo
     ]
 
 
-def test_missing_robot_and_missing_round_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_robot_and_missing_round_are_different(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = make_record(tmp_path / "run.mcap", n=3, rounds=4, llm=False)
     for argv, text in (
         (("--robot", 44), "--robot 44: there are robots 0 to 2"),
@@ -98,7 +98,7 @@ def test_the_viewer_shows_no_address_before_all_is_known_to_work(
     assert "pip install 'llm-flock[view]'" in str(result.exception) and "http" not in result.stdout
 
 
-def test_missions_in_words_take_models_on_board(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_described_missions_take_models_on_board(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("llm_flock_onboard._local.source.OnBoard.digests", lambda self, model: {})
     assert MissionReader("local:smollm2").model == "local:smollm2"
 

@@ -86,7 +86,7 @@ def faults_in(line: str, known: dict[str, set[str]]) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=IDS)
-def test_what_a_page_names_exists(page: Path) -> None:
+def test_commands_and_links_of_a_page_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     known = commands()
     assert {target for line in code_in(text) for target in mentioned_targets(line)} <= make_targets()

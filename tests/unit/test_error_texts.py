@@ -1,4 +1,4 @@
-"""Errors in the words of whoever reads them: flags where a flag was typed, sentences, and near names."""
+"""Errors name what the user typed: flags where a flag was typed, whole sentences, and similar names."""
 
 from __future__ import annotations
 

@@ -180,7 +180,7 @@ def test_models_lists_what_needs_no_provider(monkeypatch: pytest.MonkeyPatch) ->
     assert re.search(r"DASHSCOPE_API_KEY\W+yes", text)
 
 
-def test_windows_is_told_what_it_cannot_do(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_for_posix_is_refused_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     require_posix("swarm")
     monkeypatch.setattr("llm_flock.extras.os", SimpleNamespace(name="nt"))
     with pytest.raises(InputError, match=r"swarm.*Subsystem for Linux"):

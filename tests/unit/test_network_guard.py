@@ -30,6 +30,6 @@ def test_no_connection_is_opened_by_asyncio() -> None:
         asyncio.run(asyncio.wait_for(asyncio.open_connection("127.0.0.1", 9), timeout=5))
 
 
-def test_no_model_is_asked_and_no_key_is_seen() -> None:
+def test_tests_ask_no_model_and_have_no_key() -> None:
     assert not pydantic_ai.models.ALLOW_MODEL_REQUESTS
     assert not [name for name in os.environ if name.endswith("_API_KEY")]

@@ -236,7 +236,7 @@ def test_two_publishers_of_ros_are_named_while_both_are_heard() -> None:
     assert source.senders(now + 1.5) == ()
 
 
-def test_what_a_lighthouse_deck_tells_is_told_and_never_refused() -> None:
+def test_lighthouse_state_is_reported_and_never_refused() -> None:
     config = flight_config()
     robots: Any = [SimpleNamespace(name="a", localisation="Lighthouse: in use"), SimpleNamespace(name="b")]
     state = RobotState(position=(0.0, 0.0, 0.0), stamp_s=0.0)
@@ -255,7 +255,7 @@ def test_what_a_lighthouse_deck_tells_is_told_and_never_refused() -> None:
         ((7, 1, 1), "Lighthouse: status 7; receives 1, uses 1"),
     ],
 )
-def test_lighthouse_variables_in_words(values: tuple[int, int, int], says: str) -> None:
+def test_lighthouse_variables_are_described(values: tuple[int, int, int], says: str) -> None:
     assert lighthouse_text(dict(zip(LIGHTHOUSE_LOG, values, strict=True))) == says
 
 
@@ -294,7 +294,7 @@ def test_messages_of_ros_become_frames() -> None:
 # ------------------------------------------------------------------ the stand-in
 
 
-def test_stand_in_believes_told_poses_and_stands_still_without() -> None:
+def test_stand_in_uses_sent_poses_and_stays_without() -> None:
     firmware = Firmware(PointMass(home=(1.0, 2.0, 0.0)), outside=True)
     assert firmware.body.estimate(0.0) == (0.0, 0.0, 0.0)
     firmware.tick(1.0)

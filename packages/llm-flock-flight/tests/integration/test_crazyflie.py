@@ -33,7 +33,7 @@ def robot_of(drones, k=0, **options):
 
 
 class Stubborn(Parameter):
-    """Stays 0, whatever it is set to."""
+    """Stays 0, also if it is set."""
 
     def pack(self):
         return b"\0\0\0\0"
@@ -58,7 +58,7 @@ def test_an_emergency_stop_is_confirmed():
         assert drones[0].locked
 
 
-def test_nobody_answers():
+def test_drone_that_does_not_answer_is_reported():
     async def flight() -> None:
         with StandIns([HOME]) as drones:
             drones[0].lose_link()
@@ -74,14 +74,14 @@ def test_nobody_answers():
     asyncio.run(flight())
 
 
-def test_a_port_that_nobody_listens_at():
+def test_closed_port_is_reported():
     with StandIns([HOME]) as drones:
         uri = drones.uris[0]
     with pytest.raises(RobotError, match="not connected"):
         asyncio.run(CrazyflieRobot("cf", uri).connect(1.0))
 
 
-def test_a_link_that_is_lost_is_seen_and_opened_anew_in_flight():
+def test_lost_link_is_noticed_and_reopened_in_flight():
     async def flight() -> None:
         with StandIns([HOME]) as drones:
             robot = robot_of(drones, link_timeout_s=0.5)
@@ -264,7 +264,7 @@ def test_parameters_are_left_alone_in_flight():
     asyncio.run(flight())
 
 
-def test_what_the_supervisor_says_is_told():
+def test_state_of_the_supervisor_is_reported():
     async def flight() -> None:
         with StandIns([HOME]) as drones:
             robot = robot_of(drones)

@@ -67,7 +67,7 @@ def up(name: str, home) -> SimulatedRobot:
     return SimulatedRobot(name, home, body=body)
 
 
-def test_everybody_who_can_be_reached_is_landed() -> None:
+def test_every_reachable_drone_is_landed() -> None:
     config = flight_config(reach_s=1.5, connect_s=0.4)
     robots = [up(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
     assert all(robot.body.position(time.monotonic())[2] == 1.0 for robot in robots)
@@ -81,7 +81,7 @@ def test_everybody_who_can_be_reached_is_landed() -> None:
 
 
 @pytest.mark.usefixtures("skipped_waits")
-def test_nobody_waits_for_one_who_does_not_answer() -> None:
+def test_deadman_does_not_wait_for_a_silent_drone() -> None:
     """With a minute for each connection, those who answer are landed after the first call of three seconds."""
     config = flight_config(reach_s=4.0, connect_s=60.0)
     robots = [up(f"d{k}", (x, y, 0.0)) for k, (x, y) in enumerate(STARTS)]
@@ -134,8 +134,8 @@ def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) 
     assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
 
 
-def test_it_lands_whoever_is_up_though_the_terminal_is_gone_too(tmp_path: Path) -> None:
-    """Nobody reads what it says any more, as when a window is closed or a pipe breaks."""
+def test_deadman_lands_flying_drones_without_a_terminal(tmp_path: Path) -> None:
+    """Its output is no longer read, as when a window is closed or a pipe breaks."""
     out, into = os.pipe()
     os.close(out)
     landed = tmp_path / "landed"
@@ -177,7 +177,7 @@ def test_nothing_takes_off_without_a_deadman(monkeypatch) -> None:
         async with HeartbeatSender(flight_config(deadman=True, robot="flights:one_by_one"), set):
             raise AssertionError("not reached")
 
-    with pytest.raises(NoDeadman):
+    with pytest.raises(NoDeadman, match="the deadman process did not start"):
         asyncio.run(start())
 
 
@@ -192,13 +192,13 @@ def test_a_flight_that_fails_in_the_air_says_no_farewell(monkeypatch) -> None:
 
     for aloft, farewell in ((set(), True), ({1}, False)):
         said.clear()
-        with pytest.raises(RuntimeError):
+        with pytest.raises(RuntimeError, match="broken"):
             asyncio.run(fail(aloft))
         assert said[-1] == Heartbeat(aloft=tuple(aloft), farewell=farewell)
 
 
 def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> None:
-    """Whatever happens between the two, the drone is called down."""
+    """If anything happens between the two, the drone is called down."""
     happened: list[object] = []
 
     async def whole() -> None:
@@ -214,7 +214,7 @@ def test_the_deadman_knows_of_a_take_off_before_the_drone_does(monkeypatch) -> N
             raise RobotError("d0", "refused")
 
         monkeypatch.setattr(robots[0], "take_off", refuse)
-        with pytest.raises(RobotError):
+        with pytest.raises(RobotError, match="d0: refused"):
             await take_off(config, team, FlightLog(config, NullWriter()))
 
     asyncio.run(whole())

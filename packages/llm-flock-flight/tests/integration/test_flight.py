@@ -135,7 +135,7 @@ LANDED = {"landed"}
         (emergency, "landing", {TroubleKind.EMERGENCY}, {"motors cut"}, 6.0),
     ],
 )
-def test_whatever_goes_wrong_everybody_is_down_in_time(
+def test_every_fault_ends_with_all_drones_down_in_time(
     sabotage: Sabotage, at: str, ended: set[TroubleKind], ends: set[str] | None, within_s: float
 ) -> None:
     done: list[float] = []
@@ -219,7 +219,7 @@ def test_a_model_that_falls_silent_ends_the_flight(monkeypatch) -> None:
 
 
 def test_a_process_that_stood_still_does_not_blame_the_drones(monkeypatch) -> None:
-    """Estimates come twelve times a second; ten times nobody looks at them for 0.7 s, as on a busy machine."""
+    """Estimates come twelve times a second; ten times they are not read for 0.7 s, as on a busy machine."""
     plain, lost_s = time.monotonic, [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: plain() + lost_s[0])
     tasks: list[asyncio.Task[None]] = []
@@ -279,17 +279,17 @@ def test_flight_goes_on_when_its_record_cannot_be_written(tmp_path, caplog) -> N
     assert "the record breaks off here, and the flight goes on" in caplog.text
     record = read_record(tmp_path / "run.mcap")
     assert record.result is None and 0 < record.rounds < trial(result).summary.rounds
-    assert isinstance(seen[-1], SummaryMessage), "whoever watches live misses nothing"
+    assert isinstance(seen[-1], SummaryMessage), "a live viewer misses nothing"
 
 
-def test_nobody_takes_off_without_room_for_a_record(tmp_path) -> None:
+def test_no_drone_takes_off_without_room_for_a_record(tmp_path) -> None:
     stages: list[str] = []
     with small_files(1000), pytest.raises(RecordError, match="cannot be written"):
         flown(flight_config(out=str(tmp_path)), lambda flight, robots: stages.append("up"), "taking off")
     assert not stages
 
 
-def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
+def test_failed_preflight_prevents_take_off() -> None:
     def discharged(flight: Flight, robots: Robots) -> None:
         robots[1].body.battery_v = 3.5
 
@@ -300,7 +300,7 @@ def test_a_preflight_that_fails_lets_nobody_take_off() -> None:
     assert str(failed[0]) == "d1: battery: 3.50 V, at least 3.80 V"
 
 
-def test_who_does_not_confirm_does_not_fly() -> None:
+def test_unconfirmed_flight_does_not_start() -> None:
     async def no(report) -> bool:
         assert report.passed
         return False
@@ -353,7 +353,7 @@ def test_a_mission_in_space_is_formed_and_landed(at_end: str) -> None:
 
 
 def test_landing_of_a_mission_in_space() -> None:
-    """Drones above each other: the lower one first, and nobody on another."""
+    """Drones above each other: the lower one first, and none on another."""
     config = in_space()
     low, high, aside = (0.0, 0.0, 1.0), (0.0, 0.0, 2.0), (1.0, 0.0, 1.5)
     groups = landing.plan_landing(config, {0: high, 1: low, 2: aside}, [])
@@ -366,5 +366,5 @@ def test_landing_of_a_mission_in_space() -> None:
     assert all(descent.via is None for descent in side_by_side[0])
 
 
-def test_nobody_is_asked_when_all_is_well() -> None:
+def test_faultless_preflight_asks_no_question() -> None:
     assert trial(asyncio.run(fly(flight_config(), nothing))).formed

@@ -29,7 +29,7 @@ def test_a_listener_that_fails_ends_the_flight_and_all_land(at: str) -> None:
     assert not any(robot.state().flying for robot in made)
 
 
-def test_drone_heard_again_is_seen_to_land_not_locked() -> None:
+def test_drone_heard_again_lands_and_is_not_locked() -> None:
     """This computer stood still, and the driver gave the link up; but orders reach the drone, and news come from it."""
 
     def give_up(flight: Flight, robots: Robots) -> None:

@@ -41,7 +41,7 @@ def config_of(uris: list[str], robot: str = OWN, **fields: Any) -> FlightConfig:
 
 
 def test_second_flight_of_a_drone_is_refused_the_first_goes_on(skipped_waits: None) -> None:
-    """Both flight files list one drone, by two radios; the second flight calls nobody."""
+    """Both flight files list one drone, by two radios; the second flight calls no drone."""
     second = config_of([RADIOS[0].replace("//0", "//1"), *(f"radio://1/90/2M/E7E7E7E71{k}" for k in range(3))])
     called: list[str] = []
     refusals: list[str] = []
@@ -129,12 +129,13 @@ def test_which_drones_are_the_same(robot: str, first: list[str], second: list[st
 def test_a_host_by_its_name_is_the_one_by_its_number(monkeypatch: pytest.MonkeyPatch) -> None:
     def resolve(host: str, *_: object) -> list[Any]:
         if host != "drone1.lan":
-            raise socket.gaierror(socket.EAI_NONAME, "nobody knows it")
+            raise socket.gaierror(socket.EAI_NONAME, "unknown host")
         return [(socket.AF_INET, socket.SOCK_DGRAM, 17, "", ("192.0.2.7", 0))]
 
     monkeypatch.setattr(socket, "getaddrinfo", resolve)
     with claim_drones(config_of(["udpout://Drone1.lan:14550", *OTHERS], "mavlink")):
-        with pytest.raises(InputError), claim_drones(config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")):
+        same = config_of(["udpout://192.0.2.7:14550", *LISTEN[1:]], "mavlink")
+        with pytest.raises(InputError, match=r"another flight on this computer flies udpout://192"), claim_drones(same):
             pass
         with claim_drones(config_of(["udpout://drone2.lan:14550", *LISTEN[1:]], "mavlink")):
             pass
@@ -157,11 +158,11 @@ def test_a_claim_ends_with_the_last_process_that_keeps_it() -> None:
         process.stdin.close()
         deadman = int(process.stdout.readline())
         try:
-            with pytest.raises(InputError), claim_drones(config):
+            with pytest.raises(InputError, match="another flight on this computer flies radio"), claim_drones(config):
                 pass
             process.kill()
             process.wait()
-            with pytest.raises(InputError), claim_drones(config):
+            with pytest.raises(InputError, match="another flight on this computer flies radio"), claim_drones(config):
                 pass
         finally:
             os.kill(deadman, signal.SIGKILL)

@@ -45,7 +45,7 @@ def fly_and_look(act: Sabotage, at: str, **fields: Any) -> tuple[FlightFigures, 
 
 
 @pytest.mark.parametrize("fields", [{}, {"robot": "flights:stock", **STOCK}], ids=["exact", "stock"])
-def test_an_order_in_the_middle_of_a_round_brings_everybody_home(fields: dict[str, Any], tmp_path) -> None:
+def test_order_in_the_middle_of_a_round_brings_all_home(fields: dict[str, Any], tmp_path) -> None:
     flight, off = fly_and_look(order, "round 1", out=str(tmp_path), **fields)
     assert flight.ended == "return" and flight.reason is None and flight.safe
     assert set(flight.ends.values()) == {"landed"} and max(off) <= 0.05
@@ -78,7 +78,7 @@ def test_an_order_while_they_think_is_carried_out_at_once(monkeypatch: pytest.Mo
     assert flight.ended == "return" and max(off) <= 0.05 and time.monotonic() - began < 60.0
 
 
-def test_an_order_during_take_off_lands_whoever_is_up() -> None:
+def test_order_during_take_off_lands_the_flying_drones() -> None:
     flight, off = fly_and_look(order, "taking off")
     assert flight.ended == "abort" and flight.safe and max(off) <= 0.05
 
@@ -103,7 +103,9 @@ def test_a_dry_run_checks_the_way_home() -> None:
     assert len(back.landing) == 1
 
 
-def test_whoever_does_not_get_home_is_named(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+def test_drone_that_does_not_get_home_is_named(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """A way home of one step is too short for all; on paper that is a fault, in flight a warning."""
     monkeypatch.setattr(homing, "STEPS", 1)
     monkeypatch.setattr(homing, "STEPS_EACH", 0)
@@ -126,7 +128,7 @@ def test_a_dry_run_tells_a_flight_that_cannot_end_in_time() -> None:
 @pytest.mark.parametrize(
     ("n", "size", "obstacles"), [(3, 30, []), (10, 33, []), (10, 40, [{"center": [20, 20], "radius": 6}])]
 )
-def test_everybody_gets_home_from_anywhere_at_a_safe_distance(n: int, size: float, obstacles: list[Any]) -> None:
+def test_all_get_home_from_anywhere_at_a_safe_distance(n: int, size: float, obstacles: list[Any]) -> None:
     room: dict[str, Any] = {"center": (size / 2, size / 2), "arena": ((0, 0), (size, size)), "obstacles": obstacles}
     mission = Mission(shape="circle", n_robots=n, comm_range=20, **room)
     for seed in range(max(1, round(5 * EFFORT))):
@@ -142,7 +144,7 @@ def test_everybody_gets_home_from_anywhere_at_a_safe_distance(n: int, size: floa
         assert not way.far(team.places), seed
 
 
-def test_too_near_homes_are_named_and_nobody_waits_for_ever() -> None:
+def test_homes_too_near_are_named_and_no_drone_waits_forever() -> None:
     mission = Mission(shape="line", n_robots=2, center=(15, 15), arena=((0, 0), (30, 30)), comm_range=20)
     homes = np.array([[10.0, 10.0], [11.0, 10.0]])
     team = Readings(mission, np.array([[5.0, 5.0], [25.0, 25.0]]), 0.0, np.random.default_rng(0))

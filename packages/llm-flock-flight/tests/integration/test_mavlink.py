@@ -67,7 +67,7 @@ def test_an_emergency_stop_that_is_refused_becomes_a_termination():
     in_air("ardupilot", act)
 
 
-def test_an_emergency_stop_that_nobody_hears_is_not_confirmed():
+def test_unheard_emergency_stop_is_not_confirmed():
     async def act(robot, vehicle):
         vehicle.deaf = True
         assert await robot.stop_motors() is False
@@ -133,7 +133,7 @@ def test_lost_answers_do_no_harm(number):
 
 def test_an_autopilot_that_never_answers_is_named_in_time():
     async def act(robot, vehicle):
-        vehicle.autopilot.refuse[176] = (5, "")  # in progress, for ever
+        vehicle.autopilot.refuse[176] = (5, "")  # in progress, without end
         began = time.monotonic()
         with pytest.raises(RobotError, match="did not answer to mode"):
             await robot.arm()
@@ -171,7 +171,7 @@ def test_a_pilots_switch_is_not_fought():
         await asyncio.sleep(0.3)
         assert len(vehicle.autopilot.set_points) == sent and len(vehicle.autopilot.commands) == commands
         await robot.connect(3.0)
-        with pytest.raises(TakenOver):
+        with pytest.raises(TakenOver, match="a pilot or a failsafe flies it"):
             await robot.land(0.0, 1.0)
         assert vehicle.mode == PILOT[vehicle.flavour]
 
@@ -183,7 +183,7 @@ def test_a_pilots_switch_back_gives_nothing_back():
         vehicle.switch("Position")
         await until(lambda: robot.state().taken_over is not None, 2.0)
         vehicle.switch("Offboard")
-        with pytest.raises(TakenOver):
+        with pytest.raises(TakenOver, match="a pilot or a failsafe flies it"):
             await robot.go_to((1.0, 2.0, 1.0), 1.0)
 
     in_air("px4", act)

@@ -24,7 +24,7 @@ from llm_flock_flight._testing.mavlink.autopilot import Autopilot
 pytestmark = pytest.mark.clock(2)
 
 
-def test_a_lost_link_is_seen_and_opened_again():
+def test_lost_link_is_noticed_and_reopened():
     async def act(robot, vehicle):
         vehicle.autopilot.parameters["FS_GCS_TIMEOUT"] = 60.0  # it hovers on
         vehicle.silent = True
@@ -52,7 +52,7 @@ def test_missing_heartbeats_lose_the_link_despite_positions():
     on_ground("px4", act, heartbeat_timeout_s=0.8)
 
 
-def test_the_share_of_packets_is_told():
+def test_share_of_packets_is_reported():
     async def act(robot, vehicle):
         await until(lambda: robot.state().link == 1.0, 1.0)
         vehicle.loss = 0.4
@@ -126,7 +126,7 @@ def test_an_address_that_cannot_be_opened():
 
 
 TIOCGEXCL = 0x80045440
-"""Linux: asks whether a terminal may be opened by nobody else."""
+"""Linux: asks whether no other process may open a terminal."""
 
 
 def test_a_serial_line():
@@ -273,7 +273,7 @@ def test_the_newer_name_of_a_parameter_is_known_too():
     on_ground("ardupilot", act, connected=False)
 
 
-def test_parameters_that_are_not_told_are_not_judged():
+def test_unreported_parameters_are_not_judged():
     async def act(robot, vehicle):
         vehicle.autopilot.parameters.clear()
         await robot.connect(3.0)
@@ -282,7 +282,7 @@ def test_parameters_that_are_not_told_are_not_judged():
     on_ground(("px4", "ardupilot"), act, connected=False)
 
 
-def test_the_autopilots_own_fence_is_told():
+def test_fence_of_the_autopilot_is_reported():
     assert checks_with("px4")["its own fence"].found == "on: 50 m around"
     assert checks_with("ardupilot")["its own fence"].found == "off"
     assert checks_with("ardupilot", FENCE_ENABLE=1.0, FENCE_ALT_MAX=20.0)["its own fence"].found == "on: 20 m up"

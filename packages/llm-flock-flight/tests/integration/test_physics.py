@@ -68,6 +68,6 @@ def test_the_driver_keeps_the_contract():
         asyncio.run(check_robot(world.robot(0, "one"), tolerance_m=0.1, patience_s=3.0))
 
 
-def test_the_driver_stops_when_told():
+def test_driver_obeys_an_emergency_stop():
     with PhysicsWorld(HOMES[:1]) as world:
         asyncio.run(check_emergency_stop(world.robot(0, "one")))

@@ -118,7 +118,7 @@ def test_a_pilot_is_remembered_behind_a_lost_link() -> None:
         assert robot.state().taken_over is not None
         await asyncio.sleep(LINK_S + 0.05)
         assert robot.state().link_lost
-        with pytest.raises(TakenOver):
+        with pytest.raises(TakenOver, match="a pilot or a failsafe flies it"):
             await robot.land(0.0, 2.0)
 
     asyncio.run(scene())

@@ -87,13 +87,13 @@ def flown(act: Callable[[Cameras], None], at: str, **fields: Any) -> FlightResul
 
 
 @pytest.mark.parametrize(("hidden", "named"), [({"d2"}, "d2"), ({"d0", "d1", "d2", "d3"}, "d0")])
-def test_drone_no_longer_seen_lands_everybody_and_is_named(hidden: set[str], named: str) -> None:
+def test_drone_without_poses_lands_all_and_is_named(hidden: set[str], named: str) -> None:
     flight = figures(flown(lambda cameras: cameras.hidden.update(hidden), "flying"))
     assert flight.ended == "pose_lost" and flight.reason == f"{named}: no position from outside for 0.5 s"
     assert set(flight.ends.values()) == {"landed"} and flight.air_s < 3.0
 
 
-def test_a_pose_that_freezes_lands_everybody_and_is_named() -> None:
+def test_frozen_pose_lands_all_drones_and_is_named() -> None:
     result = flown(lambda cameras: cameras.frozen.update(d1=cameras.last["d1"]), "flying")
     flight = figures(result)
     assert flight.ended == "pose_lost" and flight.safe and flight.air_s < 4.0

@@ -154,7 +154,7 @@ def test_pose_frozen_while_its_drone_moves_is_not_sent_long() -> None:
     assert len(repeated) > 3 and repeated[-1] - repeated[0] < 1.2, "it was not sent for much longer than 0.5 s"
 
 
-def test_without_poses_everybody_lands() -> None:
+def test_all_drones_land_without_poses() -> None:
     def drop(stream: PoseStream) -> None:
         stream.silent = True
 
@@ -179,7 +179,7 @@ def test_swapped_markers_are_never_sent_and_named(tmp_path: Path) -> None:
     assert {event.robot for event in events if event.detail["reason"] == "swap"} == {0, 2}
 
 
-def test_a_port_that_is_taken_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_port_in_use_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     async def unknown(*_: Any, **__: Any) -> Any:
         raise socket.gaierror(-2, "Name or service not known")
 
@@ -244,7 +244,7 @@ def test_poses_of_a_motion_capture_come_through_its_process() -> None:
 
 
 @pytest.mark.usefixtures("fake_library")
-def test_a_motion_capture_that_is_not_there_is_told(capfd: pytest.CaptureFixture[str]) -> None:
+def test_missing_motion_capture_is_reported(capfd: pytest.CaptureFixture[str]) -> None:
     async def run() -> None:
         source = MocapPoses("optitrack", "nowhere", NAMES)
         await source.open(lambda frame: None)

@@ -1,9 +1,9 @@
-"""Flights on whatever answers at LLM_FLOCK_SITL_URIS, firmware in the loop say; skipped where that is not set.
+"""Flights on the drones at LLM_FLOCK_SITL_URIS, such as firmware in the loop; skipped if it is not set.
 
     LLM_FLOCK_SITL_URIS=udp://127.0.0.1:19850,udp://127.0.0.1:19851 python -m pytest tests/integration/test_sitl.py
 
 Drones stand on free ground, a metre free above and half a metre on the side of increasing x and y, at least 0.6 m from
-one another. Whatever fails, all are landed. The emergency stop lets one fall from 0.4 m: LLM_FLOCK_SITL_FALL=1 asks for
+one another. All are landed after any failure. The emergency stop drops one from 0.4 m: LLM_FLOCK_SITL_FALL=1 asks for
 it. Without hardware: `llm-flock stand-ins 2`; what these flights have to survive is in test_sitl_stories.py.
 """
 

@@ -24,7 +24,7 @@ WHY = "its mode is Position"
 
 
 class Stubborn(SimulatedRobot):
-    """In the air at a height that its test decides, whatever it is told; a pilot may have it."""
+    """In the air at a height that its test decides, not its orders; a pilot may take it over."""
 
     def __init__(self, name: str, home: Position) -> None:
         super().__init__(name, home)
@@ -107,7 +107,7 @@ def test_a_drone_that_sinks_slowly_is_waited_for(monkeypatch: pytest.MonkeyPatch
     assert landed(robot, monkeypatch) == LANDED and not robot.cut
 
 
-def test_whoever_flies_it_answers_for_it() -> None:
+def test_drone_flown_by_a_pilot_has_its_motors_left_alone() -> None:
     """One trouble that says so, and none that would cut its motors, far outside the geofence."""
     config = flight_config(1, "circle", drones=[{"name": "d0", "start": STARTS[0]}])
     far: Position = (50.0, 0.0, 1.0)

@@ -97,7 +97,7 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
         ("      kalman: {pNAcc_xy: 0.7, pNAcc_z: 0.9}", "      locSrv: 3", "robots.cf1.firmware_params.locSrv"),
     ],
 )
-def test_what_cannot_be_used_is_named(old, new, field):
+def test_unusable_field_of_crazyflies_yaml_is_named(old, new, field):
     assert old in TEXT
     with pytest.raises(InputError) as caught:
         parse_crazyflies(content(TEXT.replace(old, new)))

@@ -70,7 +70,7 @@ def test_the_one_that_does_not_move_is_the_one_that_is_off() -> None:
 
 @settings(deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.floats(0.5, 2.5))
-def test_who_lags_less_than_another_is_off_by_what_it_gains(one_s: float, two_s: float, after_s: float) -> None:
+def test_lag_covers_the_difference_between_two_delays(one_s: float, two_s: float, after_s: float) -> None:
     """No delay suits both: what their distances lose against the set-points' is never more than what is reported."""
     motions = [
         Segment(start=(0.0, 0.0, 1.0), target=(0.5, 0.0, 1.0), duration_s=3.0),
@@ -119,7 +119,7 @@ def test_drones_begun_at_different_times_have_their_own_delays() -> None:
     assert found.off_m[2] == pytest.approx(0.03)
 
 
-def test_heights_count_less_where_nobody_flies_above_another() -> None:
+def test_heights_count_less_if_no_drone_flies_above_another() -> None:
     config = flight_config()
     assert config.height_tracking_m == 0.15
     assert distance_m(config, (0.0, 0.0, 1.0), (0.03, 0.0, 1.09)) == pytest.approx(math.hypot(0.03, 0.03))

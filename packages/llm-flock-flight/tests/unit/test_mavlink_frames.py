@@ -72,7 +72,7 @@ def test_far_places_and_absurd_ones_are_refused() -> None:
     with pytest.raises(InputError, match="within 10000 m"):
         between(place(47.0, 8.0), place(47.2, 8.0))
     for latitude, longitude in ((91.0, 0.0), (0.0, 181.0), (float("nan"), 0.0), (0.0, float("nan"))):
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match="expected degrees from"):
             place(latitude, longitude)
     with pytest.raises(InputError, match="altitude"):
         place(0.0, 0.0, float("inf"))

@@ -28,7 +28,7 @@ from llm_flock_flight._positions.udp import (
 # ------------------------------------------------------------------ datagrams
 
 
-def test_a_frame_is_read_as_it_was_written() -> None:
+def test_written_frame_is_read_back() -> None:
     sent = PoseFrame(
         stamp_s=12.5, poses={"a": Pose((1.0, -2.0, 0.5), (0.0, 0.0, 0.6, 0.8)), "b": Pose((0.0, 0.0, 0.0))}
     )
@@ -110,7 +110,7 @@ def test_a_second_sender_is_named_until_one_of_the_two_is_silent() -> None:
     assert found.senders(11.3) == ("127.0.0.1:5002",)
 
 
-def test_a_stranger_is_not_followed_whatever_it_sends() -> None:
+def test_poses_of_an_unknown_sender_are_never_used() -> None:
     found, frames = port()
     assert reason(found.hear, b"garbage", "stranger", 10.0) == "malformed"
     assert reason(found.hear, text(name="nobody"), "stranger", 10.0) == "unknown_name"
@@ -151,13 +151,13 @@ def test_a_drone_that_flies_is_let_through() -> None:
     assert not found.refused
 
 
-def test_who_is_nobody_is_counted_without_a_name() -> None:
+def test_unknown_names_are_counted_together() -> None:
     found = gate()
     assert set(found.take(frame(0.0, a=(0, 0, 0), x=(0, 0, 0)), 1.0)) == {"a"}
     assert found.refused == {("", "unknown_name"): 1}
 
 
-def test_what_comes_late_or_out_of_order_is_refused() -> None:
+def test_late_and_reordered_poses_are_rejected() -> None:
     found = gate()
     assert found.take(frame(5.0, a=(0, 0, 0)), 100.0)
     assert found.take(frame(5.1, a=(0, 0, 0)), 100.19)

@@ -42,7 +42,7 @@ def test_a_drone_that_cannot_fly_keeps_all_on_the_floor(fault: str) -> None:
     assert failed(but_one(fault=fault)) == [f"d1: ready: {fault}, ready to fly"]
 
 
-def test_a_parameter_that_was_not_taken_is_told() -> None:
+def test_parameter_that_was_not_accepted_is_reported() -> None:
     wrong = replace(PID, complaints=("stabilizer.controller is 1, though it was set to 2",))
     assert failed(but_one(equipment=wrong))[0].startswith("d1: ready: stabilizer.controller is 1")
 
@@ -106,7 +106,7 @@ def test_each_drone_has_its_own_battery_limits() -> None:
     assert [(trouble.kind, trouble.robot) for trouble in found] == [(TroubleKind.BATTERY_LOW, 2)]
 
 
-def test_what_is_not_watched_is_said() -> None:
+def test_preflight_names_what_is_not_watched() -> None:
     blind = replace(PID, unwatched=("its battery",))
     states = but_one(equipment=blind, battery_v=None)
     assert failed(states) == []

@@ -196,7 +196,7 @@ def test_relative_and_absolute_way_points():
     assert not firmware.body.flying
 
 
-def test_what_is_not_known_is_not_answered():
+def test_stand_in_ignores_unknown_packets():
     firmware = drone()
     for raw in (
         packet(9, 0, [0x20]),

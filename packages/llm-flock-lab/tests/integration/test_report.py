@@ -92,7 +92,7 @@ def test_tables_say_how_trials_ended(results: Results) -> None:
     assert "no answers" not in sheet.header
 
 
-def test_numbers_in_words() -> None:
+def test_intervals_are_formatted_for_reading() -> None:
     from llm_flock_lab._experiments.statistics import Estimate
 
     assert interval(None, 2) == "-"
@@ -177,7 +177,7 @@ def test_one_trial_of_one_robot_is_enough(tmp_path: Path) -> None:
 
 
 def test_figures_of_trials_that_do_not_differ_have_axes(tmp_path: Path) -> None:
-    """One robot stands in formation from the start, whatever the protocol."""
+    """One robot stands in formation from the start, with any protocol."""
     rounds = {**trial("line", 1, "flock", 0).rounds, "error": [0.0] * 5}
     for protocol in ("flock", "baseline"):
         one = trial("line", 1, "flock", 0)
@@ -228,7 +228,7 @@ def test_a_simulated_trial_without_a_record_is_flown_again(tmp_path: Path) -> No
     assert failure.figure is None
 
 
-def test_a_damaged_record_is_said_and_hurts_nothing(tmp_path: Path) -> None:
+def test_damaged_record_is_reported_and_hurts_nothing(tmp_path: Path) -> None:
     write_results(tmp_path)
     (tmp_path / "records" / "circle10paper1.mcap").write_bytes(b"nonsense")
     shown = {failure.trial.id: failure for failure in gallery(Results.read(tmp_path), 100)}
@@ -252,7 +252,7 @@ def test_a_figure_on_a_page_takes_the_pages_colours(results: Results) -> None:
     assert all(name.startswith("x-") for name in re.findall(r'\bid="([^"]+)"', text))
 
 
-def test_what_is_refused(results: Results, tmp_path: Path) -> None:
+def test_report_rejects_bad_input_and_writes_nothing(results: Results, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="directory of results"):
         write_report(tmp_path / "nothing", tmp_path / "out")
     (tmp_path / "empty" / "trials").mkdir(parents=True)
@@ -288,7 +288,7 @@ def test_no_text_of_csv_tables_begins_as_a_formula(begins: str, tmp_path: Path) 
     assert tables.read_trials(tmp_path)["cell"].to_list() == [evil], "the tables of the sweep are left as they are"
 
 
-def test_every_figure_of_simulated_models_says_so(tmp_path: Path) -> None:
+def test_every_figure_of_simulated_models_is_labelled(tmp_path: Path) -> None:
     Store(tmp_path).save(trial("circle", 10, "flock", 0, simulated=True))
     for drawing in draw_all(Results.read(tmp_path), "flock"):
         assert [legend.get_title().get_text() for legend in drawing.figure.legends] == ["simulated language models"]
@@ -320,7 +320,7 @@ def _one(folder: Path, **changes: object) -> Path:
     [{"model": "openai:o3-mini"}, {"record_llm": "TALK"}, {"prompts": "/somewhere"}],
     ids=lambda s: next(iter(s)),
 )
-def test_a_stored_trial_asks_nobody_and_writes_nothing(section: dict[str, str], tmp_path: Path) -> None:
+def test_stored_trial_asks_no_model_and_writes_nothing(section: dict[str, str], tmp_path: Path) -> None:
     """A directory of results may come from anywhere; that a trial is simulated is only what it says."""
     fields = {"model": "simulated:ideal"} | {k: v.replace("TALK", str(tmp_path / "talk")) for k, v in section.items()}
     config = {"mission": {"shape": "circle", "n_robots": 10}, "model": fields, "protocol": {}, "trial": {"seed": 1}}

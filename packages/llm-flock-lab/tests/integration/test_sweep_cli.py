@@ -30,7 +30,7 @@ def test_a_dry_run_forecasts_and_leaves_nothing(tmp_path: Path, monkeypatch: pyt
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_it_flies_goes_on_and_says_how_it_ended(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sweep_flies_resumes_and_reports_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = small_file(tmp_path)
     one = ("--executor", "one", "-q")
@@ -46,7 +46,7 @@ def test_variables_and_choices_are_read(tmp_path: Path) -> None:
     given = ("--set", "losses=0.1", "--set", "losses=0.2")
     cells = json.loads(sweep(str(path), "--dry-run", "--json", *given))["cells"]
     assert list(cells)[-1] == "triangle/3 baseline loss=0.2"
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="--set losses: expected NAME=VALUE"):
         sweep(str(path), "--set", "losses")
     for wrong in (("--executor", "two"), ("--keep-records", "some")):
         sweep(str(path), *wrong, code=2)

@@ -114,9 +114,11 @@ def test_a_file_is_read_and_flags_win(tmp_path: Path) -> None:
     assert (cell.config.links.loss, cell.config.links.delay) == (0.2, 2)
 
 
-@pytest.mark.parametrize(("teams", "protocols"), [([("circle", 60)], ["flock"]), ([("circle", 5)], ["best"])])
-def test_what_a_run_refuses_is_refused(teams: list[tuple[str, int]], protocols: list[str]) -> None:
-    with pytest.raises(InputError):
+@pytest.mark.parametrize(
+    ("teams", "protocols", "cause"), [([("circle", 60)], ["flock"], "^arena"), ([("circle", 5)], ["best"], "^protocol")]
+)
+def test_cells_reject_what_a_run_rejects(teams: list[tuple[str, int]], protocols: list[str], cause: str) -> None:
+    with pytest.raises(InputError, match=cause):
         build_cells(teams, protocols)
 
 
@@ -145,7 +147,7 @@ def test_only_the_walls_in_the_way_are_moved() -> None:
 
 def test_an_arena_for_words_has_room_for_the_starts() -> None:
     team = Mission(shape="text:x", n_robots=1)
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="expected at most 495"):
         Mission(shape="text:x", n_robots=1500)
     arena = fitted_arena(team, "text:x", 1500)
     assert Mission(shape="text:x", n_robots=1500, arena=arena).n_robots == 1500
@@ -188,7 +190,7 @@ def test_separation_rounded_too_small_is_no_violation() -> None:
     assert row(CELL, from_zero(good(min_separation=3 - 2e-6))).violations == 1
 
 
-def test_starts_too_near_are_told_apart_from_later_violations() -> None:
+def test_starts_too_near_are_counted_apart_from_violations() -> None:
     near = {"start_violations": 2, "min_separation": 0.5}
     later = good(**near, min_separation_after_start=3.1), good(min_separation_after_start=3.2)
     found = row(CELL, from_zero(good(), *later))

@@ -110,7 +110,7 @@ def test_pictures_have_one_size() -> None:
         ({"no_such_field": 1}, "no_such_field"),
     ],
 )
-def test_what_an_environment_cannot_do_is_refused(options: dict[str, Any], field: str) -> None:
+def test_environment_rejects_options_that_it_cannot_follow(options: dict[str, Any], field: str) -> None:
     with pytest.raises(InputError) as caught:
         parallel_env(**SQUARE, **options)
     assert caught.value.field == field
@@ -128,6 +128,10 @@ def test_wrong_actions_are_refused() -> None:
     with pytest.raises(InputError, match="reset"):
         env.step({})
     env.reset(seed=0)
-    for wrong in ({}, dict.fromkeys(env.agents, "up"), dict.fromkeys(env.agents, np.zeros(3))):
-        with pytest.raises(InputError):
+    for wrong, cause in (
+        ({}, "an action for every agent"),
+        (dict.fromkeys(env.agents, "up"), "numbers of shape"),
+        (dict.fromkeys(env.agents, np.zeros(3)), r"not \(3,\)"),
+    ):
+        with pytest.raises(InputError, match=cause):
             env.step(wrong)

@@ -21,7 +21,7 @@ from llm_flock import extras
         ("exam --page notes.txt", "--page notes.txt: expected a folder that is there"),
     ],
 )
-def test_what_cannot_be_done_is_said_before_anything_is_asked(line: str, text: str, tmp_path: Path) -> None:
+def test_exam_rejects_bad_options_before_it_asks_a_model(line: str, text: str, tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     done = flock(*line.split(), cwd=tmp_path, check=False)
     assert done.returncode == 2 and text in done.stderr, done.stderr

@@ -71,7 +71,7 @@ def test_the_own_frame_leaves_no_held_out_question_for_a_plan() -> None:
     assert len(taught) == 27 and held_out == taught
 
 
-def test_what_is_held_out_differs_by_shape_centre_and_spacing() -> None:
+def test_held_out_missions_differ_in_shape_centre_and_spacing() -> None:
     rng = np.random.default_rng(0)
     taught = [draw_mission(rng, "train", TEAMS) for _ in range(40)]
     held = [draw_mission(rng, "held-out", HELD_OUT_TEAMS) for _ in range(40)]
@@ -81,7 +81,7 @@ def test_what_is_held_out_differs_by_shape_centre_and_spacing() -> None:
     assert {e.team.partition(" ")[0] for e in motion_examples(0, 30, "held-out")} <= {"star", "wedge"}
 
 
-def test_what_the_checks_would_send_back_is_not_taught(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answers_that_checks_reject_are_not_taught(monkeypatch: pytest.MonkeyPatch) -> None:
     question = draw_step(np.random.default_rng(0), draw_mission(np.random.default_rng(0), "train", TEAMS))
     assert step_example(BRIEF, question) is not None
     monkeypatch.setattr("llm_flock_onboard._distill.examples.REACH", 1.1)
@@ -192,7 +192,7 @@ def test_an_adapter_is_written_as_llama_cpp_reads_it(tmp_path: Path) -> None:
     assert np.allclose(tensors["blk.0.ffn_up.weight.lora_b"], made.factors["blk.0.ffn_up"][1], atol=1e-3)
 
 
-def test_what_is_told_in_an_example_is_what_a_run_asks() -> None:
+def test_example_has_the_prompt_of_a_run() -> None:
     question = replace(STEP, neighbors=())
     example = step_example(BRIEF, question)
     assert example == Example(

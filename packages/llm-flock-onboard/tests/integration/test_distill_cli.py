@@ -29,7 +29,7 @@ def test_examples_are_written(tmp_path: Path) -> None:
     assert {example["team"].partition(" ")[0] for example in held} <= {"star", "wedge"}
 
 
-def test_what_is_missing_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_distill_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="adapter"):
         call("export", str(tmp_path), str(tmp_path / "a.gguf"))
     call("data", str(tmp_path / "a.jsonl"), "--count", "1", "--plans", "0")

@@ -77,7 +77,7 @@ def test_fresh_factors_change_nothing_and_training_does(tmp_path: Path) -> None:
     assert (kept.rank, kept.alpha, kept.heads, kept.kv_heads) == (4, 4.0, 4, 2)
 
 
-def test_a_training_goes_on_where_it_was_kept(tmp_path: Path) -> None:
+def test_training_resumes_from_its_checkpoint(tmp_path: Path) -> None:
     train(student(), ROWS, TrainingOptions(steps=10, rate=0.01, tokens=40), tmp_path)
     again, told = student(), list[TrainingProgress]()
     train(again, ROWS, TrainingOptions(steps=20, rate=0.01, tokens=40), tmp_path, resume=True, on_progress=told.append)

@@ -128,7 +128,7 @@ def test_a_closed_way_is_refused_with_the_reason() -> None:
     assert isinstance(given_up, NoAnswer) and "one of L, R, H is required" in given_up.reason
 
 
-def test_nobody_is_asked_where_there_is_nothing_to_choose() -> None:
+def test_no_model_is_asked_if_there_is_nothing_to_choose() -> None:
     arrives = question(goal=(24.0, 21.0))
     answer, attempts = asked(Saying(), arrives)
     assert answer == StepAnswer(waypoint=(24.0, 21.0), by="geometry") and not attempts
@@ -138,7 +138,7 @@ def test_nobody_is_asked_where_there_is_nothing_to_choose() -> None:
     assert isinstance(shut, StepAnswer) and shut.by == "geometry" and shut.waypoint == pytest.approx((26.0, 20.0))
 
 
-def test_plans_come_by_geometry_and_say_so() -> None:
+def test_plans_by_geometry_are_marked() -> None:
     planner = LanguagePlanner(1, Saying(), PromptSet.load("letters"))
     answer = asyncio.run(
         planner.plan(PlanQuestion(mission=MISSION, robot=1, round=1, position=(0.0, 0.0), neighbors=()))

@@ -110,7 +110,7 @@ def test_without_a_form_a_schema_holds_the_answer(file):
     assert "json_schema" not in asyncio.run(go(question()))
 
 
-def test_robots_and_runs_share_one_engine_until_nobody_needs_it(file):
+def test_robots_and_runs_share_one_engine_while_in_use(file):
     engines = Engines()
 
     async def go():
@@ -150,7 +150,7 @@ def test_context_follows_the_question_up_to_the_trained_length(file):
     assert asyncio.run(go()) == 512  # as the file says
 
 
-def test_whoever_stops_waiting_stops_the_answer(file):
+def test_cancelled_question_stops_the_answer(file):
     async def go():
         engines = Engines()
         model = LocalModel(f"local:{file}", EngineLeases(engines))
@@ -206,7 +206,7 @@ def test_the_pool_builds_models_on_board_without_loading_them(file):
         parse_model("local:")
 
 
-def test_what_does_not_fit_into_memory_is_refused_unloaded(file):
+def test_model_too_large_for_the_memory_is_not_loaded(file):
     check_memory(Weights(file), 1000, free=2**30)
     with pytest.raises(InputError, match=r"takes about 0.3 GiB, 0.2 GiB are free"):
         check_memory(Weights(file), 1000, free=2**28)
@@ -252,7 +252,7 @@ def test_engine_still_loading_is_stopped_with_the_pool(file, monkeypatch):
     assert made[0].closed == 1 and engines.running == 0
 
 
-def test_an_engine_that_cannot_be_loaded_says_so_to_everybody(file, monkeypatch):
+def test_engine_that_cannot_be_loaded_fails_every_question(file, monkeypatch):
     def fail(*_):
         raise InputError("model", str(file), "what the engine can load")
 

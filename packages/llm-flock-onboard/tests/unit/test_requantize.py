@@ -93,7 +93,7 @@ def test_a_file_is_made_once_and_the_rest_of_it_stays(tmp_path, cache):
     assert requantize_file(source, head, DIGEST).read_bytes() == whole, "what somebody cut short is made again"
 
 
-def test_what_cannot_be_kept_is_read_as_it_is(tmp_path, monkeypatch, caplog, cache):
+def test_weights_that_cannot_be_cached_are_read_unchanged(tmp_path, monkeypatch, caplog, cache):
     source, _ = write_small(tmp_path / "m.gguf")
     cache.parent.write_text("no folder")
     assert requantize_file(source, read_header(source), DIGEST) == source

@@ -44,7 +44,7 @@ class Saying:
         return StepAnswer(waypoint=(1.0, 2.0))
 
 
-def test_what_it_knows_is_what_the_recipe_teaches() -> None:
+def test_taught_plans_are_those_of_the_recipe() -> None:
     assert {(shape, n) for shape, sizes in TEAMS for n in sizes} == set(TAUGHT_PLANS)
 
 
@@ -64,13 +64,13 @@ def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
         asked("circle", 5, fields={"obstacles": [{"center": [80, 80], "radius": 2}]}),
     ],
 )
-def test_untaught_plans_come_from_geometry_and_say_so(question: PlanQuestion) -> None:
+def test_untaught_plans_by_geometry_are_marked(question: PlanQuestion) -> None:
     answer = asyncio.run(KnownPlans(Saying(), is_taught).plan(question))
     assert isinstance(answer, PlanAnswer) and answer.by == "geometry"
     assert len(answer.plan) == question.mission.n_places
 
 
-def test_a_shape_in_words_has_no_plan_by_geometry() -> None:
+def test_described_shape_has_no_plan_by_geometry() -> None:
     assert isinstance(asyncio.run(KnownPlans(Saying(), is_taught).plan(asked("text:a heart", 5))), NoAnswer)
 
 

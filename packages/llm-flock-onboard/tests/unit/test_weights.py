@@ -44,7 +44,7 @@ def test_widths_of_keys_and_values_may_be_given(tmp_path):
     assert read_header(write_model(tmp_path / "n.gguf", {"general.architecture": "llama"})).cache_bytes == 0
 
 
-def test_whatever_else_a_file_holds_it_is_refused_in_words(tmp_path):
+def test_file_of_any_other_content_is_refused_with_reason(tmp_path):
     whole = gguf(MODEL, TENSORS)
     path = tmp_path / "m.gguf"
     cuts = [whole[:length] for length in range(1, len(whole), 7)]
@@ -201,7 +201,7 @@ def test_an_adapter_for_a_row_of_numbers_is_refused(tmp_path):
         find_weights(f"{model}+{adapter}")
 
 
-def test_what_is_no_adapter_or_no_instruct_model_is_refused(tmp_path):
+def test_weights_reject_wrong_adapters_and_models(tmp_path):
     model, adapter = write_model(tmp_path / "m.gguf"), write_adapter(tmp_path / "a.gguf")
     with pytest.raises(InputError, match="a LoRA adapter"):
         find_weights(f"{model}+{model}")
@@ -212,7 +212,7 @@ def test_what_is_no_adapter_or_no_instruct_model_is_refused(tmp_path):
         find_weights(str(base))
 
 
-def test_what_is_not_installed_is_named(monkeypatch):
+def test_missing_package_of_weights_is_named(monkeypatch):
     def missing(name):
         raise metadata.PackageNotFoundError(name)
 

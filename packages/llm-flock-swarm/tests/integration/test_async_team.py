@@ -74,7 +74,7 @@ def test_two_head_on_in_a_corridor_with_one_bay_pass_each_other() -> None:
 
 
 @pytest.mark.usefixtures("fixed_places")
-def test_who_is_at_its_place_steps_aside_and_comes_back() -> None:
+def test_robot_at_its_place_steps_aside_and_comes_back() -> None:
     """It stands in the corridor; the other one's place is in the room behind it."""
     farthest, place = 0.0, (64.0, 50.0)
 

@@ -164,7 +164,7 @@ def test_the_process_says_why_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
         asyncio.run(run_robot(CONFIG, 0))
 
 
-def test_a_flood_of_bad_messages_is_not_told_message_by_message() -> None:
+def test_flood_of_bad_messages_is_not_logged_one_by_one() -> None:
     def act(process: RobotProcess, link: FakeLink) -> None:
         link.see()
         for _ in range(2 * MAX_NOTES):
@@ -199,7 +199,7 @@ def test_beacons_of_members_that_are_no_robots_are_refused() -> None:
         ("prompts", {"prompts": "nowhere"}),
     ],
 )
-def test_what_would_end_each_robot_is_refused_before_starting(
+def test_errors_that_end_each_robot_prevent_the_start(
     field: str, given: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def start(*_: object, **__: object) -> None:

@@ -1,4 +1,4 @@
-"""Whatever a keyed robot says: it holds one place at most; the honest stay apart, and settle when it falls silent."""
+"""A keyed robot that lies holds one place at most. The honest stay apart, and settle when it falls silent."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_liar_holds_one_place_and_brings_no_pair_too_near(seed: int, loss: flo
 
 
 @cases(5)
-@example(35489, 0.3125)  # a claim that nobody heard of came after an offer that was accepted
+@example(35489, 0.3125)  # an unheard claim came after an offer that was accepted
 @given(SEEDS, st.floats(0, 0.4))
 def test_teams_without_a_liar_settle(seed: int, loss: float) -> None:
     rng = np.random.default_rng(seed)

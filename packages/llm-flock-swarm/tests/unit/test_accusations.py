@@ -82,7 +82,7 @@ def test_messages_of_another_flight_prove_nothing(other: dict[str, Any]) -> None
     assert judge.topic(LIAR) != JUDGE.topic(LIAR) and judge.verdict(LIAR, FORGED, [config.mission]) is None
 
 
-def test_where_plans_are_not_verified_none_proves_anything() -> None:
+def test_without_verification_no_plan_is_evidence() -> None:
     bad = Plan.of([(50.0, 50.0)] * N)
     origin = Provenance(mission=0, mission_digest=MISSION.digest, epoch=0, degree=1, proposer=LIAR, sequence=0)
     message = Message(sender=LIAR, sequence=0, degree=1, plan=bad, provenance=origin)
@@ -138,7 +138,7 @@ def test_without_keys_nothing_is_proven() -> None:
     assert observer.shown_to_lie == {}
 
 
-def test_a_member_that_accuses_falsely_is_not_judged_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_false_accusations_are_judged_a_limited_number_of_times(monkeypatch: pytest.MonkeyPatch) -> None:
     judged: list[object] = []
     monkeypatch.setattr(JUDGE, "confirms", lambda *_: judged.append(1))
     observer = Observer(CONFIG, Sink(), judge=JUDGE)
@@ -174,8 +174,12 @@ def test_a_robot_judges_a_sender_so_often_and_no_more(monkeypatch: pytest.Monkey
 
 def test_an_envelope_is_judged_after_it_was_opened() -> None:
     assert signed_payload(FORGED, JUDGE.topic(2), ToyKeys(0))[0] == LIAR
-    for topic, letter in (("say/2", FORGED), (JUDGE.topic(2), b""), (JUDGE.topic(2), b"\x02?" + bytes(64))):
-        with pytest.raises(MessageError):
+    for topic, letter, cause in (
+        ("say/2", FORGED, "bad_signature"),
+        (JUDGE.topic(2), b"", "version"),
+        (JUDGE.topic(2), b"\x02?" + bytes(64), "malformed"),
+    ):
+        with pytest.raises(MessageError, match=cause):
             signed_payload(letter, topic, ToyKeys(0))
 
 

@@ -25,7 +25,7 @@ def refused(reader: Envelope, sealed: bytes, topic: str = "") -> str:
     return error.value.reason
 
 
-def test_what_is_sealed_is_opened_once() -> None:
+def test_sealed_message_is_opened_once() -> None:
     writer, reader = pair()
     sealed = writer.seal(b"hello", "gossip")
     assert len(sealed) <= 5 + OVERHEAD
@@ -54,7 +54,7 @@ def test_noise_is_refused(noise: bytes) -> None:
     assert refused(pair()[1], b"\2" + noise)
 
 
-def test_nobody_speaks_for_another_or_for_the_reader() -> None:
+def test_envelope_in_the_name_of_another_is_rejected() -> None:
     @dataclass(frozen=True)
     class Impostor(ToyKeys):
         def sign(self, statement: bytes) -> bytes:
@@ -108,7 +108,7 @@ def test_each_is_taken_once_in_any_order_within_the_window(seed: int) -> None:
     assert sorted(opened) == sorted(bytes([k]) for k in range(60) if sealed[k] in sent)
 
 
-def test_what_is_older_than_the_window_is_refused() -> None:
+def test_message_older_than_the_window_is_rejected() -> None:
     writer, reader = pair()
     sealed = [writer.seal(b"x") for _ in range(WINDOW + 2)]
     reader.open(sealed[0])

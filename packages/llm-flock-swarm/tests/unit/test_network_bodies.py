@@ -127,7 +127,7 @@ def test_the_age_of_a_sighting_takes_its_way() -> None:
     assert stale is None or stale.target[0] <= 50.0
 
 
-def test_who_has_not_looked_for_long_stands_still() -> None:
+def test_robot_with_old_observations_stands_still() -> None:
     assert pilotage().control(0.0, [], 1.0) is None
     assert pilotage(shield_on=False).control(0.0, [], 1.0) is not None
 

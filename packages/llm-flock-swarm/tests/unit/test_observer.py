@@ -76,13 +76,13 @@ def test_a_team_at_its_places_has_formed() -> None:
     ],
 )
 def test_one_member_cannot_say_that_the_team_has_formed(lie: dict[str, Any]) -> None:
-    """Robot 2 is not at its place, whatever it says of itself, of a place or of the mission."""
+    """Robot 2 is not at its place, and no statement of its own changes that."""
     bodies = (*PLACES[:2], (20.0, 20.0))
     last = told(2) if "goal" in lie else told(2, **{"points": None, **lie})
     assert not formed(observer(bodies), told(0), told(1), last)
 
 
-def test_a_place_is_blocked_once_two_say_so() -> None:
+def test_place_is_blocked_once_two_robots_report_it() -> None:
     """Robot 2 is dead, bodies that do not move stand on two places, and robot 1 is left without one."""
     spare = told(1, slot=None, blocked=(1, 2))
     for word, expected in (((), False), ((1, 2), True)):
@@ -214,7 +214,7 @@ def test_sums_of_what_robots_say_have_room_in_a_record(changes: dict[str, Any]) 
     assert len(rows) == 3 and seen.said.tokens <= 2**53
 
 
-def test_what_one_robot_tells_takes_bounded_memory() -> None:
+def test_reports_of_one_robot_take_bounded_memory() -> None:
     """Plans, their suppliers and latencies; and the other robots' are heard all the same."""
     seen = observer()
     for k in range(400):
@@ -299,7 +299,7 @@ def test_the_supplier_of_the_plan_is_what_most_robots_say() -> None:
     assert seen.supplier is None
 
 
-def test_a_plan_is_recorded_once_however_often_it_is_told() -> None:
+def test_plan_that_is_repeated_is_recorded_once() -> None:
     seen = observer()
     sink = seen._sink
     assert isinstance(sink, Sink)
@@ -315,7 +315,7 @@ def test_only_whole_reports_pass_the_wire() -> None:
 
 
 @pytest.mark.parametrize("stops", [True, False])
-def test_swarm_told_to_fly_on_does_not_end_once_formed(stops: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_swarm_that_flies_on_does_not_end_once_formed(stops: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     class Launched:
         """Stands for the processes, and for an observer that has seen a formation."""
 

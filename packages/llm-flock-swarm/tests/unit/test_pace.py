@@ -12,7 +12,7 @@ from llm_flock_swarm._network.process import PeriodClock, phase_s
 
 @dataclass
 class Clock:
-    """An event loop's clock; whoever sleeps moves it, by a little less than asked for where `early` says so."""
+    """An event loop's clock. Every sleep moves it, by a little less than asked for if `early` is set."""
 
     now: float = 100.0
     early: float = 0.0
@@ -46,7 +46,7 @@ def test_beats_come_at_their_phase(clock: Clock) -> None:
     assert after_next(beat, clock) == pytest.approx(100.7)
 
 
-def test_who_is_late_waits_for_the_next_beat(clock: Clock) -> None:
+def test_late_robot_waits_for_the_next_beat(clock: Clock) -> None:
     beat = PeriodClock(0.5, 0.2)
     after_next(beat, clock)
     clock.now += 1.2

@@ -41,7 +41,7 @@ def test_the_air_carries_within_range_only() -> None:
     assert not own.carries(3) and own.neighbors(100.1) == 2
 
 
-def test_who_has_not_said_where_it_is_is_not_heard() -> None:
+def test_sender_without_a_beacon_is_not_heard() -> None:
     own = Radio(
         0,
         MISSION,
@@ -115,7 +115,7 @@ def test_loss_duplicates_and_delays_are_injected() -> None:
     assert now[-1] == -1
 
 
-def test_what_comes_over_the_wire_is_checked() -> None:
+def test_received_messages_are_checked() -> None:
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
     assert unpack(Beacon, pack(beacon)) == beacon
     assert unpack(BeaconedMessage, pack(BeaconedMessage(beacon=beacon, message=b"abc"))) == BeaconedMessage(
@@ -145,7 +145,7 @@ def test_no_number_that_is_none_comes_over_the_wire(bad: float) -> None:
 
 def test_the_plain_seal_only_names_the_sender() -> None:
     assert PlainSeal(3).open(PlainSeal(OPERATOR).seal(b"abc", "say/3"), "say/3") == (OPERATOR, b"abc")
-    with pytest.raises(MessageError):
+    with pytest.raises(MessageError, match="no sender"):
         PlainSeal(0).open(b"\x00", "say/3")
 
 
@@ -164,7 +164,7 @@ def test_topic_may_bring_its_rate_and_twice_that_at_once() -> None:
     assert seldom.spend(0.0) and not seldom.spend(5.0) and seldom.spend(11.0)
 
 
-def test_who_may_send_what_is_told_to_the_network() -> None:
+def test_access_rules_name_the_keys_of_each_sender() -> None:
     told = access_control({"robot-0": ["flock/say/0"], "watcher": []})["access_control"]
     assert told["enabled"] and told["default_permission"] == "deny"
     ingress = [r for r in told["rules"] if r["flows"] == ["ingress"]]

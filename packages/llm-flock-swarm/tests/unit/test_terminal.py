@@ -137,7 +137,7 @@ def test_the_command_line_writes_through_one_door() -> None:
 
 
 @pytest.mark.parametrize("letter", ["\x1b", "\n", "\t", "\x85", "\u202e", "\u2028", "\u200b", "\ud800"])
-def test_a_shape_in_words_holds_no_hidden_letters(letter: str) -> None:
+def test_described_shape_with_hidden_letters_is_rejected(letter: str) -> None:
     with pytest.raises(InputError, match="visible letters only") as caught:
         Mission(shape=f"text:a heart{letter}", n_robots=4)
     assert caught.value.field == "shape"

@@ -104,7 +104,9 @@ def test_a_long_title_keeps_to_one_line(record: RunRecord) -> None:
     assert (titled[below:-60] == plain[below:-60]).mean() > 0.999, "and it is nowhere else"
 
 
-def test_what_cannot_be_written_is_named(record: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_animation_names_what_it_cannot_write(
+    record: RunRecord, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with pytest.raises(InputError, match=r"ends in \.gif, \.mp4, \.webm"):
         animate(record, tmp_path / "a.avi")
     with pytest.raises(InputError, match="fps = 0"):

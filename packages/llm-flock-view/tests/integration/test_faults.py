@@ -128,7 +128,7 @@ def test_changed_mission_goes_to_one_robot_and_is_recorded(tmp_path: Path, monke
 
 
 def test_the_team_must_follow_the_last_mission() -> None:
-    """A mission that nobody but the one robot follows has not formed, whatever the others still hold."""
+    """A mission that only one robot follows has not formed, even if the others hold a formation."""
     change = {"round": 12, "robot": 0, "set": {"center": [50, 49]}}
     result = fly(changes=[change], rounds=13, stop_when_formed=False)
     assert not result.formed and result.summary.missions[0].formed is not None

@@ -83,7 +83,7 @@ def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, wide: floa
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_every_disc_of_a_crowd_is_seen(seed: int) -> None:
+def test_every_disc_of_a_crowd_is_visible(seed: int) -> None:
     rng = np.random.default_rng(seed)
     discs = np.concatenate([np.full((3, 2), 50.0), [[90.0, 50.0], [90.5, 50.0]], rng.uniform(0.0, 100.0, (6, 2))])
     at, crowds = spread(discs, 5.0)
@@ -137,7 +137,7 @@ def test_robots_above_one_another_are_counted_and_not_red(tmp_path: Path) -> Non
     assert DANGER.lower() not in colours
 
 
-def test_not_begun_and_no_plan_are_told_apart_without_words(record: RunRecord) -> None:
+def test_not_begun_and_no_plan_look_different(record: RunRecord) -> None:
     phases = ["asleep", *["idle"] * 4]
     state = record.states[2].model_copy(
         update={"phases": phases, "plan_ids": [None, None, *record.states[2].plan_ids[2:]]}

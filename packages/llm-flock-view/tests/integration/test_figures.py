@@ -38,7 +38,7 @@ def test_snapshots_show_paths_plans_influence_and_links(record: RunRecord) -> No
     start, second, last = figure.axes
     assert all(axes.get_aspect() == 1.0 for axes in figure.axes)
     names = [[t.get_text() for t in axes.texts] for axes in figure.axes]
-    # Numbers, then plan and influence of each; nobody has a plan at the start, and no number stands alone there, and
+    # Numbers, then plan and influence of each; no robot has a plan at the start, and no number stands alone there, and
     # all have the first at the end.
     assert all(shown[:5] == ["0", "1", "2", "3", "4"] for shown in names)
     shares = [[short(share) for share in record.states[k].influence] for k in (0, 2, 10)]

@@ -90,7 +90,7 @@ def test_early_subscriber_misses_no_robot_of_announced_team() -> None:
         assert "/robots/3/pose" in client.channels and not client.statuses
 
 
-def test_who_comes_late_gets_the_arena_and_the_last_scene() -> None:
+def test_late_client_gets_the_arena_and_the_last_scene() -> None:
     with server() as live:
         FakeRun(n=4, rounds=3).write(live)
         with FoxgloveClient(live.url) as client:
@@ -108,7 +108,7 @@ def test_a_port_that_is_taken_is_refused_in_a_line() -> None:
             FoxgloveServer(port, 4)
 
 
-def test_a_client_that_reads_nothing_holds_nobody_up() -> None:
+def test_client_that_reads_nothing_delays_no_other() -> None:
     flown = FakeRun(n=4, rounds=2)
     with server() as live, FoxgloveClient(live.url) as good:
         bad = FoxgloveClient(live.url)

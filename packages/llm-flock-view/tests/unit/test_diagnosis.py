@@ -84,7 +84,7 @@ def test_good_models_leave_blame_on_rules_and_something_to_see(tmp_path: Path) -
     assert found["robots"] == [] and found["interesting"]["why"] != "nothing stands out"
 
 
-def test_a_time_out_is_told_with_one_full_stop(tmp_path: Path) -> None:
+def test_text_of_a_time_out_ends_with_one_full_stop(tmp_path: Path) -> None:
     models = "2=simulated:flaky,0-1=simulated:ideal,3-5=simulated:ideal"
     run = paper(tmp_path, "", protocol="flock", fallback="hold", model=models, max_tries=1, rounds=6)
     found = outcome(run, over=True)
@@ -97,7 +97,7 @@ def _changed(run: RunHistory, **fields: Any) -> Diagnosis:
     return diagnose(run)
 
 
-def test_who_cannot_hear_the_others_is_named_and_since_when(tmp_path: Path) -> None:
+def test_robot_out_of_range_is_named_and_since_when(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=5, rounds=5))
     plan = run.states[-1].plan_ids[0]
     near = [[50.0 + 8.0 * k, 50.0] for k in range(4)]
@@ -125,7 +125,7 @@ def test_with_weak_rules_only_the_never_met_are_out_of_range(tmp_path: Path) -> 
     assert "radio" not in diagnose(run).why
 
 
-def test_lost_messages_and_too_few_rounds_are_told(tmp_path: Path) -> None:
+def test_lost_messages_and_too_few_rounds_are_explained(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
     assert run.info is not None and run.loss == 0.0
     fields = run.info.model_dump()
@@ -146,7 +146,7 @@ def test_lost_messages_and_too_few_rounds_are_told(tmp_path: Path) -> None:
     assert "The budget was used up in round 5." in diagnose(run).why
 
 
-def test_what_stands_in_the_way_is_told(tmp_path: Path) -> None:
+def test_obstacle_in_the_way_is_explained(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
     mission = run.missions[0].mission
     run.missions[0] = run.missions[0].model_copy(update={"mission": {**mission, "comm_range": 1000.0}})
@@ -176,7 +176,7 @@ def test_ways_cross_discs_balls_and_polygons() -> None:
     assert crosses(([0.0, 0.0, 8.0], [10.0, 0.0, 8.0]), ball)
 
 
-def test_a_run_whose_last_round_is_in_order_says_so(tmp_path: Path) -> None:
+def test_run_with_its_last_round_in_order_is_diagnosed(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5))
     mission = run.missions[0].mission
     run.missions[0] = run.missions[0].model_copy(update={"mission": {**mission, "comm_range": 1000.0}})

@@ -174,11 +174,18 @@ def test_the_record_of_a_killed_run_is_exported_up_to_its_end(tmp_path: Path) ->
     assert read_record(tmp_path / "foxglove.mcap").rounds == read_record(record).rounds > 0
 
 
-@pytest.mark.parametrize("content", [b"", b"no record at all", b"\x89MCAP0\r\n"])
-def test_what_is_no_record_leaves_nothing_behind(tmp_path: Path, content: bytes) -> None:
+@pytest.mark.parametrize(
+    ("content", "cause"),
+    [
+        (b"", "ended before its start was recorded"),
+        (b"no record at all", "not a readable MCAP file"),
+        (b"\x89MCAP0\r\n", "ended before its start was recorded"),
+    ],
+)
+def test_failed_export_leaves_the_older_file(tmp_path: Path, content: bytes, cause: str) -> None:
     (tmp_path / "run.mcap").write_bytes(content)
     before = (tmp_path / "foxglove.mcap").write_bytes(b"an older export")
-    with pytest.raises(RecordError):
+    with pytest.raises(RecordError, match=cause):
         write_file(tmp_path / "run.mcap", tmp_path / "foxglove.mcap")
     assert before and (tmp_path / "foxglove.mcap").read_bytes() == b"an older export"
     assert {path.name for path in tmp_path.iterdir()} == {"run.mcap", "foxglove.mcap"}

@@ -35,7 +35,7 @@ def distances(palette: Sequence[str], vision: str) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("vision", SEEN)
 @pytest.mark.parametrize("palette", [PALETTE, SERIES, SERIES_ON_DARK], ids=["plans", "series", "series-on-dark"])
-def test_colours_that_follow_each_other_are_told_apart(palette: Sequence[str], vision: str) -> None:
+def test_adjacent_colours_can_be_distinguished(palette: Sequence[str], vision: str) -> None:
     table = distances(palette, vision)
     assert min(table[k, k + 1] for k in range(len(palette) - 1)) > LEAST
 

@@ -82,8 +82,8 @@ def test_large_runs_and_files_that_are_no_records_are_refused(tmp_path: Path, mo
     with pytest.raises(InputError, match="at most 5 for a page of 4 robots"):
         write_page(record, tmp_path / "replay.html")
     (tmp_path / "run.mcap").write_bytes(b"no record")
-    for name in ("run.mcap", "missing.mcap"):
-        with pytest.raises(RecordError):
+    for name, cause in (("run.mcap", "not a readable MCAP file"), ("missing.mcap", "no such record")):
+        with pytest.raises(RecordError, match=cause):
             write_page(tmp_path / name, tmp_path / "replay.html")
     assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
 

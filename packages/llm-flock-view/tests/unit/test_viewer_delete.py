@@ -1,4 +1,4 @@
-"""Records that a page deletes: only what it showed, only when nobody writes it, and never half."""
+"""Records that a page deletes: only what it showed, only if no process writes it, and never half."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_folder_that_was_not_made_for_a_record_stays(tmp_path: Path) -> None:
     assert (tmp_path / "mine").is_dir() and not named.exists()
 
 
-def test_where_the_viewer_was_started_and_behind_a_link_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_here_and_behind_a_link_can_be_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record(tmp_path / "here")
     monkeypatch.chdir(tmp_path / "here")
     assert "done" in deleted(shown(Path("run.mcap")))
@@ -84,7 +84,7 @@ def test_one_record_by_two_names_is_one_run(tmp_path: Path) -> None:
     assert records_in([tmp_path / "c", tmp_path]) == [tmp_path / "c" / "run.mcap", tmp_path / "b" / "run.mcap"]
 
 
-def test_a_record_that_is_being_written_stays_whoever_writes_it(tmp_path: Path) -> None:
+def test_record_being_written_by_any_process_stays(tmp_path: Path) -> None:
     path = tmp_path / "run" / "run.mcap"
     with RecordWriter(path) as writer:
         FakeRun(n=2, rounds=2).write(writer, finish=False)

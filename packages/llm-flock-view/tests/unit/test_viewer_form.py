@@ -101,9 +101,15 @@ def test_an_answer_of_another_form_is_refused(answer: str) -> None:
         draft_of(answer)
 
 
-@pytest.mark.parametrize("answer", ['{"shape":"circle","n_robots":0}', '{"shape":"points:/etc/passwd","n_robots":4}'])
-def test_an_answer_that_cannot_be_flown_is_refused(answer: str) -> None:
-    with pytest.raises(InputError):
+@pytest.mark.parametrize(
+    ("answer", "cause"),
+    [
+        ('{"shape":"circle","n_robots":0}', "expected at least 1"),
+        ('{"shape":"points:/etc/passwd","n_robots":4}', "expected a shape with a name"),
+    ],
+)
+def test_an_answer_that_cannot_be_flown_is_refused(answer: str, cause: str) -> None:
+    with pytest.raises(InputError, match=cause):
         draft_of(answer)
 
 

@@ -90,7 +90,7 @@ def test_a_run_that_flies_has_not_failed(tmp_path: Path) -> None:
     assert (found["tone"], found["headline"], found["why"]) == ("open", "Not formed yet", "")
 
 
-def test_dead_are_named_and_disagreement_is_nobodys_own_fault(tmp_path: Path) -> None:
+def test_dead_are_named_and_disagreement_blames_no_robot(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5, agree=False))
     found = told(run)
     assert "did not agree: 4 plans" in found["why"]
@@ -128,7 +128,7 @@ def test_a_robot_that_was_accused_of_lying_comes_first(tmp_path: Path) -> None:
     assert found["why"].startswith(said)
 
 
-def test_a_run_without_a_round_is_nobodys_fault(tmp_path: Path) -> None:
+def test_run_without_a_round_blames_no_robot(tmp_path: Path) -> None:
     found = told(flown(tmp_path / "none", model="simulated:ideal", rounds=0))
     assert (found["headline"], found["why"], found["robots"]) == ("Not formed: no round was flown", "", [])
     assert told(flown(tmp_path / "one", model="simulated:ideal", rounds=1))["headline"].endswith(
@@ -198,7 +198,7 @@ def test_close_pairs_are_nearer_than_the_safe_distance(rows: list[list[float]], 
     assert close_pairs(rows, 3.0) == pairs
 
 
-def test_a_summary_that_is_not_as_it_should_be_breaks_nothing(tmp_path: Path) -> None:
+def test_malformed_summary_breaks_nothing(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=2))
     for result in ({"missions": ["x"]}, {"missions": [{"formed": "x"}]}, {"missions": 3, "formed": True}):
         run.write(SummaryMessage(result=result))
@@ -209,7 +209,7 @@ def test_a_summary_that_is_not_as_it_should_be_breaks_nothing(tmp_path: Path) ->
     assert len(told(run)["missions"]) == 2
 
 
-def test_a_rule_that_lets_nobody_agree_is_to_blame_and_no_robot(tmp_path: Path) -> None:
+def test_rule_without_agreement_is_blamed_and_no_robot(tmp_path: Path) -> None:
     found = outcome(
         flown(tmp_path / "alone", model="simulated:ideal", protocol="baseline", rounds=6).history, over=True
     )

@@ -62,7 +62,7 @@ def test_a_growing_record_is_read_in_whole_messages(tmp_path: Path) -> None:
     assert list(stream.entries()) == []
 
 
-def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> None:
+def test_broken_record_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> None:
     path = make_record(tmp_path / "run.mcap", n=3, rounds=6, finish=False)
     whole = path.read_bytes()
     path.write_bytes(whole[: whole.rindex(b'"round":5')])
@@ -72,7 +72,7 @@ def test_what_broke_off_is_shown_up_to_its_last_whole_round(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("content", [b"", b"not a record", b"\x89MCAP0\r\n"])
-def test_what_is_no_record_says_so(tmp_path: Path, content: bytes) -> None:
+def test_viewer_reports_a_file_that_is_no_record(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     run = replayed(path)
@@ -147,7 +147,7 @@ def test_a_verdict_says_what_became_of_an_answer() -> None:
     assert verdict(llm_entry(1, 0, parsed=None, text=None, error="timeout: 3 s")) == "no answer: timeout: 3 s"
 
 
-def test_what_was_understood_is_said_in_words() -> None:
+def test_understood_answer_is_shown_as_text() -> None:
     assert understood({"waypoint": [10**400, 1]}) == f"next waypoint [{10**400}, 1]"
     assert understood({"waypoint": [1.004, 2.5], "path": [[1.004, 2.5], [3, -4.0]]}) == (
         "next waypoint (1, 2.5); path (1, 2.5) → (3, -4)"
@@ -169,7 +169,7 @@ def test_a_live_run_shows_no_half_round(tmp_path: Path) -> None:
     assert run.history.last_round == 1 and "2" not in news(run, 0, 0, 0)["marks"]
 
 
-def test_flight_events_are_told_and_marked_unless_routine(tmp_path: Path) -> None:
+def test_flight_events_are_shown_and_marked_unless_routine(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=3, rounds=3))
     row = [[0.0, 0.0, 1.0]]
     run.write(BodySample(round=2, time_s=1.0, measured=row, commanded=row, flying=[True], battery_v=[3.9], link=[1.0]))
@@ -179,7 +179,7 @@ def test_flight_events_are_told_and_marked_unless_routine(tmp_path: Path) -> Non
     assert [event.kind for event in run.history.events[2] if event.robot == 1][-2:] == ["aloft", "link_lost"]
 
 
-def test_an_open_circuit_breaker_is_shown_in_words_and_marked(tmp_path: Path) -> None:
+def test_open_circuit_breaker_is_shown_as_text_and_marked(tmp_path: Path) -> None:
     """A real run with one hopeless model: the panel's sentences, the frames' marks, and who did the work."""
     import llm_flock
 

@@ -39,14 +39,14 @@ def test_those_left_form_a_smaller_shape(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_who_joins_late_completes_the_shape(seed: int) -> None:
+def test_robot_that_joins_late_completes_the_shape(seed: int) -> None:
     figures = flown(CIRCLE, seed, join="2@15").summary
     assert (figures.distinct_goals, figures.gaps) == (8, 0)
     assert figures.procrustes_mean is not None and figures.procrustes_mean <= 0.1 * CIRCLE.spacing
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_spares_are_in_nobodys_way(seed: int) -> None:
+def test_spare_robots_block_no_place(seed: int) -> None:
     figures = flown(llm_flock.Mission(shape="circle", n_robots=8, places=6), seed).summary
     assert (figures.gaps, figures.spares) == (0, 2)
 

@@ -1,4 +1,4 @@
-"""Whatever a provider sends is an answer or a failed call, through the real clients of the providers."""
+"""Any reply of a provider is an answer or a failed call, through the real clients of the providers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CALL = Call(
 @pytest.mark.filterwarnings("ignore::pydantic_ai._warnings.UsageExtractionFailedWarning")
 @cases(25)
 @given(seed=st.integers(0, 2**63), provider=st.sampled_from(["openai-compatible", "ollama", "openai"]))
-def test_whatever_a_provider_sends_is_an_answer_or_a_failed_call(seed: int, provider: str) -> None:
+def test_any_reply_of_a_provider_is_an_answer_or_a_failed_call(seed: int, provider: str) -> None:
     rng = random.Random(seed)
     body = mangled_json(completion(b"", "Position: [1.0, 2.0]"), rng)
     status = rng.choice((200, 200, 200, 200, 429, 500, 302, 204))

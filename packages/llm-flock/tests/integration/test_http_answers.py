@@ -84,7 +84,7 @@ def test_settings_and_schema_are_sent() -> None:
     assert "position" in sent["response_format"]["json_schema"]["schema"]["properties"]
 
 
-def test_where_no_schema_is_supported_it_is_told_in_words() -> None:
+def test_prompt_describes_the_schema_if_unsupported() -> None:
     reply, _, sent = talk("deepseek:deepseek-chat", 200, completion(b"", "{}").decode(), CallSettings())
     assert isinstance(reply, Reply)
     assert sent["response_format"] == {"type": "json_object"}

@@ -49,14 +49,14 @@ async def ask_once(server: Server | str, timeout_s: float = 5.0) -> Reply | Mode
             return error
 
 
-def test_answer_comes_with_usage_and_the_name_of_who_answered() -> None:
+def test_answer_has_usage_and_name_of_the_model() -> None:
     with running(fixed_answer=ANSWER) as server:
         reply = asyncio.run(ask_once(server))
     assert isinstance(reply, Reply)
     assert reply.text == ANSWER
     assert reply.model == "openai-compatible:stand-in"
     assert reply.usage.input > 0 and reply.usage.output == 5
-    assert reply.cost_usd is None  # nobody knows what a server at another address charges
+    assert reply.cost_usd is None  # the price of a server at another address is unknown
 
 
 @pytest.mark.parametrize(

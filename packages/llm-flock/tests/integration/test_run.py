@@ -195,7 +195,7 @@ def test_a_run_whose_model_may_still_be_heard_of_goes_on() -> None:
     assert figures.formed and (figures.plan_robot, figures.plan_by) == (2, "simulated:ideal")
 
 
-def test_who_did_the_work_is_said() -> None:
+def test_summary_says_how_much_the_models_did() -> None:
     mission = llm_flock.Mission(shape="square", n_robots=4)
     good = llm_flock.run(mission, seed=3).summary
     assert good.formed and good.formed_by_models and not good.breakers_opened and good.plan_by == "simulated:ideal"
@@ -219,7 +219,7 @@ def test_default_rounds_follow_from_the_lower_bound() -> None:
     assert not stuck.formed and stuck.stopped == "rounds" and stuck.rounds > 22
 
 
-def test_what_is_called_formed_is_formed() -> None:
+def test_run_that_stops_formed_counts_as_formed() -> None:
     """A team that forms later than the deadline, in a run that was given more rounds."""
     figures = llm_flock.run(llm_flock.Mission(shape="wedge", n_robots=13), seed=7, rounds=200).summary
     assert (figures.stopped == "formed") == figures.formed

@@ -48,16 +48,16 @@ def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:
     foreign = tmp_path.with_name("foreign")
     foreign.mkdir(exist_ok=True)
     (foreign / "step.j2").write_text("Where to?")
-    for options in (
-        {"record_llm": str(tmp_path / "old")},
-        {"model": "nobody:nothing"},
-        {"model": "openai:o3-mini"},
-        {"history": "some"},
-        {"prompts": "none"},
-        {"prompts": str(foreign)},
+    for options, cause in (
+        ({"record_llm": str(tmp_path / "old")}, "a file that does not exist yet"),
+        ({"model": "nobody:nothing"}, "unknown provider 'nobody'"),
+        ({"model": "openai:o3-mini"}, "needs a key"),
+        ({"history": "some"}, "^history"),
+        ({"prompts": "none"}, "expected a folder"),
+        ({"prompts": str(foreign)}, "simulated models understand no others"),
     ):
         given: dict[str, Any] = {"out": str(tmp_path / "run"), "record_llm": str(tmp_path / "tape"), **options}
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match=cause):
             llm_flock.run(llm_flock.Mission(), **given)
     assert list(tmp_path.iterdir()) == [tmp_path / "old"]
 

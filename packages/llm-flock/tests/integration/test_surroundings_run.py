@@ -28,7 +28,7 @@ def test_a_circle_forms_around_an_obstacle(seed: int) -> None:
 
 
 @pytest.mark.parametrize("rule", ["separated", "uniform"])
-def test_nobody_starts_in_an_obstacle(rule: str) -> None:
+def test_no_robot_starts_in_an_obstacle(rule: str) -> None:
     mission = build_mission(n_robots=60, shape="text:x", obstacles=[{"center": (50, 50), "radius": 40}])
     starts = draw_start(mission, "uniform" if rule == "uniform" else "separated", stream(1, Stream.START))
     assert min(clearance(tuple(row), mission.obstacles) for row in starts.tolist()) >= mission.body_radius

@@ -65,7 +65,7 @@ def test_a_team_flies_round_what_is_in_between(case: str, model: str) -> None:
     ],
 )
 def test_a_formation_as_tight_as_the_safe_distance_fills_up(shape: str, n: int, room: float, seed: int) -> None:
-    """Beside another robot, a place is approached by halves; that is progress, and nobody has to step aside."""
+    """Beside another robot, a place is approached by halves; that is progress, and no robot has to step aside."""
     mission = llm_flock.Mission(shape=shape, n_robots=n, spacing=room * SAFE)
     figures = llm_flock.run(mission, model="simulated:ideal", seed=seed).summary
     assert figures.formed

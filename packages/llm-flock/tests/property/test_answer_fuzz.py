@@ -66,7 +66,7 @@ def test_a_position_is_read_or_refused(text: str, dim: int) -> None:
 
 
 @given(plans, st.data(), noise, noise)
-def test_what_is_written_in_the_asked_form_is_read_back(
+def test_answer_in_the_requested_form_is_read_back(
     points: list[list[float]], data: st.DataObject, before: str, after: str
 ) -> None:
     n, dim = len(points), len(points[0])

@@ -1,4 +1,4 @@
-"""Whatever providers do and however many ask, limits hold and counters add up."""
+"""With any behaviour of providers and any number of callers, limits hold and counters add up."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def test_no_permutation_and_rotation_is_better(case: tuple[np.ndarray, np.ndarra
 
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 30), angle=st.floats(-7, 7), dx=st.floats(-1e3, 1e3))
-def test_who_stands_where_and_how_it_lies_does_not_matter(seed: int, n: int, angle: float, dx: float) -> None:
+def test_shape_error_ignores_order_and_pose(seed: int, n: int, angle: float, dx: float) -> None:
     rng = np.random.default_rng(seed)
     ideal = formations.ideal_points("wedge" if n > 2 else "line", n, (50, 50), 10)
     assert ideal is not None

@@ -35,7 +35,7 @@ def in_range(positions: np.ndarray, i: int) -> list[tuple[float, ...]]:
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 12), dim=st.sampled_from([2, 3]), side=st.floats(14, 40))
-def test_no_pair_comes_too_near_whatever_everybody_wants(seed: int, n: int, dim: int, side: float) -> None:
+def test_any_wishes_keep_every_pair_at_the_safe_distance(seed: int, n: int, dim: int, side: float) -> None:
     rng = np.random.default_rng(seed)
     positions = spread(rng, n, dim, side)
     for _ in range(6):

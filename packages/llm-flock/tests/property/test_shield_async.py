@@ -125,7 +125,7 @@ def test_a_body_too_near_may_leave_but_not_come() -> None:
     assert to(5.0)[0] <= 0.0
 
 
-def test_it_stands_still_where_stale_bodies_reach_everything() -> None:
+def test_robot_stands_still_if_stale_bodies_may_be_anywhere() -> None:
     around = [Sighting(position=p, age_s=0.0) for p in ((3.1, 0.0), (-3.1, 0.0))]
     to = project_async((0.0, 0.0), (5.0, 5.0), around, safe_distance=SAFE, speed=2.0, period_s=0.5)
     assert to == (0.0, 0.0)

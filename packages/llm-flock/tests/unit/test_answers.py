@@ -1,4 +1,4 @@
-"""Reading answers: whatever models wrap them in, and what is refused with which words."""
+"""Reading answers in any wrapping, and the reasons for which they are rejected."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ PLAN = "[[55.77, 50], [47.11, 55], [47.11, 45]]"
         "Position: [18.05, 67.91]\n(Current position: [1, 2])",
     ],
 )
-def test_a_position_is_found_in_whatever_it_is_wrapped(text: str) -> None:
+def test_position_is_found_in_any_wrapping(text: str) -> None:
     assert parse_step(text, 2) == (18.05, 67.91)
 
 
@@ -93,7 +93,7 @@ def test_a_position_that_will_not_do(text: str, reason: str) -> None:
     with pytest.raises(AnswerError) as caught:
         parse_step(text, 2)
     assert reason in str(caught.value)
-    with pytest.raises(AnswerError):
+    with pytest.raises(AnswerError, match=re.escape(reason)):
         parse_step_json(text, 2)
 
 
@@ -114,7 +114,7 @@ def test_a_position_that_will_not_do(text: str, reason: str) -> None:
         f"The places are {PLAN}.\nmy-plan = 1.0",
     ],
 )
-def test_a_plan_is_found_in_whatever_it_is_wrapped(text: str) -> None:
+def test_plan_is_found_in_any_wrapping(text: str) -> None:
     assert parse_plan(text, 3, 2) == (Plan.of(POINTS), 1)
 
 
@@ -152,7 +152,7 @@ def test_json_answers_bare_fenced_and_among_words() -> None:
     assert parse_step_json('{"position": [1, 2.5]}', 2) == (1.0, 2.5)
 
 
-def test_models_that_know_no_json_may_answer_in_words() -> None:
+def test_model_asked_for_json_may_answer_as_text() -> None:
     assert parse_plan_json(f"Plan: {PLAN}\nmy plan: 1", 3, 2) == (Plan.of(POINTS), 1)
     assert parse_step_json("Position: [1, 2]", 2) == (1.0, 2.0)
 
@@ -237,10 +237,10 @@ def all_readings_s(text: str) -> float:
             read(text, 3, 2)
         assert len(str(caught.value)) < 300
     for read in (parse_step, parse_step_json):
-        with pytest.raises(AnswerError):
+        with pytest.raises(AnswerError, match=r"no complete position|JSON object is not complete"):
             read(text, 2)
     for read in (parse_path, parse_path_json):
-        with pytest.raises(AnswerError):
+        with pytest.raises(AnswerError, match=r"no complete path|JSON object is not complete"):
             read(text, 20, 2)
     return time.process_time() - began
 

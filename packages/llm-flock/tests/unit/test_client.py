@@ -123,7 +123,7 @@ def test_an_empty_answer_is_an_answer(text: str) -> None:
     ],
     ids=["a part of its own", "hidden", "only counted", "in the text"],
 )
-def test_an_answer_of_nothing_but_thoughts_is_empty_and_says_so(response: ModelResponse) -> None:
+def test_answer_of_thoughts_only_is_empty_and_marked(response: ModelResponse) -> None:
     reply = ask(model(lambda *_: response))
     assert reply.text == "" and reply.thought
     assert not ask(model(lambda *_: ModelResponse(parts=[TextPart("")]))).thought
@@ -256,7 +256,7 @@ def test_scrubbing_leaves_other_text_alone() -> None:
     assert scrub(text, ("", KEY)) == text
 
 
-def test_what_cannot_be_written_to_a_record_is_replaced() -> None:
+def test_lone_surrogate_in_an_answer_is_replaced() -> None:
     """A lone surrogate is no text in UTF-8, and would break every record and cassette after it."""
     reply = ask(model(lambda *_: ModelResponse(parts=[TextPart("Position: \ud800 [1, 2] ☃")])))
     assert reply.text == "Position: ? [1, 2] ☃"
@@ -273,7 +273,7 @@ def test_no_key_leaves_as_the_name_of_the_model() -> None:
     assert KEY not in reply.model and len(reply.model) < 150
 
 
-def test_whatever_an_sdk_raises_is_a_failed_call() -> None:
+def test_any_exception_of_an_sdk_is_a_failed_call() -> None:
     """pydantic-ai raises RuntimeError at custom tool calls."""
 
     def trip(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:

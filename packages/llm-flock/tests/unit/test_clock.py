@@ -23,7 +23,7 @@ def test_every_wait_is_shorter_and_measured_as_it_was_asked_for() -> None:
     assert time.perf_counter() - began < 3.0
 
 
-def test_afterwards_it_is_the_real_one_also_for_whoever_kept_it() -> None:
+def test_kept_reference_to_the_clock_is_real_time_afterwards() -> None:
     with running_at(20.0):
         kept = time.monotonic
     assert kept() == pytest.approx(time.monotonic(), abs=0.1) and not hasattr(time.monotonic, "rate")

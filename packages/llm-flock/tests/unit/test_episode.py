@@ -56,7 +56,7 @@ def test_a_blocked_place_is_not_waited_for() -> None:
     assert bound(Episode(LINE, 0, START), [0], *everything) == 0
 
 
-def test_a_moving_mission_is_met_where_it_is_then() -> None:
+def test_lower_bound_follows_a_moving_mission() -> None:
     still, along = LINE.change(center=(20, 50)), LINE.change(center=(20, 50), velocity=(3, 0), since=5)
     start = START - (0, 12)
     found = [bound(Episode(mission, 4, start), [0], Mind(PLAN_LEFT, mission)) for mission in (still, along)]

@@ -59,7 +59,7 @@ def test_three_dimensions(tmp_path: Path) -> None:
         ("a.json", "[[1, 2]", "a.json", "a JSON list of [x, y] lists"),
     ],
 )
-def test_what_is_said_about_a_bad_file(tmp_path: Path, name: str, text: str, where: str, allowed: str) -> None:
+def test_error_of_a_bad_file_names_the_place(tmp_path: Path, name: str, text: str, where: str, allowed: str) -> None:
     with pytest.raises(InputError) as caught:
         load_points(written(tmp_path, name, text))
     assert (caught.value.field, caught.value.value) == ("points", str(tmp_path / name))

@@ -284,7 +284,7 @@ def test_rotational_symmetry(spec: str, n: int, k: int) -> None:
     assert formations.rotational_symmetry(formations.rotated(ideal(spec, n), (3, 4), 1.0)) == k
 
 
-def test_what_has_no_rotational_symmetry() -> None:
+def test_bent_circle_has_no_rotational_symmetry() -> None:
     bent = ideal("circle", 10)
     bent[3] += 0.01
     assert formations.rotational_symmetry(bent) == 1

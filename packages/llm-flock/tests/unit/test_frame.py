@@ -111,7 +111,7 @@ def test_the_worlds_frame_changes_nothing() -> None:
     assert frame_plan(ASK, "world").framed is ASK
 
 
-def test_a_shape_in_words_is_planned_in_the_world() -> None:
+def test_described_shape_is_planned_in_world_coordinates() -> None:
     words = build_mission(shape="text:a line 40 units long", n_robots=3)
     assert frame_plan(replace(ASK, mission=words), "own").frame is None
     assert frame_step(replace(STEP, mission=words), "own").frame is not None
@@ -139,7 +139,7 @@ def test_answers_are_judged_in_world_and_recorded_as_given() -> None:
     assert heard[0].parsed == {"waypoint": list(answer.waypoint), "path": [list(far.goal)]}
 
 
-def test_reasons_are_in_the_numbers_that_the_model_is_told() -> None:
+def test_reasons_use_the_coordinates_of_the_prompt() -> None:
     made, model = planner("Position: [2, 0]", "Position: [2, 0]", "Position: [2, 0]")
     answer = asyncio.run(made.step(replace(STEP, neighbors=())))
     said = model.asked[1].messages[-1].text

@@ -48,7 +48,7 @@ def test_chance_turns_the_plan_about_centre_seed_repeats_it() -> None:
     assert plan_of(planner) == plan_of(planner)
 
 
-def test_nobody_knows_the_points_of_a_shape_in_words() -> None:
+def test_geometry_has_no_points_for_a_described_shape() -> None:
     words = build_mission(shape="text:a cloud", n_robots=4)
     question = PlanQuestion(mission=words, robot=0, round=1, position=(0.0, 0.0), neighbors=())
     answer = asyncio.run(GeometryPlanner().plan(question))

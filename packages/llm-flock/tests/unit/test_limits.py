@@ -136,7 +136,7 @@ def test_giving_up_tells_the_whole_story() -> None:
 
 
 def test_garbage_responses_are_retried_only_for_some_seconds() -> None:
-    """A server that sends `"choices": []` for ever kept the whole team waiting for 46 s a question."""
+    """A server that always sends `"choices": []` kept the whole team waiting for 46 s a question."""
     time = FakeTime()
     model = Scripted(*faults(*["garbage"] * 9))
     (error,) = outcomes(model, limits(time))

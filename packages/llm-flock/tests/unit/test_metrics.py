@@ -135,7 +135,7 @@ def test_a_missing_round_starts_the_count_again() -> None:
     assert tracker.formed_at == 3
 
 
-def test_later_disorder_does_not_take_it_back() -> None:
+def test_later_disorder_leaves_a_formed_team_formed() -> None:
     tracker = FormedTracker(spacing=10)
     for t in range(3):
         tracker.update(t, **IN_ORDER)

@@ -74,7 +74,7 @@ def test_the_defaults_are_the_papers() -> None:
 
 def test_a_mission_is_frozen_and_its_digest_is_its_content() -> None:
     mission = Mission()
-    with pytest.raises(ValidationError):
+    with pytest.raises(ValidationError, match="frozen"):
         mission.n_robots = 3
     assert mission.digest == Mission().digest != Mission(n_robots=9).digest
     assert len(mission.digest) == 16
@@ -116,7 +116,7 @@ def test_the_shape_goes_by_places_and_the_team_by_robots() -> None:
     assert build_mission(points=((0, 0), (10, 0), (5, 9)), places=3).n_robots == 3
 
 
-def test_a_moving_centre_is_where_it_is_at_the_end_of_a_round() -> None:
+def test_moving_centre_is_given_for_the_end_of_a_round() -> None:
     mission = Mission(shape="line", n_robots=3, velocity=(2, -1), since=5)
     assert mission.ideal is not None and mission.digest
     assert mission.drift(0) == mission.drift(5) == (0, 0)

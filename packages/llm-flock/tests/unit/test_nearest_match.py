@@ -11,7 +11,7 @@ from llm_flock.mission import Mission
 
 @pytest.mark.parametrize(("shape", "n"), [("triangle", 6), ("square", 8), ("cross", 5), ("wedge", 6), ("star", 10)])
 @pytest.mark.parametrize("noise", [0.0, 0.005, 0.3])
-def test_it_is_the_exact_error_where_the_correspondence_is_plain(shape: str, n: int, noise: float) -> None:
+def test_quick_error_is_exact_if_the_correspondence_is_plain(shape: str, n: int, noise: float) -> None:
     target = np.array(Mission(shape=shape, n_robots=n).ideal)
     rng = np.random.default_rng(5)
     for _ in range(10):
@@ -66,7 +66,7 @@ def test_enough_ends_the_search() -> None:
     assert found is not None and found <= 0.1
 
 
-def test_it_says_nothing_where_nothing_fits() -> None:
+def test_quick_error_has_no_answer_if_nothing_fits() -> None:
     circle = np.array(Mission(shape="circle", n_robots=8).ideal)
     line = np.array(Mission(shape="line", n_robots=8).ideal)
     assert correspondence.quick_error(line, circle) is None

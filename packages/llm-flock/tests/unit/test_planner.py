@@ -122,7 +122,7 @@ USED = Usage(input=300, output=64)
         (reply("", "stop", settings=CAPPED), "it holds no complete position"),
     ],
 )
-def test_what_was_cut_off_or_only_thought_is_no_answer(answer: Reply, reason: str) -> None:
+def test_cut_off_or_thought_only_reply_is_no_answer(answer: Reply, reason: str) -> None:
     model = Scripted(answer, reply("Position: [3, 2]", "stop"))
     thinker, heard = planner(model)
     asked = replace(step_question(), position=(1.0, 2.0))
@@ -155,7 +155,7 @@ def test_after_too_many_tries_there_is_no_answer(retries: int) -> None:
     ("error", "cause"),
     [(ModelError("server", "500", faults=("server", "server")), "server"), (BudgetExceeded("max_calls"), "budget")],
 )
-def test_a_failing_provider_is_no_answer_and_is_told(error: ModelError, cause: str) -> None:
+def test_failing_provider_is_no_answer_and_is_reported(error: ModelError, cause: str) -> None:
     thinker, heard = planner(Scripted("nothing", error))
     answer = asyncio.run(thinker.step(step_question()))
     assert isinstance(answer, NoAnswer) and answer.cause == cause and error.detail in answer.reason
@@ -165,7 +165,7 @@ def test_a_failing_provider_is_no_answer_and_is_told(error: ModelError, cause: s
 
 def test_a_drifting_replay_is_not_swallowed() -> None:
     thinker, _ = planner(Scripted(ReplayDrift("other question")))
-    with pytest.raises(ReplayDrift):
+    with pytest.raises(ReplayDrift, match="other question"):
         asyncio.run(thinker.step(step_question()))
 
 
@@ -228,7 +228,7 @@ def test_json_answers_come_with_a_schema() -> None:
 
 
 @pytest.mark.parametrize("form", ["text", "json"])
-def test_where_several_waypoints_may_be_given_a_path_is_read(form: str) -> None:
+def test_path_is_read_if_several_waypoints_may_be_given(form: str) -> None:
     said = '{"path": [[1, 2], [3, 4]]}' if form == "json" else "Path: [[1, 2], [3, 4]]"
     model = Scripted("Path: [[1, 2], [3, 4], [5, 6]]", said)
     thinker, heard = planner(model, answers=form)
@@ -241,7 +241,7 @@ def test_where_several_waypoints_may_be_given_a_path_is_read(form: str) -> None:
         assert (model.calls[0].schema or {})["properties"]["path"]["maxItems"] == 2
 
 
-def test_checks_can_object_in_words_for_the_model() -> None:
+def test_check_gives_the_model_its_reason_as_text() -> None:
     def too_far(question: StepQuestion, answer: StepAnswer) -> Verdict:
         long = answer.waypoint[0] > question.position[0] + 6
         return Verdict(reason="the step is too long." if long else None, fit=None)

@@ -103,7 +103,7 @@ def test_channels_of_others_are_passed_over(tmp_path: Path) -> None:
         (b"\x89MCAP0\r\n", "nothing to show"),
     ],
 )
-def test_what_is_no_record_is_refused(tmp_path: Path, content: bytes, message: str) -> None:
+def test_file_that_is_no_record_is_rejected(tmp_path: Path, content: bytes, message: str) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
     with pytest.raises(RecordError, match=rf"run\.mcap: .*{message}"):
@@ -115,8 +115,8 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         read_record(tmp_path / "gone.mcap")
     with pytest.raises(RecordError, match=r"run\.mcap: cannot be read \(No such file"):
         read_record(tmp_path)
-    for wrong in (None, 3, "nul\0"):
-        with pytest.raises(RecordError):
+    for wrong, cause in ((None, "by the path of its file"), (3, "by the path of its file"), ("nul\0", "null byte")):
+        with pytest.raises(RecordError, match=cause):
             read_record(wrong)  # pyright: ignore[reportArgumentType]
 
 
@@ -152,7 +152,7 @@ def test_an_mcap_file_of_something_else_is_no_record(tmp_path: Path) -> None:
 
 def test_message_on_an_unannounced_channel_is_damage(tmp_path: Path) -> None:
     data = plain_file(tmp_path / "run.mcap", ("/run", run_info().encoded())).read_bytes()
-    # The channel record says id 1; the message after it then belongs to nobody.
+    # The channel record says id 1; the message after it then belongs to no channel.
     damaged = data.replace(b"\x01\x00\x00\x00\x04\x00\x00\x00/run", b"\x09\x00\x00\x00\x04\x00\x00\x00/run", 1)
     assert damaged != data
     (tmp_path / "run.mcap").write_bytes(damaged)

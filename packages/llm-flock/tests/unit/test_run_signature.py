@@ -81,7 +81,7 @@ def test_given_defaults_override_the_mission() -> None:
         llm_flock.run(nonsense=3)  # pyright: ignore[reportCallIssue]
 
 
-def test_it_runs_where_a_loop_runs_already() -> None:
+def test_run_works_inside_a_running_event_loop() -> None:
     async def cell() -> tuple[Any, Any]:
         return llm_flock.run(**SMALL), await llm_flock.run_async(**SMALL)
 

@@ -57,7 +57,7 @@ def test_robots_die_join_late_and_begin_again() -> None:
         ({"kill_random": -1}, "kill_random", "at least 0"),
     ],
 )
-def test_what_cannot_happen_is_refused(fields: dict[str, Any], field: str, words: str) -> None:
+def test_schedule_rejects_impossible_events(fields: dict[str, Any], field: str, words: str) -> None:
     with pytest.raises(InputError) as caught:
         schedule(**fields)
     assert caught.value.field == field and words in caught.value.says

@@ -153,7 +153,7 @@ def test_a_team_in_one_spot_of_space() -> None:
         ([(0,)], [(0,)], "target"),
     ],
 )
-def test_what_is_refused(positions: ArrayLike, target: ArrayLike, field: str) -> None:
+def test_procrustes_rejects_unfit_points(positions: ArrayLike, target: ArrayLike, field: str) -> None:
     with pytest.raises(InputError) as caught:
         procrustes(positions, target)
     assert caught.value.field == field

@@ -97,7 +97,7 @@ def test_a_list_price_holds_calls_back_from_the_first_one_on() -> None:
     assert 0.02 <= asyncio.run(go()) <= 0.02 + 0.006
 
 
-def test_what_others_have_spent_counts() -> None:
+def test_spending_of_other_processes_counts() -> None:
     gate = SharedGate(Budget(max_tokens=100))
     assert not gate.exhausted
     gate.elsewhere = Spent(tokens=100)

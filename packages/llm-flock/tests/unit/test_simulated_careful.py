@@ -11,7 +11,7 @@ from llm_flock.planner import PlanQuestion
 from llm_flock.protocol._verification.plans import check_plan
 
 
-def test_a_careful_model_steps_aside_only_where_it_must() -> None:
+def test_careful_model_steps_aside_only_if_necessary() -> None:
     goal = PLAN.points[0]
     straight = parse_step(responder().answer(step_talk()), 2)
     beside = step_talk(neighbors=((straight[0] + CIRCLE.safe_distance + 0.1, straight[1]),))

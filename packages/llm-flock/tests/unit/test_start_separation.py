@@ -39,7 +39,7 @@ def test_other_pairs_count_from_the_start() -> None:
     assert (found.start_violations, found.smallest) == (1, 2.0)
 
 
-def test_two_on_one_spot_and_nobody_else() -> None:
+def test_two_robots_alone_on_one_spot_violate_at_start() -> None:
     found = follow([(5.0, 5.0), (5.0, 5.0)])
     assert (found.start_violations, found.separated_at, found.smallest) == (1, None, math.inf)
     assert follow([(5.0, 5.0)]).separated_at == 0

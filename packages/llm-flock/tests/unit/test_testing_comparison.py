@@ -25,7 +25,7 @@ def test_a_shape_is_flown() -> None:
     check_shape("triangle", [3])
 
 
-def test_points_of_ones_own(tmp_path: Path) -> None:
+def test_check_shape_takes_a_file_of_points(tmp_path: Path) -> None:
     file = tmp_path / "arrow.csv"
     file.write_text("0,0\n10,0\n5,8\n5,16\n")
     check_shape(f"points:{file}", fly=False)
@@ -34,7 +34,7 @@ def test_points_of_ones_own(tmp_path: Path) -> None:
         check_shape(f"points:{file}", fly=False)
 
 
-def test_what_is_no_shape() -> None:
+def test_check_shape_rejects_what_is_no_shape() -> None:
     with pytest.raises(AssertionError, match="no shape"):
         check_shape("heart")
     with pytest.raises(AssertionError, match=r"triangle with 4 robots is refused: .* a triangle takes 3, 6"):

@@ -14,6 +14,8 @@ from llm_flock.llm._thoughts import spoken
 SAID = "Position: [1, 2]"
 DRAFT = "I could go to Position: [5, 0]. "
 
+NO_ANSWER = 'no complete position|no "position"|nothing but thoughts|JSON object is not complete'
+
 
 @pytest.mark.parametrize(
     "text",
@@ -43,7 +45,7 @@ DRAFT = "I could go to Position: [5, 0]. "
         f"My reasoning: a step. 3 < 4 > 2, so I think.\n{SAID}",
     ],
 )
-def test_what_stands_after_the_last_thought_is_the_answer(text: str) -> None:
+def test_text_after_the_last_thought_is_the_answer(text: str) -> None:
     assert parse_step(text, 2) == (1.0, 2.0)
     assert parse_step_json(text.replace(SAID, '{"position": [1, 2]}'), 2) == (1.0, 2.0)
 
@@ -76,7 +78,7 @@ def test_a_thought_is_never_an_answer(text: str) -> None:
         parse_plan(text.replace(DRAFT, "Plan: [[1, 2]]\nmy plan: 0"), 1, 2)
 
 
-def test_what_is_said_is_all_of_the_text_where_nobody_thinks() -> None:
+def test_text_without_thoughts_is_kept_whole() -> None:
     assert spoken(SAID).text is SAID and not spoken(SAID).thought
     closed = spoken(f"<think>hm</think>{SAID}")
     assert (closed.text, closed.thought, closed.unfinished) == (SAID, True, False)
@@ -92,12 +94,12 @@ UNITS = [
 
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("begin", ["", "analysisW", "{", '{"'])
-def test_marks_without_end_are_told_apart_in_linear_time(unit: str, begin: str) -> None:
+def test_unclosed_thought_marks_are_read_in_linear_time(unit: str, begin: str) -> None:
     text = begin + unit * (MAX_CHARS // 10 // len(unit))
     began = time.process_time()
     spoken(text)
     for read in (parse_step, parse_step_json):
-        with pytest.raises(AnswerError):
+        with pytest.raises(AnswerError, match=NO_ANSWER):
             read(text, 2)
     assert time.process_time() - began < 2.0  # some hundredths; anything quadratic would take minutes
 
@@ -132,6 +134,6 @@ def test_a_reasoning_in_json_is_not_read(text: str, position: tuple[float, ...])
         'The set {a: {"reasoning": "Position: [5, 0]", "posi',
     ],
 )
-def test_a_json_object_that_is_cut_off_is_no_answer_in_words(text: str) -> None:
+def test_cut_off_json_object_is_not_read_as_text(text: str) -> None:
     with pytest.raises(AnswerError, match="not complete"):
         parse_step_json(text, 2)

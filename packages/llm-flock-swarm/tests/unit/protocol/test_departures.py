@@ -41,7 +41,7 @@ RELEASED = ReleaseGrant(((0, b""), (1, b"")))
 
 
 @pytest.mark.parametrize("exchanges", [False, True])
-def test_who_leaves_too_often_is_named_and_nobody_before(exchanges: bool) -> None:
+def test_only_a_robot_that_leaves_too_often_is_named(exchanges: bool) -> None:
     """Where exchanges count, those that come to nothing may look like departures."""
     departures = Departures(TWO + 1, exchanges=exchanges)
     most = MAX_DEPARTURES + exchanges * most_exchanges(PLACES)
@@ -59,7 +59,7 @@ def test_who_leaves_too_often_is_named_and_nobody_before(exchanges: bool) -> Non
     assert departures.restless(PLACES) == [3] and departures.suspects(4) and not departures.suspects(5)
 
 
-def test_nobody_is_counted_for_a_place_that_another_had_taken() -> None:
+def test_departure_from_a_taken_place_is_not_counted() -> None:
     departures = Departures(TWO + 1, exchanges=False)
     table: BidTable = ((0, -1.0, 3), (2, -1.0, 3), (0, -1.0, 5), UNSAID)
     departures.explain(LastClaim(0, 0, -0.5, 5, 1, b"", None))
@@ -115,7 +115,7 @@ def test_places_of_the_excluded_are_free_and_their_claims_void() -> None:
     team.comm_round(said_by=[gang.message(6, {free: gang.claim(6, free)}, slot=free)])
     assert all(table[free][2] == 6 for table in tables(team))
     told(team, gang, words_about(team, 6, range(TWO)))
-    assert all(table[free][2] == 6 for table in tables(team)), "as many words as there may be liars exclude nobody"
+    assert all(table[free][2] == 6 for table in tables(team)), "as many words as there may be liars exclude no robot"
     told(team, gang, words_about(team, 6, range(TWO + 1)))
     assert all(table[free] == UNSAID for table in tables(team))
     before = team.slots
@@ -178,7 +178,7 @@ def test_own_words_are_in_each_message_those_of_others_in_turn() -> None:
     assert gang.members == [5, 6]
 
 
-def test_nobody_is_blamed_by_who_may_hear_no_honest_robot() -> None:
+def test_robot_that_may_hear_only_liars_blames_none() -> None:
     team, gang = settled_team()
     slot, *_ = claimed_in_secret(team, gang)
     evidence, table = evidence_of(team.agents[1]), tables(team)[1]
@@ -193,7 +193,7 @@ def test_nobody_is_blamed_by_who_may_hear_no_honest_robot() -> None:
         assert bool(evidence._page.departures.words()) == (stated != NO_OWNER)
 
 
-def test_a_word_that_nobody_signed_ends_the_message() -> None:
+def test_unsigned_word_ends_the_message() -> None:
     team, gang = settled_team()
     forged = tuple(RestlessWord(0, word.witness, word.signature) for word in words_about(team, 6, range(TWO + 1)))
     told(team, gang, forged)
@@ -207,13 +207,13 @@ def spread(mission: Mission) -> list[Point]:
     return [tuple(row) for row in start_positions(mission, None, "connected", rng).tolist()]
 
 
-def test_who_moves_on_again_and_again_is_excluded_by_all() -> None:
+def test_robot_that_moves_on_repeatedly_is_excluded_by_all() -> None:
     team = beside_lies("moves on before others know", MISSION, line_up(N), liars=TWO, rounds=40)
     assert {evidence_of(agent).excluded for agent in team.agents} == {frozenset({5})} and team.settled()
 
 
 @pytest.mark.no_cover
-def test_nobody_is_blamed_for_leaving_a_secretly_taken_place() -> None:
+def test_leaving_a_secretly_taken_place_is_not_blamed() -> None:
     """Only the framed robot hears a claim on its place; those out of its radio contact hear of the cause by others."""
     mission = Mission(shape="circle", n_robots=10)
     team = beside_lies("frames one robot", mission, spread(mission), liars=3, rounds=40)
@@ -290,7 +290,7 @@ def test_departure_words_count_only_of_possible_claimants() -> None:
     assert heard == {(slot, 1, left_by(0))}
 
 
-def test_who_left_a_place_has_not_blocked_it() -> None:
+def test_robot_that_left_a_place_has_not_blocked_it() -> None:
     team, gang = settled_team()
     slot = team.slots[0] or 0
     statement = word_statement(gang.about, slot, 1, left_by(0))
@@ -301,7 +301,7 @@ def test_who_left_a_place_has_not_blocked_it() -> None:
     assert not evidence._holds(slot, (1, 0.0, BLOCKED), certificate, N)
 
 
-def test_who_is_silent_claims_nothing() -> None:
+def test_silent_robot_claims_nothing() -> None:
     """Its heart does not beat, so the place would be freed again in the next round."""
     team, gang = settled_team()
     free = next(a for a in gang.places if a not in team.slots)
@@ -315,7 +315,7 @@ def test_who_is_silent_claims_nothing() -> None:
     assert all(table[free][2] == 6 for table in tables(team))
 
 
-def test_evidence_of_another_plan_excludes_nobody() -> None:
+def test_evidence_of_another_plan_excludes_no_robot() -> None:
     team, gang = settled_team()
     told(team, gang, words_about(team, 6, range(TWO + 1)))
     evidence: Evidence = evidence_of(team.agents[0])

@@ -130,7 +130,7 @@ def test_another_origin_is_another_plan(more: dict[str, int]) -> None:
     assert channel_of(team.agents[0]).void(STAMP) == {N - 1}
 
 
-def test_the_proof_reaches_who_heard_neither(team: SignedTeam, liar: Liar) -> None:
+def test_proof_reaches_robots_that_heard_neither_plan(team: SignedTeam, liar: Liar) -> None:
     team.begin()
     for angle in (3, 4):
         team.comm_round(said_by=[(N - 1, plan_of(liar, angle), frozenset({0}))])
@@ -280,4 +280,4 @@ def test_robot_that_followed_no_other_plan_listens_then_asks(team: SignedTeam, l
     for event in (AgreementEnded(), Arrived()):
         fresh.handle(event)
     began = fresh.handle(round_began(10, team.positions[0], near))
-    assert [effect for effect in began if isinstance(effect, AskPlan)], "but nobody spoke"
+    assert [effect for effect in began if isinstance(effect, AskPlan)], "but no robot spoke"

@@ -37,7 +37,7 @@ def test_an_agent_of_null_parts_keeps_its_plan_and_place() -> None:
     assert driven.agent.plan == PLAN and driven.agent.claim.slot == 0
 
 
-def test_the_papers_robot_flies_what_it_is_told_beside_another() -> None:
+def test_robot_of_the_paper_flies_its_answer_near_another() -> None:
     driven = DrivenAgent(papers(), here=HERE)
     driven.begin({1: BESIDE})
     driven.comm_round()
@@ -99,7 +99,7 @@ def test_an_unverified_answer_is_used_as_it_is() -> None:
     assert checker.judge(step, far) == Verdict(reason=None, fit=far)
 
 
-def test_null_safety_asks_nobody_to_make_way() -> None:
+def test_null_safety_asks_no_robot_to_make_way() -> None:
     safety = Safety()
     safety.begin_mission()
     assert safety.course is None and safety.stay(Observation(position=HERE, sensed={1: BESIDE})).waypoint == HERE

@@ -7,6 +7,7 @@ from collections import Counter
 import msgspec
 import numpy as np
 import pytest
+from opened_payloads import Opened
 from signed_team import Liar, SignedTeam, channel_of, evidence_of, good_plan, line_up
 from toy_keys import ToyKeys
 
@@ -104,7 +105,7 @@ def test_origins_are_remembered_in_bounded_memory(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("adopted", [False, True])
-def test_origin_of_the_current_plan_is_kept_whatever_comes(adopted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_message_changes_the_origin_of_the_current_plan(adopted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its proposer floods the team with earlier plans, and falls silent: the others go on to hear each other."""
     monkeypatch.setattr("llm_flock_swarm._signed.channel.REMEMBERED_ORIGINS", 4)
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
@@ -125,7 +126,7 @@ def test_origin_of_the_current_plan_is_kept_whatever_comes(adopted: bool, monkey
 
 @pytest.mark.parametrize("places", [3, 4, 5])
 def test_last_epoch_plan_yields_only_to_one_for_more_robots(places: int) -> None:
-    """A liar proposes the last plan that counts, for fewer robots than are there: nobody is left without a place."""
+    """A liar proposes the last plan that counts, for fewer robots than are there: none is left without a place."""
     team = SignedTeam(MISSION, line_up(5), gaps="replan")
     liar = Liar(team)
     team.fly(2)
@@ -182,7 +183,7 @@ def test_signed_messages_fill_no_cache(team: SignedTeam, liar: Liar) -> None:
     assert _verdict.cache_info().misses == before
 
 
-def test_nobody_speaks_for_another(team: SignedTeam, liar: Liar) -> None:
+def test_message_in_anothers_name_is_rejected(team: SignedTeam, liar: Liar) -> None:
     said = liar.says(sender=2)
     assert team.tell(1, said, team.liar) == ["impostor"]
     assert team.tell(1, liar.says(), 3) == ["impostor"]
@@ -360,7 +361,7 @@ def signed(mission: Mission, time: int) -> MissionGiven:
 
 
 def test_older_order_does_not_replace_the_signature_passed_on(team: SignedTeam) -> None:
-    """Otherwise a robot would show the signature of another mission with its own, and nobody would take it over."""
+    """Otherwise a robot would show the signature of another mission with its own, and no other would take it over."""
     last, older = MISSION.change(center=(52.0, 50.0)), MISSION.change(center=(47.0, 50.0))
     team.agents[0].handle(signed(last, 7))
     (note,) = team.agents[0].handle(signed(older, 6))
@@ -391,3 +392,11 @@ def test_signatures_of_one_kind_are_not_those_of_another() -> None:
         offer_statement(team.context, 1, Offer(to=1, give=1, take=1, give_version=1, take_version=1, bid=1.0), 1),
     ]
     assert len(set(kinds)) == len(kinds)
+
+
+def test_with_keys_every_payload_is_verified(team: SignedTeam, liar: Liar) -> None:
+    team.begin()
+    opened = Opened(team.agents[0])
+    same = liar.says()
+    assert [opened.during(lambda: team.tell(0, same, team.liar)) for _ in range(3)] == [1, 1, 1]
+    assert team.tell(0, same, 2) == ["impostor"], "another sender"

@@ -1,4 +1,4 @@
-"""What a keyed robot that lies cannot do with claims of its own: hold two places, claim for ever, choose its bid."""
+"""What a keyed robot that lies cannot do with claims of its own: hold two places, claim without end, choose its bid."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_a_claim_made_again_counts_by_its_higher_number(team: SignedTeam, liar: 
 
 
 def test_claim_is_renewed_after_an_offer_without_effect(team: SignedTeam) -> None:
-    """Whoever accepted it, unheard, takes the maker to be elsewhere under the offer's number."""
+    """A robot that accepted it, unheard, takes the maker to be elsewhere under the offer's number."""
     agent = team.agents[0]
     evidence, claim, slot = evidence_of(agent), agent.claim, agent.claim.slot
     assert claim.table is not None
@@ -121,7 +121,7 @@ def test_claim_is_renewed_after_an_offer_without_effect(team: SignedTeam) -> Non
     assert {evidence_of(other)._page.last[0] for other in team.agents} == {evidence.precedence(slot, claim.table[slot])}
 
 
-def test_a_robot_that_restarts_is_told_its_last_number(team: SignedTeam, liar: Liar) -> None:
+def test_restarted_robot_learns_its_last_number(team: SignedTeam, liar: Liar) -> None:
     """Its first claims count for nothing, as its former life has made later ones: it would claim in vain for long."""
     slot = free_slot(team)
     team.fly(1, lambda: [liar.says({slot: liar.claim(slot, bid=-1.0, number=41)}, slot=slot)])
@@ -158,7 +158,7 @@ def test_robot_without_place_takes_a_given_one_despite_claims() -> None:
     assert evidence._page.number == 7
 
 
-def test_nobody_is_told_a_number_by_another(team: SignedTeam, liar: Liar) -> None:
+def test_robot_learns_its_number_only_from_its_own_claims(team: SignedTeam, liar: Liar) -> None:
     evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table or ()
     before, entry = evidence._page.number, (0, -1.0, 0)
     forged = LastClaim(1, *entry, 50, liar.keys.sign(claim_statement(team.context, 1, entry, 50)), None)
@@ -189,7 +189,7 @@ def test_robot_out_of_numbers_offers_and_accepts_nothing(team: SignedTeam) -> No
 
 
 def test_old_claims_on_later_versions_are_no_reason_for_words(team: SignedTeam, liar: Liar) -> None:
-    """Each would be a word of an honest robot, with it another version could be shown as freed, and so on for ever."""
+    """Each would be a word of an honest robot, with it another version could be shown as freed, and so on."""
     evidence, table = evidence_of(team.agents[0]), team.agents[0].claim.table
     slot = free_slot(team)
     assert table is not None and table[slot] == UNSAID
@@ -214,7 +214,7 @@ def test_old_claims_on_later_versions_are_no_reason_for_words(team: SignedTeam, 
 
 
 def test_the_bid_for_a_freed_place_is_drawn(team: SignedTeam, liar: Liar) -> None:
-    """So nobody outbids another wherever it goes."""
+    """So no robot outbids another everywhere."""
     context = team.context
     draws = [drawn_bid(context, slot, version, robot) for slot in range(5) for version in (1, 2) for robot in range(5)]
     assert len(set(draws)) == len(draws) and all(-(2**20) <= bid <= -1.0 for bid in draws)

@@ -33,7 +33,7 @@ def versions(team: SignedTeam) -> int:
 
 
 @pytest.mark.parametrize("version", [1, 7, 2**39])
-def test_nobody_raises_a_version_alone(team: SignedTeam, liar: Liar, version: int) -> None:
+def test_no_robot_raises_a_version_alone(team: SignedTeam, liar: Liar, version: int) -> None:
     before = team.slots
     team.fly(2, lambda: [liar.says({a: liar.claim(a, version) for a in range(5)})])
     assert team.slots == before
@@ -119,7 +119,7 @@ def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> 
     assert [list(words) for words in second._page.words._said.values()] == [[team.liar]]
 
 
-def test_what_others_signed_cannot_be_changed_on_the_way(team: SignedTeam, liar: Liar) -> None:
+def test_liar_cannot_change_entries_that_others_signed(team: SignedTeam, liar: Liar) -> None:
     agent = team.agents[0]
     table, evidence = agent.claim.table, evidence_of(agent)
     assert table is not None
@@ -255,7 +255,7 @@ def test_exchanges_need_both(team: SignedTeam, liar: Liar) -> None:
     assert say(of(partner=0)) != before
 
 
-def test_entries_that_nobody_honest_writes_are_refused(team: SignedTeam, liar: Liar) -> None:
+def test_entries_that_no_honest_robot_writes_are_rejected(team: SignedTeam, liar: Liar) -> None:
     slot = free_slot(team)
     before = team.owners(0)
     for lie in (

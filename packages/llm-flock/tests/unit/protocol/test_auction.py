@@ -161,7 +161,7 @@ def test_far_slot_is_handed_on_along_a_ring_not_flown_across() -> None:
     ring = Plan.of([[100 * math.cos(k * math.tau / 60), 100 * math.sin(k * math.tau / 60)] for k in range(60)])
     chord = math.dist(ring.points[0], ring.points[1])
     now = replace(at(0, 99.0), plan=ring, spacing=chord)
-    # As the crow flies, whoever stands inside of its neighbour is the nearer to the slot on the other side.
+    # As the crow flies, a robot that stands inside of its neighbour is the nearer to the slot on the other side.
     assert math.dist((99.0, 0.0), ring.points[30]) < math.dist(ring.points[1], ring.points[30])
     assert gain(now, ring.points[1], 30, 1) > chord**2
 
@@ -191,7 +191,7 @@ def test_an_exchange_from_offer_to_acceptance() -> None:
     assert one.table == ((1, 0.0, 1), (1, -10.0, 0), (0, 0.0, -1))
     zero = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     assert zero.slot == 1 and zero.table == one.table
-    # Slot 2 is nearer still for nobody: both are content, and nothing more is offered.
+    # Slot 2 is nearer for neither: both are content, and nothing more is offered.
     assert zero.offer is None
 
 
@@ -212,7 +212,7 @@ def test_places_of_the_last_versions_are_not_exchanged(slot: int) -> None:
         assert one.slot == (0 if version < LAST_EXCHANGED else 1)
 
 
-def test_whoever_may_not_exchange_neither_offers_nor_accepts() -> None:
+def test_robot_that_may_not_exchange_neither_offers_nor_accepts() -> None:
     zero, one, sensed = crossed()
     offered = RULE.update(zero, at(0, 12.0, says(1, one), sensed=sensed))
     assert offered.offer is not None

@@ -31,7 +31,7 @@ def asked_in(breaker: CircuitBreaker, rounds: range) -> list[int]:
     return found
 
 
-def test_it_opens_after_refusals_in_a_row_and_says_so() -> None:
+def test_breaker_opens_and_is_noted_after_refusals_in_a_row() -> None:
     breaker = CircuitBreaker("plan", enabled=True)
     assert breaker.refused(1, FAILURE) == [] and breaker.asks(2)
     for _ in range(4):

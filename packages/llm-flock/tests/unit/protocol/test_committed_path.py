@@ -57,7 +57,7 @@ def test_committed_path_needs_no_question_and_holds_at_goal() -> None:
     for _ in range(3):
         assert committed.path == (GOAL,)
         committed = committed.after_step(GOAL, GOAL)
-        assert committed.trigger(asked(GOAL), {**FAR, 2: (62.0, 50.0)}) is None, "whoever comes near"
+        assert committed.trigger(asked(GOAL), {**FAR, 2: (62.0, 50.0)}) is None, "with any robot near"
 
 
 FAILURE = NoAnswer(cause="answer", reason="none")

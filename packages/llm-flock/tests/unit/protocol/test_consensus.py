@@ -69,7 +69,7 @@ def test_influence_tie_between_neighbours_goes_as_configured() -> None:
 
 
 def test_influence_never_resolves_a_tie_of_all() -> None:
-    """Three robots in range of each other all have I = 2/3: nobody outranks anybody, for ever."""
+    """Three robots in range of each other all have I = 2/3: none ever outranks another."""
     plans = [A, B, Plan.of([[2, 2], [12, 2], [7, 10]])]
     for i in range(3):
         heard = [says(j, 2, plans[j]) for j in range(3) if j != i]
@@ -146,7 +146,7 @@ def test_a_rule_knows_its_own_robot() -> None:
     assert result.formed and result.summary.plans_in_use == 1
 
 
-def test_what_has_no_name_is_no_rule() -> None:
+def test_rule_without_a_name_is_rejected() -> None:
     for nameless in (object(), SimpleNamespace(name=""), SimpleNamespace(name=3)):
         with pytest.raises(AssertionError, match="a rule has a name"):
             check_consensus_rule(cast("Any", nameless))

@@ -51,7 +51,7 @@ def test_robot_that_heard_most_flies_to_its_place_unless_alone() -> None:
     assert target(Gathering(), FAR, strangers=0, alone=True) is None
 
 
-def test_alone_at_the_centre_it_crosses_over_and_stops_later() -> None:
+def test_robot_alone_at_the_centre_crosses_over_and_then_stops() -> None:
     gathering, near, beyond = Gathering(), (53.0, 50.0), (47.0, 50.0)
     assert target(gathering, near) == pytest.approx(beyond)
     assert target(gathering, (50.0, 50.0)) == pytest.approx(beyond)
@@ -62,7 +62,7 @@ def test_alone_at_the_centre_it_crosses_over_and_stops_later() -> None:
     assert target(gathering, beyond, strangers=5) == pytest.approx((53.0, 50.0)), "news: it gathers again"
 
 
-def test_who_cannot_get_to_the_centre_stops_as_well() -> None:
+def test_robot_that_cannot_reach_the_centre_stops_as_well() -> None:
     gathering, rounds = Gathering(), 0
     while target(gathering, FAR) is not None:
         rounds += 1

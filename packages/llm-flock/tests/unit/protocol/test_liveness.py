@@ -52,7 +52,7 @@ def test_a_restarted_robot_continues_its_former_counter() -> None:
     assert not other.silent
 
 
-def test_body_nobody_ever_hears_is_silent_and_others_learn_it() -> None:
+def test_unheard_body_is_silent_and_others_learn_it() -> None:
     mine = Liveness(0, 3, time_out=2)
     for number in range(1, 4):
         assert not mine.silent and 2 in mine.strangers

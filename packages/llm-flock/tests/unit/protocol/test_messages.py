@@ -75,7 +75,7 @@ def provenance(**changes: Any) -> list[Any]:
         ),
     ],
 )
-def test_a_message_is_decoded_as_it_was_encoded(message: Message) -> None:
+def test_encoded_message_is_decoded_unchanged(message: Message) -> None:
     assert decode(encode(message), 2, 2) == message
 
 

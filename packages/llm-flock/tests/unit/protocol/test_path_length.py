@@ -13,12 +13,12 @@ from llm_flock.protocol._path_length import BESIDE, FAR, MAX_PLACES, REACH, next
 ROW = Plan.of([[0, 0], [10, 0], [20, 0], [30, 0]])
 
 
-def test_a_near_place_is_as_far_as_it_is() -> None:
+def test_length_to_a_near_place_is_its_distance() -> None:
     assert path_lengths((3.0, 4.0), ROW, [0], 10.0) == pytest.approx([5.0])
     assert path_lengths((12.0, 9.0), ROW, [1], 10.0) == pytest.approx([math.hypot(2.0, 9.0)])
 
 
-def test_a_lone_hop_counts_more_by_as_often_as_it_is_too_long() -> None:
+def test_length_of_a_lone_hop_grows_with_its_square() -> None:
     assert path_lengths((-60.0, 0.0), ROW, [0], 10.0) == pytest.approx([60.0 * 60.0 / (REACH * 10.0)])
 
 

@@ -1,4 +1,4 @@
-"""Right of way: who asks, who steps aside and where to, and that courses move nobody too near another."""
+"""Right of way: who asks, who steps aside and where to, and that courses move no robot too near another."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def test_robot_with_a_way_out_flies_on_and_passes_the_right_on() -> None:
         assert safety.course is not None and safety.course.of == 0 and (safety.course.path[-1][1] > 60.0) is flies_on
 
 
-def test_one_in_a_bay_does_not_come_out_in_front_of_who_comes() -> None:
+def test_robot_in_a_bay_lets_an_oncoming_one_pass() -> None:
     """The next corner of its way is free, but beyond it the way leads past the other."""
     here, sensed = (51.5, 52.2), {0: (60.0, 49.6)}
     mission = Mission(shape="text:any", n_robots=2, obstacles=BAY)
@@ -204,7 +204,7 @@ def test_nowhere_to_go() -> None:
     assert step.origin is Origin.SHIELD and safety.course is not None and safety.course.of == 0
 
 
-def test_a_refuge_leads_past_nobody_who_comes() -> None:
+def test_way_to_a_refuge_passes_no_oncoming_robot() -> None:
     right = RightOfWay(1, MISSION)
     sensed = {0: (46.0, 50.0)}
     (way,) = right.ways(sensed, {0: course((64.0, 50.0))})
@@ -220,7 +220,7 @@ def heeds(right: RightOfWay, sensed: dict[int, Point]) -> bool:
 
 
 @pytest.mark.parametrize("moves", [0.0, 6.0])
-def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
+def test_request_for_the_way_is_heeded_for_a_while_only(moves: float) -> None:
     """Wherever it is, also out of sight for a while; with a new mission everybody is heeded again."""
     right = RightOfWay(1, MISSION)
     heeded = [heeds(right, {0: (46.0 - moves * (k % 2), 50.0)}) for k in range(9 * HEEDED_ROUNDS)]
@@ -233,7 +233,7 @@ def test_who_asks_is_heeded_for_a_while_only(moves: float) -> None:
     assert heeds(right, {0: (46.0, 50.0)})
 
 
-def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
+def test_repeated_requests_for_the_way_are_heeded_no_longer() -> None:
     """Who makes way loses sight of the one that asks; the rounds between count, a few of them at a time."""
     for every, count in (
         (2, HEEDED_ROUNDS // 2),
@@ -247,7 +247,7 @@ def test_who_asks_now_and_then_is_heeded_no_longer() -> None:
 
 
 @pytest.mark.parametrize("shield_on", [True, False])
-def test_a_new_mission_makes_a_pilot_heed_everybody_again(shield_on: bool) -> None:
+def test_pilot_heeds_all_robots_again_after_a_new_mission(shield_on: bool) -> None:
     parts = Parts(safety=ShieldedSafety(1, MISSION, 0.0) if shield_on else Safety())
     pilot = Pilot(1, MISSION, parts, noise_bound=0.0, on_event=False, fallback="hold")
     courses = {0: course((64.0, 50.0))}
@@ -337,7 +337,7 @@ def test_two_layers_change_places() -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_whatever_is_claimed_the_cells_keep_the_distance(seed: int) -> None:
+def test_false_claims_cannot_break_the_safe_distance(seed: int) -> None:
     """Members that lie ask for anything, in anybody's name."""
     rng = np.random.default_rng(seed)
     grid = 50 + 5.0 * (np.array([[i, j] for i in range(3) for j in range(3)]) - 1.0)

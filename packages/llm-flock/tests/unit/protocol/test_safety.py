@@ -149,7 +149,7 @@ def test_a_wish_beyond_a_wall_ends_at_the_wall() -> None:
     assert outside.waypoint == pytest.approx((-9.0 + Mission().max_step, 50.0)), "one full step back"
 
 
-def test_noise_that_could_explain_it_is_no_crowd() -> None:
+def test_distance_within_the_noise_is_no_crowd() -> None:
     safety = ShieldedSafety(0, Mission(), 0.1)
     assert safety.stay(observation((50.0, 50.0), {1: (52.85, 50.0)})).origin is Origin.HOLD
     assert safety.stay(observation((50.0, 50.0), {1: (52.75, 50.0)})).origin is Origin.SHIELD

@@ -123,7 +123,7 @@ def test_distant_news_do_not_restart_the_wait_of_many_missing() -> None:
 
 
 def looking_on(slot: int, owners: BidTable, *, strangers: int, silent: int) -> tuple[Search, list[int], list[object]]:
-    """Rounds of waiting before each tour, and the tours, of a robot that meets nobody and counts its looks."""
+    """Rounds of waiting before each tour, and the tours, of a robot that meets no other and counts its looks."""
     search, waits, ways, entries = Search(), [0], list[object](), list(owners)
     for _ in range(300):
         here = 10.0 * slot if search.target is None else search.target[0]
@@ -152,7 +152,7 @@ def test_looks_of_others_count() -> None:
     assert search.given_up and search.target is None
 
 
-def test_with_everybody_in_touch_nobody_searches() -> None:
+def test_robots_in_touch_with_all_do_not_search() -> None:
     search = Search()
     for _ in range(50):
         search = step(search, 20.0, 2, table(0, 1, 2, NO_OWNER), strangers=0)
@@ -210,7 +210,7 @@ def test_body_standing_at_a_place_is_remembered_out_of_sight() -> None:
 
 @pytest.mark.parametrize(("liars", "misses"), [(0, True), (1, True), (2, False)])
 def test_placeless_robots_are_missed_unless_they_may_be_liars(liars: int, misses: bool) -> None:
-    """Liars pass on heartbeats and nothing else, so nobody is silent. In touch, vacant places would be taken."""
+    """Liars pass on heartbeats and nothing else, so no robot is silent. In touch, vacant places would be taken."""
     nobody = set[int]()
     live = cast(
         "Any", SimpleNamespace(strangers=nobody, silent=nobody, without_plan=nobody, present={0, 1, 2, 3}, time_out=10)
@@ -227,7 +227,7 @@ def test_placeless_robots_are_missed_unless_they_may_be_liars(liars: int, misses
     assert not looks(10 + APART + 9, 0, 1, 2, 3)
 
 
-def test_nobody_is_looked_for_where_a_body_stands() -> None:
+def test_place_with_a_standing_body_is_not_searched() -> None:
     """Its robot is out of radio range, or not heard for the loss of messages; it needs no visit."""
     owners = table(0, NO_OWNER, 2, 3)
     search = Search()

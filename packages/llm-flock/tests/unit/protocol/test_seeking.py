@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import groupby
 
 import pytest
 
@@ -17,7 +18,7 @@ WORDS = Mission(shape="text:a cloud", n_robots=3)
 
 
 def visited(mission: Mission, robot: int, here: Point, rounds: int) -> list[int]:
-    """Where it stayed, in order, if nobody is in its way: the index of a place, or -1 for the centre."""
+    """Where it stayed, in order, if no robot is in its way: the index of a place, or -1 for the centre."""
     points = {-1: mission.center, **dict(enumerate(mission.ideal or ()))}
     seeking, stays = Seeking(robot), list[int]()
     for _ in range(rounds):
@@ -35,8 +36,8 @@ def visited(mission: Mission, robot: int, here: Point, rounds: int) -> list[int]
     return stays
 
 
-def test_in_a_small_formation_it_waits_at_the_centre() -> None:
-    assert visited(WORDS, 1, (5.0, 5.0), 60) == [-1], "nobody knows where its places are"
+def test_seeker_of_a_small_formation_waits_at_the_centre() -> None:
+    assert visited(WORDS, 1, (5.0, 5.0), 60) == [-1], "the places of such a shape are unknown"
     seeking = Seeking(1)
     assert {seeking.target(SMALL, (5.0, 5.0)) for _ in range(60)} == {SMALL.center}
 
@@ -51,7 +52,7 @@ def test_large_formation_is_searched_at_different_places_first() -> None:
 
 
 @pytest.mark.parametrize(("liars", "silent", "lost"), [(0, 3, False), (1, 3, False), (2, 2, False), (2, 3, True)])
-def test_it_is_out_of_touch_where_liars_could_outweigh_honest(liars: int, silent: int, lost: bool) -> None:
+def test_robot_is_lost_when_liars_could_outnumber_honest(liars: int, silent: int, lost: bool) -> None:
     """Of seven it hears three: if two of these lie, it and the last one are too few to free a place by their words."""
     seeking = Seeking(0, liars)
     for _ in range(ALONE):
@@ -60,22 +61,26 @@ def test_it_is_out_of_touch_where_liars_could_outweigh_honest(liars: int, silent
     unknown = Seeking(0, liars)
     for _ in range(ALONE):
         unknown.count(range(1, 7 - silent), (), range(7 - silent, 7), 7)
-    assert unknown.lost is lost, "whoever was never heard of is no witness either"
+    assert unknown.lost is lost, "a robot that was never heard is no witness either"
     seeking.start_again()
     assert not seeking.lost
 
 
-def test_it_waits_near_enough_and_longer_each_time() -> None:
-    beside = (50.0, 54.9)
+def test_seeker_waits_within_half_a_spacing() -> None:
+    assert Seeking(0).target(SMALL, (50.0, 54.9)) is None
+
+
+def test_seeker_waits_longer_at_each_further_point() -> None:
+    """It waits for as long as other robots take to the point, and `WAIT` more rounds than at the point before."""
     seeking = Seeking(0)
-    assert seeking.target(SMALL, beside) is None, "half a spacing is near enough"
-    far = Seeking(0)
-    targets = [far.target(MIDDLE, (50.0, 50.0)) for _ in range(40)]
-    first = next(k for k, target in enumerate(targets) if target is not None)
-    assert first == math.ceil(16.2 / 6.0) + WAIT, "it stays for as long as others take, and a little longer"
+    targets = [seeking.target(MIDDLE, MIDDLE.center) for _ in range(60)]
+    rounds = [len(list(equal)) for _, equal in groupby(targets)]
+    radius = max(math.dist(place, MIDDLE.center) for place in MIDDLE.ideal or ())
+    near, across = math.ceil(radius / MIDDLE.max_step), math.ceil(2 * radius / MIDDLE.max_step)
+    assert rounds[:4] == [near + WAIT, across + 2 * WAIT, across + 3 * WAIT, near + 4 * WAIT]
 
 
-def test_a_crowd_that_keeps_it_away_does_not_keep_it_for_ever() -> None:
+def test_seeker_moves_on_when_it_cannot_reach_a_point() -> None:
     seeking, away = Seeking(0), (50.0, 70.0)
     targets = [seeking.target(MIDDLE, away) for _ in range(60)]
     assert len({target for target in targets if target is not None}) == 3

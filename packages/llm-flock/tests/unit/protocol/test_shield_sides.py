@@ -46,7 +46,7 @@ def reached(other: Sighting, goal: float) -> float:
     return to[0]
 
 
-def test_who_may_be_anywhere_by_now_leaves_only_standing_still() -> None:
+def test_old_sighting_leaves_only_standing_still() -> None:
     assert reached(Sighting(position=(4.0, 0.0), age_s=2.0), 9.0) == 0.0
 
 
@@ -55,7 +55,7 @@ def test_far_body_gives_no_side_near_one_leaves_rest_of_way() -> None:
     assert reached(Sighting(position=(4.5, 0.0), age_s=0.0), 9.0) == pytest.approx(0.5)
 
 
-def test_from_who_is_too_near_one_may_only_move_away() -> None:
+def test_robot_may_only_move_away_from_one_that_is_too_near() -> None:
     near = Sighting(position=(2.0, 0.0), age_s=0.0)
     assert reached(near, 9.0) == pytest.approx(-0.5)
     assert reached(near, -9.0) == pytest.approx(-1.0)

@@ -108,7 +108,7 @@ def test_a_blocked_robot_may_wait_or_go_round() -> None:
         (ask((-4.0, 50.0), (2.0, 80.0)), (-5.0, 54.0), None),
     ],
 )
-def test_what_clipping_makes_of_a_step(question: StepQuestion, waypoint: Point, expected: Point | None) -> None:
+def test_clipped_step_passes_the_checks(question: StepQuestion, waypoint: Point, expected: Point | None) -> None:
     made = clipped(question, waypoint, shield_on=False)
     assert made == (None if expected is None else pytest.approx(expected))
     if made is not None:

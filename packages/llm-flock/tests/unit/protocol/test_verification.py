@@ -141,7 +141,7 @@ def test_plan_rounded_too_tight_is_enlarged_before_proposal(angle: float) -> Non
     assert with_room(mission, rounded, verify=False) == plan(rounded)
 
 
-def test_a_plan_with_room_or_none_to_grow_stays_as_it_is() -> None:
+def test_plan_with_or_without_room_to_grow_is_unchanged() -> None:
     for mission in (Mission(shape="grid", n_robots=16, spacing=3.01), Mission(shape="line", n_robots=1, spacing=3.0)):
         rounded = ideal(mission).round(2)
         assert with_room(mission, rounded) == plan(rounded)

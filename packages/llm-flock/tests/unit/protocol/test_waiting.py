@@ -13,7 +13,7 @@ MISSION = Mission(shape="line", n_robots=4, places=3)
 PLAN = Plan.of(MISSION.ideal or ())
 
 
-def test_a_robot_that_is_in_nobodys_way_stays() -> None:
+def test_robot_that_blocks_no_place_stays() -> None:
     assert waiting_place(MISSION, (50.0, 60.0), PLAN, []) == (50.0, 60.0)
 
 
@@ -46,7 +46,7 @@ def test_walls_and_obstacles_are_kept_clear_of() -> None:
     assert math.dist(place, (50.0, 58.0)) >= 3.0 + mission.body_radius
 
 
-def test_where_nothing_is_clear_the_robot_stays() -> None:
+def test_robot_stays_if_no_waiting_place_is_clear() -> None:
     tight = Mission(shape="line", n_robots=3, places=2, arena=((43, 43), (57, 57)), center=(50, 50), spacing=10)
     others = [(50.0 + x, 50.0 + y) for x in (-6.0, -3.0, 0.0, 3.0, 6.0) for y in (-6.0, -3.0, 3.0, 6.0)]
     here = (50.0, 50.0)

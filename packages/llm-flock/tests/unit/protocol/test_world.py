@@ -1,4 +1,4 @@
-"""Plans and the world: places at obstacles, in rooms that nobody can enter, and geometry that fits its plans in."""
+"""Plans and the world: places at obstacles, in rooms without an entrance, and geometry that fits its plans in."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_gap_is_passable_if_it_is_wider_than_a_body(width: float, passable: bo
     assert (len(mission.regions_of([(10.0, 50.0), (90.0, 50.0)])) == 1) is passable
 
 
-def test_a_robot_does_not_propose_where_it_cannot_get_to() -> None:
+def test_robot_proposes_no_plan_out_of_its_reach() -> None:
     mission = Mission(shape="line", n_robots=2, center=(25, 50), obstacles=(WALL,))
     line = Plan.of(mission.ideal or ())
     assert check_proposal(mission, line, [], (10.0, 10.0)) is None

@@ -1,0 +1,31 @@
+"""The configuration of a swarm says whether its models are simulated, and whether a record can repeat them."""
+
+from __future__ import annotations
+
+from importlib.metadata import EntryPoint
+
+import pytest
+
+from llm_flock import plugins
+from llm_flock_swarm import SwarmConfig
+
+
+@pytest.mark.parametrize(
+    ("model", "simulated"),
+    [
+        ("simulated:ideal", True),
+        ("geometry", False),
+        ("stands:in", True),
+        ("0=stands:in,1-2=stands:up", True),
+        ("stands:up", False),
+    ],
+)
+def test_swarm_says_whether_a_model_is_simulated(model: str, simulated: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    entry = EntryPoint("stands", "own_models:SOURCE", "llm_flock.models")
+    monkeypatch.setattr(plugins, "entries", lambda kind: {"stands": entry} if kind == "models" else {})
+    assert SwarmConfig.build(model=model, n_robots=3).simulated == simulated
+
+
+def test_record_of_a_swarm_cannot_repeat_code_of_the_user() -> None:
+    config = SwarmConfig.build(model="0=own_models:Echo,1-9=geometry")
+    assert not config.simulated and config.unrepeatable
