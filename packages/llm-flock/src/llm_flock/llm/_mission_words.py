@@ -25,7 +25,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class MissionAnswer(BaseModel):
-    """The model's answer: the fields of a mission that describe the formation."""
+    """The model's answer: the part of a mission that is about the formation."""  # part of the prompt's schema
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
