@@ -1,4 +1,4 @@
-"""The drones' tables on disk."""
+"""The cache of a Crazyflie's tables of contents (TOC)."""
 
 from __future__ import annotations
 
@@ -11,11 +11,10 @@ from llm_flock_flight._crazyflie.link import default_folder, keep_whole
 
 
 class Cache:
-    """As cflib's: writes a file bit by bit."""
+    """Like cflib's cache: writes a table straight to its final name."""
 
     def __init__(self, rw_cache: str) -> None:
         self.folder = Path(rw_cache)
-        self.seen: list[bool] = []
 
     def insert(self, checksum: int, table: object) -> None:
         (self.folder / f"{checksum:08X}.json").write_text(json.dumps(table))
@@ -31,7 +30,12 @@ def test_a_table_appears_whole_and_is_replaced_whole(tmp_path: Path, monkeypatch
     keep_whole(drone, tmp_path)
     written: list[Path] = []
     plain = Path.write_text
-    monkeypatch.setattr(Path, "write_text", lambda self, *text: (written.append(self), plain(self, *text))[1])
+
+    def spy(self: Path, text: str) -> int:
+        written.append(self)
+        return plain(self, text)
+
+    monkeypatch.setattr(Path, "write_text", spy)
     for table in ([1], [2]):
         drone._toc_cache.insert(0xAB, table)
         assert json.loads((tmp_path / "000000AB.json").read_text()) == table

@@ -127,8 +127,8 @@ class Flight:
     async def run(self, confirm: Callable[[PreflightReport], Awaitable[bool]]) -> FlightResult:
         """Fly. Nothing takes off unless `confirm` returns True; it gets a preflight that was passed.
 
-        A record that breaks off ends no flight. Raises InputError or FlockError, and nothing has taken off; or
-        FlockError when answers can be written no more, and all drones were landed.
+        A flight goes on if its record breaks off. Raises InputError or FlockError before take-off. In flight, raises
+        FlockError only if answers can no longer be saved, and then after all drones have landed.
         """
         with claim_drones(self._config) as claims:
             return await self._run(confirm, claims)

@@ -50,8 +50,9 @@ class SerialLine:
             self._device.close()
 
     def _write(self) -> None:
-        with contextlib.suppress(OSError):
-            while self._open and (packet := self._packets.get()) is not None:
+        while self._open and (packet := self._packets.get()) is not None:
+            # A write that times out costs its packet; of a line that was unplugged, the missing heartbeats tell.
+            with contextlib.suppress(OSError):
                 self._device.write(packet)
 
 

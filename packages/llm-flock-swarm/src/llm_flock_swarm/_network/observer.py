@@ -2,7 +2,7 @@
 
 An observer only listens, and believes a robot only about itself. Positions come from the sensors. A mission needs the
 operator's signature if the team has keys. Places are those that a plan's digest names, and a place counts as blocked
-once one robot more than may lie reports it.
+once more robots report it than may be lying.
 """
 
 from __future__ import annotations

@@ -33,11 +33,11 @@ OK, WARN, ERROR = 0, 1, 2  # levels of diagnostic_msgs/DiagnosticStatus
 LONGEST = 500  # longest text of a diagnostic value [characters]: part of it may come from outside
 
 _STAMP, _POINT = struct.Struct("<iI"), struct.Struct("<3d")
-_POSE_BYTES = 56
+_POSE_BYTES = 7 * 8  # position and quaternion, as doubles
 
 _SPHERE_LIST, _LINE_LIST, _TEXT = 7, 5, 9
 _ADD, _DELETE = 0, 2
-_LINK_M = 0.1  # width of a link, as a share of the safe distance
+_LINK_WIDTH = 0.1  # as a share of the safe distance
 
 
 def scaled(unit_m: float) -> ToWorld:
@@ -171,7 +171,7 @@ class MarkerDrawer:
             ("safe_distance", _SPHERE_LIST, 1.0, view.positions, looks, 0.2),
             ("goals", _SPHERE_LIST, 1 / 4, [goal for goal, _ in goals], [look for _, look in goals], 0.6),
             ("places", _SPHERE_LIST, 1 / 3, view.places, [], 1.0),
-            ("links", _LINE_LIST, _LINK_M, ends, [], 1.0),
+            ("links", _LINE_LIST, _LINK_WIDTH, ends, [], 1.0),
         ]
         made: list[Any] = []
         for name, kind, size, points, codes, alpha in drawn:

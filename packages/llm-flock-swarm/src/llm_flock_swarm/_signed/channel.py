@@ -138,7 +138,7 @@ class SignedChannel(Channel):
         self._authorization = authorization
 
     def _verified_beats(self, message: Message, proofs: Proofs) -> tuple[int, ...] | None:
-        """Heartbeats that are news and signed by the robot whose they are; 0 in place of those without signature."""
+        """Each robot's heartbeat count if it is new and signed by that robot, else 0; None if none count here."""
         known_beats = self._membership.beats
         if message.beats is None or not known_beats:
             return None

@@ -88,7 +88,7 @@ class Envelope:
         return body + self._keys.sign(_statement(topic, body))
 
     def open(self, sealed: bytes, topic: str = "") -> tuple[int, bytes]:
-        """The sender and the payload. MessageError: with the reason; `bad_signature` also if the sender is unknown."""
+        """The sender and the payload. Raises MessageError with a reason; an unknown sender gives `bad_signature`."""
         if len(sealed) > self._max_payload + OVERHEAD:
             raise MessageError("oversized", f"{len(sealed)} bytes")
         content = _decode(sealed)

@@ -1,4 +1,4 @@
-"""A team of other processes, watched from outside; it flies the same with or without a viewer."""
+"""Watches a swarm in other processes; watching does not change how it flies."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from llm_flock_view._viewer.recording import Recording
 
 
 class WatchedTeam(Protocol):
-    """A team by a plug-in of the kind `watches`, from a configuration file, an endpoint and a name, each optional."""
+    """A team that a plug-in of the kind `watches` opened, by a configuration file, an endpoint and a name."""
 
     name: str
 
@@ -31,7 +31,7 @@ class WatchedTeam(Protocol):
 
 
 class SwarmSource:
-    """Feeds a recording from such a team."""
+    """Feeds a recording from a watched team."""
 
     def __init__(self, team: WatchedTeam, recording: Recording) -> None:
         self.team = team
