@@ -190,7 +190,7 @@ def test_set_points_move_as_the_drones_do() -> None:
 
 
 def test_drones_of_crazyflies_yaml(tmp_path: Path) -> None:
-    pytest.importorskip("yaml")
+    pytest.importorskip("cflib")
     file = tmp_path / "crazyflies.yaml"
     rows = "".join(
         f"  cf{k}:\n    enabled: true\n    uri: udp://127.0.0.1:{5000 + k}\n"

@@ -115,7 +115,11 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         read_record(tmp_path / "gone.mcap")
     with pytest.raises(RecordError, match=r"run\.mcap: cannot be read \(No such file"):
         read_record(tmp_path)
-    for wrong, cause in ((None, "by the path of its file"), (3, "by the path of its file"), ("nul\0", "null (byte|character)")):
+    for wrong, cause in (
+        (None, "by the path of its file"),
+        (3, "by the path of its file"),
+        ("nul\0", "null (byte|character)"),
+    ):
         with pytest.raises(RecordError, match=cause):
             read_record(wrong)  # pyright: ignore[reportArgumentType]
 
