@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import pytest
+
+pytest.importorskip("llm_flock_lab")  # the benchmark draws its trials by it
+
 from benchmarks.lies import fly
 from gang import Gang
 from lies import LIES, beside_lies, round_of_lies
