@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 from command_line import flock
 
 from llm_flock.errors import InputError
@@ -99,6 +98,7 @@ def test_no_name_of_a_model_breaks_the_table() -> None:
 
 def test_the_entry_for_inspects_register_names_the_task() -> None:
     # The fields and types of inspect-evals 0.26.
+    yaml = pytest.importorskip("yaml")
     entry: dict[str, Any] = yaml.safe_load((FOLDER / "inspect-register.yaml").read_text(encoding="utf-8"))
     (task,) = entry["tasks"]
     assert task["dataset_samples"] == len(paper())
