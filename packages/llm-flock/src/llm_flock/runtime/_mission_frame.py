@@ -22,7 +22,7 @@ class MissionFrame:
 
     anchor: Point  # point of the mission that lies at the origin, d coordinates [units]
     scale_m: float  # one unit in the plane [m]
-    stretch: float  # in space, z is scaled by so much more than x and y: downwash reaches far down
+    stretch: float  # in 3D, how much more z is scaled than x and y: downwash reaches far down
     yaw: float  # from the mission's x axis to the world's, counterclockwise [rad]
     origin: tuple[float, float]  # of the plane [m; world frame]
     altitude_m: float  # z of the anchor, and of every point of a mission in the plane [m; world frame]
