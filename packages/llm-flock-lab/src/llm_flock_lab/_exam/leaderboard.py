@@ -27,6 +27,7 @@ MARK = "<!-- Written by `llm-flock exam"
 
 # Six decimals, so that files do not differ by the last digit of a machine.
 Number = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False), AfterValidator(lambda number: round(number, 6))]
+Name = Annotated[str, Field(pattern=r"^[\w.+:!~ -]*$")]  # stands on the page as it is
 
 
 class Share(NamedTuple):
@@ -55,15 +56,15 @@ class Row(BaseModel):
     model: str
     answered_by: str
     simulated: bool
-    date: str
+    date: Name
     command: str
     version: int
-    split: str  # with the seed of a private one
+    split: Name  # with the seed of a private one
     questions: str  # their digest, like `prompts`
     prompts: str
     count: int
     repeats: int
-    versions: Mapping[str, str]  # of packages, and digests of a model's files
+    versions: Mapping[str, Name]  # of packages, and digests of a model's files
     total: Share  # mean of the sections' shares right at first ask; `total_two`: after two reasons
     total_two: Share
     sections: Mapping[str, Figures]
@@ -72,7 +73,7 @@ class Row(BaseModel):
     tokens: int
     seconds: Number  # for a question, median
     cost_usd: Number | None
-    taught: Mapping[str, Number] | None = None  # share of a section whose prompts the model was taught
+    taught: Mapping[Name, Number] | None = None  # share of a section whose prompts the model was taught
 
     @property
     def stand_in(self) -> bool:
@@ -272,14 +273,14 @@ def page_text(rows: Iterable[Row]) -> str:
 
 
 def _table(rows: Sequence[Row], columns: Sequence[Column]) -> str:
-    return _lines([[name for name, _ in columns], *([cell(row) for _, cell in columns] for row in rows)])
+    """A table of Markdown."""
+    lines = [[name for name, _ in columns], ["---"] * len(columns), *([cell(r) for _, cell in columns] for r in rows)]
+    return "".join(f"| {' | '.join(cells)} |\n" for cells in lines)
 
 
-def _lines(rows: Sequence[Sequence[str]]) -> str:
-    """A table of Markdown; the first row is its head."""
-    # Names come from providers: none of them may end a cell or a row.
-    lines = [f"| {' | '.join(one_line(cell).replace('|', '&#124;') for cell in row)} |" for row in rows]
-    return "\n".join([lines[0], f"| {' | '.join(['---'] * len(rows[0]))} |", *lines[1:]]) + "\n"
+def _code(text: str) -> str:
+    """Text of others as code on the page, which nothing in it may end, nor its cell or row."""
+    return "`" + one_line(text).replace("|", "&#124;").replace("`", "'") + "`"
 
 
 def _section_cell(section: str) -> Callable[[Row], str]:
@@ -301,7 +302,7 @@ def _interval(share: Share) -> str:
 
 
 SCORES: Sequence[Column] = (
-    ("Model", lambda row: f"`{row.model}`" + (" *simulated*" if row.simulated else "")),
+    ("Model", lambda row: _code(row.model) + (" *simulated*" if row.simulated else "")),
     ("Total", lambda row: _interval(row.total)),
     ("After two reasons", lambda row: _percent(row.total_two.value)),
     *((section, _section_cell(section)) for section in SECTIONS),
@@ -313,11 +314,11 @@ SCORES: Sequence[Column] = (
 """Columns of the results."""
 
 ASKED: Sequence[Column] = (
-    ("Model", lambda row: f"`{row.model}`"),
-    ("Answered by", lambda row: f"`{row.answered_by}`"),
+    ("Model", lambda row: _code(row.model)),
+    ("Answered by", lambda row: _code(row.answered_by)),
     ("Split", lambda row: f"v{row.version} {row.split}"),
     ("Date", lambda row: row.date),
     ("LLM-Flock", lambda row: row.versions.get("llm-flock", "-")),
-    ("Command", lambda row: f"`{row.command}`"),
+    ("Command", lambda row: _code(row.command)),
 )
 """Columns of how models were asked."""
