@@ -342,6 +342,9 @@ def test_a_stranger_s_flood_is_not_parsed():
             forged.encode("heartbeat", 2, 12, 0x81, px4(3), 4),
         ]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            # It introduces itself, as a vehicle that nobody here flies.
+            stranger.sendto(Codec(77, 1).encode("heartbeat", 2, 12, 0, 0, 4), ("127.0.0.1", robot._port._address.port))
+            await until(lambda: 77 in robot._port.heard_ids)
             for k in range(3000):
                 stranger.sendto(lies[k % 3], ("127.0.0.1", robot._port._address.port))
                 if k % 30 == 29:

@@ -138,9 +138,9 @@ class Port:
             if message.get_type() != "HEARTBEAT" and known != peer:
                 continue  # a vehicle introduces itself by its heartbeat
             self.heard_ids.add(system_id)
-            self._peers[system_id] = (peer, now)
             take = self._vehicles.get(system_id)
-            if take is not None:
+            if take is not None:  # whoever flies nothing here stays a stranger, of whom little is parsed
+                self._peers[system_id] = (peer, now)
                 take(message)
 
 
