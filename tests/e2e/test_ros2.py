@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import importlib
+import itertools
 import json
 import math
+import random
 import signal
 import subprocess
 import sys
@@ -28,8 +30,18 @@ from llm_flock_swarm._network.swarm import free_port
 from llm_flock_swarm._ros2 import drawing
 from llm_flock_swarm._ros2.flight import RosPoses
 from llm_flock_swarm._ros2.graph import Graph
-from llm_flock_swarm._ros2.types import CLOCK, DIAGNOSTICS, POINTS, POSE, TEXT, type_hash
-from llm_flock_swarm._ros2.wire import Attachment
+from llm_flock_swarm._ros2.types import (
+    CLOCK,
+    DIAGNOSTICS,
+    POINTS,
+    POSE,
+    TEXT,
+    from_cdr,
+    message_class,
+    to_cdr,
+    type_hash,
+)
+from llm_flock_swarm._ros2.wire import Attachment, topic_key
 from llm_flock_swarm._trust.keys import make_keys
 
 SDK: Any = importlib.import_module("zenoh_ros2_sdk")
@@ -383,3 +395,60 @@ def test_swarm_that_takes_missions_does_not_end_once_formed(tmp_path: Path) -> N
         done = subprocess.run(words, cwd=tmp_path, env=ENV, capture_output=True, text=True, timeout=90)
     result = json.loads(done.stdout)
     assert (done.returncode, result["stopped"], result["formed"]) == (0, "time", True), done.stderr
+
+
+def hostile_bytes(kind: str) -> list[bytes]:
+    """Messages of a type that are cut, changed, endless, far too large, or of another type."""
+    good, rng = to_cdr(SAMPLES[kind], kind), random.Random(7)
+    changed = [bytes(byte if rng.random() > 0.1 else rng.randrange(256) for byte in good) for _ in range(60)]
+    others = [to_cdr(sample, name) for name, sample in SAMPLES.items() if name != kind]
+    return [b"", good[:6], good[:-3], good[:4] + b"\xff" * 64, bytes(2 << 20), rng.randbytes(999), *changed, *others]
+
+
+ORDERS = (
+    "shape = " * 9000,
+    '{"points": [[NaN, 1], [2, Infinity]], "center": [1e308, 1e308]}',
+    '{"n_robots": 9}',
+    '{"shape": "points:/etc/passwd"}',
+    '{"shape": "text:' + "\u3164" * 8000 + '"}',
+    '{"arena": [[0, 0], [0, 0]]}',
+    "[" * 50_000,
+    '{"center": [1, 2, 3, 4, 5]}',
+    '{"spacing": 1e-300, "obstacles": [{"center": [50, 50], "radius": 1e9}]}',
+)
+
+
+@pytest.mark.parametrize("takes", [True, False])
+def test_hostile_orders_from_ros_change_and_end_nothing(takes: bool, tmp_path: Path) -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    team = ["--robots", "2", "--shape", "line", "--start", "connected", "--model", "simulated:ideal", "--max-s", "20"]
+    flags = [*team, "--connect", "", "--ros2", endpoint, *["--ros-missions"] * takes, "--no-record", "--json"]
+    with router(endpoint), listener(endpoint) as session:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "llm_flock", "swarm", *flags],
+            cwd=tmp_path,
+            env=ENV,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        said: list[Any] = []
+        key = topic_key(0, "/diagnostics", DIAGNOSTICS, type_hash(DIAGNOSTICS))
+        keep = session.declare_subscriber(key, lambda one: said.append(from_cdr(one.payload.to_bytes(), DIAGNOSTICS)))
+        turns = itertools.cycle([to_cdr(message_class(TEXT)(data=order), TEXT) for order in ORDERS])
+        sent = 0
+        while process.poll() is None:
+            for topic, kind in (("/flock/mission", TEXT), ("/flock/places", POINTS)):
+                where = topic_key(0, topic, kind, type_hash(kind))
+                for data in (*hostile_bytes(kind), *([next(turns)] if kind == TEXT else [])):
+                    sent += 1
+                    attached = Attachment(sent, time.time_ns(), bytes(16)).encode() if sent % 5 else b"\xff"
+                    session.put(where, data, attachment=attached)
+            time.sleep(0.1)
+        output, errors = process.communicate()
+        keep.undeclare()
+    result = json.loads(output)
+    assert (process.returncode, result["stopped"]) == (0, "time" if takes else "formed"), errors
+    assert result["formed"] and result["n_robots"] == 2 and result["ended"] == {} and "Traceback" not in errors
+    refused = diagnosed(said)
+    assert ({"refused too_many", "refused bad_cdr"} <= refused.keys()) == takes, refused

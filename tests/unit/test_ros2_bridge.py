@@ -144,6 +144,11 @@ def test_late_old_strange_or_doubly_sourced_poses_are_refused() -> None:
     sensors.sense(0, 7.0, source=1, sequence=1)
     with pytest.raises(MessageError, match="second_source"):
         sensors.sense(0, 1.0, sequence=6)
+    sensors.sense(0, 7.0, source=1, sequence=2**62)  # a number that others chose keeps a source away for so long only
+    with pytest.raises(MessageError, match="out_of_order"):
+        sensors.sense(0, 7.0, source=1, sequence=2)
+    sensors.now += LOST_S
+    sensors.sense(0, 7.0, source=1, sequence=3)
 
 
 def test_a_jump_is_refused_unless_it_lasts() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import socket
 import time
@@ -12,10 +13,11 @@ from typing import Any
 
 import pytest
 import zenoh
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from llm_flock.errors import InputError
 from llm_flock_swarm._trust.keys import make_keys
-from llm_flock_swarm._trust.tls import tls_config
+from llm_flock_swarm._trust.tls import certificate, tls_config
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +102,12 @@ def test_missing_and_open_files_are_named(folder: Path, tmp_path: Path) -> None:
     (tmp_path / "open" / "robot-0" / "tls.key").chmod(0o644)
     with pytest.raises(InputError, match="chmod 600"):
         tls_config(tmp_path / "open", 0)
+
+
+def test_a_certificate_that_has_ended_is_named(tmp_path: Path) -> None:
+    """Otherwise no robot would connect, and nobody would say why."""
+    make_keys(tmp_path / "old", 1)
+    key, ends = ec.generate_private_key(ec.SECP256R1()), datetime.datetime.now(datetime.UTC)
+    (tmp_path / "old" / "robot-0" / "tls.pem").write_bytes(certificate("robot-0", key, "team", key, ends))
+    with pytest.raises(InputError, match=r"tls\.pem.*one that has not ended, as this one did on 2"):
+        tls_config(tmp_path / "old", 0)

@@ -43,9 +43,9 @@ class OperatorClock:
         self._now_ms = now_ms
         self._last = 0
 
-    def witness(self, time: int) -> None:
-        """Take note of the time of another order, for example one that this operator gave before a restart."""
-        if time <= order_time(self._now_ms() + MAX_AHEAD_MS):
+    def witness(self, time: int, *, own: bool = False) -> None:
+        """Take note of the time of another order; one proven to be its `own` counts, however wrong the clock was."""
+        if own or time <= order_time(self._now_ms() + MAX_AHEAD_MS):
             self._last = max(self._last, time)
 
     def next(self) -> int:

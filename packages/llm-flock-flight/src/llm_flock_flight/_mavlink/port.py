@@ -29,7 +29,7 @@ PEER_TIMEOUT_S = 3.0  # after this silence a vehicle may answer from another add
 MAV_TYPE_GCS, MAV_AUTOPILOT_INVALID, MAV_STATE_ACTIVE = 6, 8, 4
 
 
-class _RateLimit:
+class RateLimit:
     """Allows a number of calls in each second of the clock."""
 
     def __init__(self, limit: int) -> None:
@@ -52,7 +52,7 @@ class Port:
         self._address = parse_uri(uri)
         self._vehicles: dict[int, Callable[[Any], None]] = {}
         self._peers: dict[int, tuple[Any, float]] = {}
-        self._strangers = _RateLimit(STRANGERS)
+        self._strangers = RateLimit(STRANGERS)
         self._codec: Codec | None = None
         self._line: Line | None = None
         self._opening = asyncio.Lock()

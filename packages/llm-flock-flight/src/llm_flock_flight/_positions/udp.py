@@ -21,6 +21,7 @@ import msgspec
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.robots import Pose, PoseFrame
+from llm_flock_flight._mavlink.port import RateLimit
 from llm_flock_flight._positions.gate import UNKNOWN
 
 SILENT_S = 1.0  # a sender that sends nothing usable for this long may be followed by another one [s]
@@ -99,7 +100,7 @@ class UdpPoses:
         self._take: Callable[[PoseFrame], None] | None = None
         self._followed: tuple[Any, float] | None = None
         self._other: tuple[Any, float] | None = None
-        self._second = (0, 0)
+        self._parsed = RateLimit(MAX_PER_SECOND)
 
     async def open(self, take: Callable[[PoseFrame], None]) -> None:
         """Listen from now on; raises InputError if the address is not of this machine, or taken."""
@@ -157,10 +158,7 @@ class UdpPoses:
         if self._followed is not None and sender != self._followed[0] and now - self._followed[1] < SILENT_S:
             self._other = sender, now
             raise MessageError("second_sender", f"{sender} sends as well")
-        second, parsed = self._second
-        parsed = parsed + 1 if int(now) == second else 1
-        self._second = int(now), parsed
-        if parsed > MAX_PER_SECOND:
+        if not self._parsed.allows(now):
             raise MessageError("too_many", f"more than {MAX_PER_SECOND} a second")
         frame = frame_of(data)
         if self._names.isdisjoint(frame.poses):

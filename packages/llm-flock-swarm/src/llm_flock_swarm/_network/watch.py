@@ -113,7 +113,7 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
 
         def witness(_robot: int, report: RobotReport) -> None:
             if signed is None or signed(MissionStamp(*report.mission), report.order):
-                clock.witness(report.mission[0])
+                clock.witness(report.mission[0], own=signed is not None)
 
         receive(link, "report", RobotReport, witness)
         try:

@@ -97,7 +97,7 @@ class MissionGiver:
                 raise MessageError("nobody", "no robot of the swarm is there")
             for report in observer.reports.values():
                 if self._signed is None or self._signed(MissionStamp(*report.mission), report.order):
-                    self._clock.witness(report.mission[0])
+                    self._clock.witness(report.mission[0], own=self._signed is not None)
             now = self._config.model_copy(update={"mission": observer.mission})
             order = pack(mission_order(now, dict(fields), self._clock.next()))
         except (InputError, TypeError, ValueError, RecursionError) as error:

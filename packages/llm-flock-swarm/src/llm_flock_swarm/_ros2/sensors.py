@@ -70,7 +70,7 @@ class SensedBodies:
         lost = now - track.heard_s >= LOST_S
         if attached.gid != track.gid and not lost:
             raise MessageError("second_source", f"robot {robot}: two publishers tell where it is")
-        if attached.gid == track.gid and attached.sequence <= track.sequence:
+        if attached.gid == track.gid and attached.sequence <= track.sequence and not lost:
             raise MessageError("out_of_order", f"robot {robot}: number {attached.sequence} after {track.sequence}")
         moved = math.dist(position, track.position)
         if moved > self._reach + MAX_SPEED_FACTOR * self._speed * max(0.0, stamp_s - track.stamp_s) and not lost:

@@ -62,9 +62,7 @@ def to_cdr(message: object, name: str) -> bytes:
 
 
 def from_cdr(data: bytes, name: str) -> Any:
-    """The message that these bytes are; a MessageError `bad_cdr` or `oversized`."""
-    if len(data) > MAX_BYTES:
-        raise MessageError("oversized", f"{len(data)} bytes")
+    """The message that these bytes are, at most `MAX_BYTES`; a MessageError `bad_cdr`."""
     from rosbags.serde import SerdeError
 
     try:

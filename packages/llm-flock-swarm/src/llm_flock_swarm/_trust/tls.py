@@ -76,6 +76,9 @@ def tls_config(folder: Path, member: int) -> dict[str, Any]:
         if not path.is_file():
             raise InputError("keys", str(path), "a file that `llm-flock keys` writes")
     check_private(key)
+    ends = x509.load_pem_x509_certificate(own_certificate.read_bytes()).not_valid_after_utc
+    if ends < datetime.datetime.now(datetime.UTC):
+        raise InputError("keys", str(own_certificate), f"one that has not ended, as this one did on {ends.date()}")
     return {
         "transport/link/protocols": ["tls"],
         "transport/link/tls": {

@@ -38,6 +38,13 @@ def test_restarted_operator_goes_on_from_what_it_hears() -> None:
     assert clock.next() == before + 1
 
 
+def test_a_clock_that_was_years_ahead_does_not_end_all_orders() -> None:
+    years_ahead = order_time(NOW + 3650 * MAX_AHEAD_MS)
+    clock = OperatorClock(lambda: NOW)
+    clock.witness(years_ahead, own=True)
+    assert clock.next() == years_ahead + 1
+
+
 def test_no_lie_about_the_time_sets_the_clock() -> None:
     clock = OperatorClock(lambda: NOW)
     clock.witness(order_time(NOW + MAX_AHEAD_MS + 1))
