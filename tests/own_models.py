@@ -22,6 +22,13 @@ class Echo:
         return self.answer
 
 
+class Outside(Echo):
+    """Sends every robot out of the room."""
+
+    def __init__(self) -> None:
+        super().__init__("Position: [400.0, -400.0]")
+
+
 class Stands:
     """A `ModelSource` of stand-ins."""
 

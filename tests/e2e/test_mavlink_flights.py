@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import asyncio
 import math
+import socket
+import threading
 from collections.abc import Callable
+from itertools import combinations, starmap
 
 import pytest
 
@@ -18,6 +21,7 @@ from llm_flock_flight._flight.deadman import land_all
 from llm_flock_flight._flight.fleet import build_fleet
 from llm_flock_flight._flight.flight import Flight, FlightResult
 from llm_flock_flight._flight.landing import LANDED, TAKEN
+from llm_flock_flight._mavlink.codec import Codec
 from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
 pytestmark = pytest.mark.clock(1.5)
@@ -68,6 +72,67 @@ def test_a_pilot_takes_one_and_the_others_land():
         assert figures.ends == {"d0": LANDED, "d1": LANDED, "d2": TAKEN, "d3": LANDED} and not figures.safe
         assert vehicles[2].armed and vehicles[2].mode == "Position"
         assert not vehicles[0].armed
+
+
+class Stranger:
+    """Another client of the vehicles' port: it speaks for vehicles, and for none, and floods; and looks at the bodies.
+
+    It begins in flight: before, one that speaks for a vehicle only keeps all on the ground.
+    """
+
+    def __init__(self, vehicles: AutopilotStandIns) -> None:
+        self.vehicles, self.sent, self.nearest, self.farthest, self.begun = vehicles, 0, math.inf, 0.0, False
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._work)
+
+    def __enter__(self) -> Stranger:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+    def _packets(self, system: int) -> list[bytes]:
+        codec, place = Codec(system, 1), (0, 0.0, 9.0, -9.0, 0.0, 0.0, 0.0)
+        target = (0, 1, 1, 1, 0, 50.0, 50.0, -50.0, *(0.0,) * 8)
+        good = [
+            codec.encode("heartbeat", 2, 12, 0x81, 0x03_00_00_00, 4),
+            codec.encode("local_position_ned", *place),
+            codec.encode("set_position_target_local_ned", *target),
+            codec.encode("command_long", 1, 1, 400, 0, 0.0, 21196.0, *(0.0,) * 5),
+            codec.encode("command_ack", 400, 0),
+            codec.encode("param_value", b"COM_OF_LOSS_T", 1e9, 9, 1, 0),
+        ]
+        return [*good, *(packet[:-3] for packet in good), *(b"\xfd\xff" + packet for packet in good), bytes(9000)]
+
+    def _work(self) -> None:
+        place = ("127.0.0.1", int(self.vehicles.uris[0].rpartition(":")[2]))
+        packets = [packet for system in (1, 2, 3, 4, 77, 255, 0) for packet in self._packets(system)]
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not self._ended.wait(0.02):
+                for packet in packets if self.begun else ():
+                    sender.sendto(packet, place)
+                    self.sent += 1
+                bodies = [self.vehicles[k].position for k in range(4)]
+                self.nearest = min(self.nearest, *starmap(math.dist, combinations(bodies, 2)))
+                self.farthest = max(self.farthest, *(abs(x) for body in bodies for x in body))
+
+
+@pytest.mark.parametrize("model", ["simulated:ideal", "own_models:Outside"])
+def test_hostile_client_and_model_lead_no_drone_away(model):
+    with vehicles_of("px4") as vehicles, Stranger(vehicles) as stranger:
+
+        def on_stage(stage: str) -> None:
+            stranger.begun = stranger.begun or stage == "flying"
+
+        config = config_of(vehicles, model=model, fallback="geometry", max_tries=1)
+        done = flown(config, on_stage)
+    assert done.result is not None and done.result.summary.flight is not None
+    figures = done.result.summary.flight
+    assert done.result.summary.formed and figures.reason is None and set(figures.ends.values()) == {LANDED}
+    fence = max(abs(x) for corner in config.world.geofence for x in corner)
+    assert stranger.sent > 5000 and stranger.nearest > config.safety.min_separation_m and stranger.farthest < fence
 
 
 def test_a_vehicle_that_nothing_would_land_does_not_take_off():
