@@ -108,7 +108,7 @@ def unharmed(page: Page) -> None:
 def test_viewer(record: Path, browser: Browser) -> None:
     with viewer(record.parents[1], record.parent.name) as url, watched(browser, url) as page:
         ready(page)
-        for _ in range(3):
+        for _ in range(2):
             page.keyboard.press("ArrowRight")
             for robot in range(3):
                 page.get_by_label("Robot", exact=True).select_option(f"0:{robot}")
