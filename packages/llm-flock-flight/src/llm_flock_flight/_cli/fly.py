@@ -128,7 +128,7 @@ async def _fly(
     from llm_flock.record import both
     from llm_flock_flight._cli.keyboard import Keyboard, ask
     from llm_flock_flight._flight.fleet import build_fleet
-    from llm_flock_flight._flight.flight import TAKING_OFF, Flight
+    from llm_flock_flight._flight.flight import Flight, Stage
     from llm_flock_flight._flight.shown import ros2_bridge
 
     async def confirm(report: PreflightReport) -> bool:
@@ -141,12 +141,12 @@ async def _fly(
 
     live = not quiet and not as_json
 
-    def on_stage(stage: str) -> None:
-        if stage == TAKING_OFF:  # until then the terminal belongs to the question
+    def on_stage(stage: Stage) -> None:
+        if stage == "taking off":  # until then the terminal belongs to the question
             keyboard.listen()
         if live:
             say(stage, error=True)
-        if stage == TAKING_OFF:
+        if stage == "taking off":
             stack.enter_context(bar)
 
     def on_connect(check: Check) -> None:
