@@ -199,8 +199,6 @@ class LanguagePlanner:
         reason, last_waypoint = "", None
         attempts = 1 if question.probe else 1 + self._max_retries
         for _ in range(attempts):
-            call = replace(call, attempt=self._attempt)
-            self._attempt += 1
             try:
                 outcome = await self._ask(call, exchange)
             except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
@@ -212,7 +210,7 @@ class LanguagePlanner:
             if isinstance(outcome.answer, StepAnswer):
                 last_waypoint = outcome.answer.waypoint
             retry = ChatMessage("user", self._prompts.retry(reason, exchange.asked.framed))
-            call = replace(call, messages=(*call.messages, outcome.message, retry))
+            call = replace(call, attempt=self._attempt, messages=(*call.messages, outcome.message, retry))
         story = f"no usable answer in {attempts} {'try' if attempts == 1 else 'tries'}; the last: {reason}"
         logger.info("robot %d, round %d, %s: %s", self._robot, call.round, call.kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=last_waypoint)
@@ -239,7 +237,7 @@ class LanguagePlanner:
 
     async def _ask(self, call: Call, exchange: _Exchange[Q, A]) -> _Outcome[A]:
         """Make one attempt: ask, read, check and report; ModelError without a reply."""
-        asked, start = exchange.asked, time.perf_counter()
+        self._attempt, asked, start = call.attempt + 1, exchange.asked, time.perf_counter()
         try:
             reply = await self._model.ask(call)
         except ModelError as error:
