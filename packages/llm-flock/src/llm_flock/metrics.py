@@ -258,10 +258,8 @@ class StartSeparation:
     def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
         """Add a round (0 is the start), its last positions, and the smallest distance in it, segments included."""
         if self._before is None:
-            self._before, self._together = (
-                positions,
-                frozenset(scipy.spatial.KDTree(positions).query_pairs(self._limit)),
-            )
+            self._before = positions
+            self._together = frozenset(scipy.spatial.KDTree(positions).query_pairs(self._limit))
             self.start_violations = len(self._together)
         if self._together:
             closest = segment_separation(self._before, positions, self._together)

@@ -18,7 +18,6 @@ from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
-from llm_flock.record import RECORD_NAME
 from llm_flock.record._words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
@@ -222,11 +221,6 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
         console.print(Text(f"{one_line(verdict(entry), 20_000)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
-
-
-def record_file(path: Path) -> Path:
-    """The record, also if its folder is given."""
-    return path / RECORD_NAME if path.is_dir() else path
 
 
 @extended("inspections")

@@ -8,7 +8,7 @@ from functools import partial
 from itertools import combinations
 
 from llm_flock import shield
-from llm_flock.arrays import Point, moved
+from llm_flock.arrays import Point, between, moved
 from llm_flock.events import Note, Origin
 from llm_flock.message import MAX_STOPS, Course
 from llm_flock.mission import Mission
@@ -107,7 +107,7 @@ class ShieldedSafety(Safety):
     def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
         """The largest part of a step that leads into no other robot's way."""
         here = scene.position
-        tried = (self._project(here, _between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
+        tried = (self._project(here, between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
         to = next((safe for safe in tried if outside(ways, here, safe)), here)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
 
@@ -145,7 +145,7 @@ class ShieldedSafety(Safety):
         roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
             return safe
-        for shorter in (_between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
+        for shorter in (between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
             if roadmap.straight(shorter, stop) and self._project(here, shorter, scene.others) == shorter:
                 return shorter
         return safe
@@ -177,7 +177,7 @@ class ShieldedSafety(Safety):
         middle = tuple(sum(axis) / len(members) for axis in zip(*members, strict=True))
         away = math.dist(position, middle)
         share = limits.max_step / away if away > 0.0 else 0.0
-        wish = tuple(x + share * (x - c) for x, c in zip(position, middle, strict=True))
+        wish = between(position, middle, -share)
         flown = self._project(position, wish, tuple(spread.values()))
         nearest = min(math.dist(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
@@ -187,14 +187,7 @@ class ShieldedSafety(Safety):
 def _towards(here: Point, there: Point, longest: float) -> Point:
     """A point at most this far on the way to another [units]."""
     far = math.dist(here, there)
-    if far <= longest:
-        return there
-    return moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
-
-
-def _between(here: Point, there: Point, share: float) -> Point:
-    """The point at this share of the way to another [units]."""
-    return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
+    return there if far <= longest else between(here, there, longest / far)
 
 
 def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:
