@@ -136,9 +136,8 @@ class Mission(BaseModel):
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
         most = max(1, int(volume / self.start_volume(1)))
         if self.n_robots > most:
-            raise InputError(
-                "n_robots", self.n_robots, f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
-            )
+            allowed = f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
+            raise InputError("n_robots", self.n_robots, allowed)
 
     def check_shape(self) -> None:
         """Check the shape alone. Call after a change of `places`; the constructor calls it too.
@@ -160,9 +159,8 @@ class Mission(BaseModel):
             return
         nearest = formations.smallest_distance(self.ideal)
         if nearest < self.safe_distance - 1e-9:
-            raise InputError(
-                "shape", self.shape, f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
-            )
+            allowed = f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
+            raise InputError("shape", self.shape, allowed)
         reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))

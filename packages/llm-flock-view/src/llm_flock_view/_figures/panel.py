@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from llm_flock import graph
 from llm_flock.arrays import Points
+from llm_flock.metrics import ROUNDING
 from llm_flock.record import ASLEEP, DEAD, SILENT, RunRecord, State
 from llm_flock_view._figures.crowd import spots, spread
 from llm_flock_view._figures.labels import Outlines, Rectangle, beside, box_at, size_of
@@ -51,9 +52,6 @@ INSET = 0.24
 """Width and height of the inset that shows the whole view, as a share of the panel's."""
 
 TIMES = "\u00d7"
-
-ROUNDING = 1e-6
-"""A pair that is nearer than the safe distance by less than this keeps it [units]; as in the viewer."""
 
 Box = tuple[float, float, float, float]
 """Left, right, bottom, top [units]."""

@@ -33,13 +33,15 @@ def export(
 
     Without a format, PATH is a directory of results, whose tables go to trials.csv and rounds.csv.
     """
-    from llm_flock.record._reader import read_record, record_file
+    from llm_flock.record._stream import record_file
 
     formats = [extension for extension in extensions if extension.flags]
     on = chosen(formats)
     record = None if path is None else record_file(path)
     if on:
         if record is not None:
+            from llm_flock.record._reader import read_record
+
             note_broken([read_record(record)], "exported")
         for extension in on:
             for written in extension(record, out or (Path() if record is None else record.parent)):

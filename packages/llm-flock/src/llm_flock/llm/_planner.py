@@ -119,9 +119,8 @@ class LanguagePlanner:
         frame: FrameName = "world",
     ) -> None:
         if frame == "own" and history != 0:
-            raise InputError(
-                "frame", frame, "world while history is kept, because with own each question has a different frame"
-            )
+            allowed = "world while history is kept, because with own each question has a different frame"
+            raise InputError("frame", frame, allowed)
         self._robot = robot
         self._model = model
         self._prompts = prompts
