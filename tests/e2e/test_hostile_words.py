@@ -23,7 +23,8 @@ from viewer_pages import ready, viewer
 
 from llm_flock.record._schema import Entry, LlmEntry, MissionInfo, PlanInfo, ProtocolEvent, State
 from llm_flock.record._writer import RecordWriter
-from llm_flock_lab._exam.leaderboard import Row, page_text, read_rows
+from llm_flock_lab._exam.leaderboard import page_text
+from llm_flock_lab._exam.rows import Row, read_rows
 from llm_flock_lab._experiments.tables import build_tables
 from llm_flock_lab._experiments.trial import TrialResult
 from llm_flock_view._viewer import events

@@ -142,9 +142,8 @@ def read_tables(folder: Path) -> tuple[pl.DataFrame, pl.DataFrame]:
     try:
         return _trials_frame(trials), _rounds_frame(trials)
     except (pl.exceptions.PolarsError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise RecordError(
-            f"{folder}: not all trials have the fields of one ({type(error).__name__}: {error})"
-        ) from None
+        says = f"not all trials have the fields of one ({type(error).__name__}: {error})"
+        raise RecordError(f"{folder}: {says}") from None
 
 
 def read_trials(folder: Path) -> pl.DataFrame:

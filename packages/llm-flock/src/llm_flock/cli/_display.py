@@ -18,12 +18,11 @@ from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
-from llm_flock.record import RECORD_NAME
 from llm_flock.record._words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord
-    from llm_flock.runtime._result import Summary
+    from llm_flock.runtime._result import RunResult, Summary
     from llm_flock.runtime._trial import TrialProgress
 
 
@@ -72,8 +71,9 @@ def live_line(
     return opened(), show
 
 
-def summary_table(summary: Summary, safe_distance: float) -> Table:
+def summary_table(result: RunResult) -> Table:
     """The result of a run as a table."""
+    summary, safe = result.summary, result.mission.safe_distance
     simulated = " (simulated language models)" if summary.simulated else ""
     title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
@@ -86,7 +86,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("plans in use", str(summary.plans_in_use)),
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
-        ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe_distance:g})"),
+        ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe:g})"),
         ("work", escape(work_text(summary.to_dict())) or "none"),
         ("model calls", f"{summary.model_calls} ({summary.calls_rejected} rejected, {summary.calls_failed} failed)"),
         ("tokens", f"{summary.tokens_input:,} in, {summary.tokens_output:,} out"),
@@ -222,11 +222,6 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
         console.print(Text(f"{one_line(verdict(entry), 20_000)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
-
-
-def record_file(path: Path) -> Path:
-    """The record, also if its folder is given."""
-    return path / RECORD_NAME if path.is_dir() else path
 
 
 @extended("inspections")

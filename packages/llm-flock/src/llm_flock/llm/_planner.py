@@ -119,9 +119,8 @@ class LanguagePlanner:
         frame: FrameName = "world",
     ) -> None:
         if frame == "own" and history != 0:
-            raise InputError(
-                "frame", frame, "world while history is kept, because with own each question has a different frame"
-            )
+            allowed = "world while history is kept, because with own each question has a different frame"
+            raise InputError("frame", frame, allowed)
         self._robot = robot
         self._model = model
         self._prompts = prompts
@@ -199,8 +198,6 @@ class LanguagePlanner:
         reason, last_waypoint = "", None
         attempts = 1 if question.probe else 1 + self._max_retries
         for _ in range(attempts):
-            call = replace(call, attempt=self._attempt)
-            self._attempt += 1
             try:
                 outcome = await self._ask(call, exchange)
             except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
@@ -212,7 +209,7 @@ class LanguagePlanner:
             if isinstance(outcome.answer, StepAnswer):
                 last_waypoint = outcome.answer.waypoint
             retry = ChatMessage("user", self._prompts.retry(reason, exchange.asked.framed))
-            call = replace(call, messages=(*call.messages, outcome.message, retry))
+            call = replace(call, attempt=self._attempt, messages=(*call.messages, outcome.message, retry))
         story = f"no usable answer in {attempts} {'try' if attempts == 1 else 'tries'}; the last: {reason}"
         logger.info("robot %d, round %d, %s: %s", self._robot, call.round, call.kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=last_waypoint)
@@ -239,7 +236,7 @@ class LanguagePlanner:
 
     async def _ask(self, call: Call, exchange: _Exchange[Q, A]) -> _Outcome[A]:
         """Make one attempt: ask, read, check and report; ModelError without a reply."""
-        asked, start = exchange.asked, time.perf_counter()
+        self._attempt, asked, start = call.attempt + 1, exchange.asked, time.perf_counter()
         try:
             reply = await self._model.ask(call)
         except ModelError as error:
