@@ -136,6 +136,7 @@ def test_two_robots_take_the_same_goal() -> None:
     shared.begin(apart)
     settle(shared)
     assert shared.slots[0] == shared.slots[2], "out of range of each other"
+    shared.end()
     shared.begin([(43.0, 75.0), (50.0, 68.0), (57.0, 75.0)])
     settle(shared)
     assert shared.plans == [upright] * 3
