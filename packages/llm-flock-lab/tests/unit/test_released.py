@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 import llm_flock
+from llm_flock.arrays import Point
 from llm_flock.message import Message, Provenance
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
@@ -96,7 +97,7 @@ class Asked:
         steps = self._again.pop(0)
         return {robot: StepAnswer(waypoint=steps[robot]) for robot in asking}
 
-    def check(self, steps: dict[int, tuple[float, float]]) -> dict[int, tuple[float, float] | None]:
+    def check(self, steps: dict[int, tuple[float, float]]) -> dict[int, Point | None]:
         plan, start = Plan.of([[30, 0], [0, 0]]), self.bodies.positions.tolist()
         asked = {
             robot: StepQuestion(

@@ -114,10 +114,10 @@ class Summary:
         cost_usd: cost where the price of every call is known, else None [US dollars].
         latency_mean_s: mean duration of a call, waits included [s]; None without calls.
         waypoints: waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
+        waypoint_shares: the same as shares of all.
         steps_over_limit: steps that were longer than max_step, which bodies flew up to there.
         center_distance: distance of the mean position of robots with a place from the mission's centre [units], which
             the error does not see; None without such robots.
-        waypoint_shares: the same as shares of all.
         plan_robot: robot that proposed the plan in force at the end; None without one plan.
         plan_by: who made that plan: a model, by its name, or `geometry`.
         breakers_opened: robots whose circuit breaker was open at any time, so that geometry answered for their model.
