@@ -18,7 +18,7 @@ from llm_flock.llm._answers import read_plan, read_waypoints
 from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
 from llm_flock.llm._letters import read_way, ways_of
 from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
-from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.llm._thoughts import quote, whole_answer
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -162,6 +162,8 @@ class LanguagePlanner:
             return StepAnswer(waypoint=waypoint, path=tuple(path))
 
         text = self._prompts.step(asked.framed)
+        if question.objection:
+            text += f"\n\n{NOT_FLOWN} {question.objection}"
         return await self._converse(_Exchange("step", asked, text, form, read, self._check_step))
 
     async def _choose(self, question: StepQuestion) -> StepAnswer | NoAnswer:

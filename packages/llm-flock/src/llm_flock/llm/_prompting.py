@@ -79,6 +79,10 @@ VARIABLES: Mapping[str, frozenset[str]] = {
 """The templates, and the variables that each may use."""
 
 
+NOT_FLOWN = "Your last answer is not flown."
+"""Begins what is added to the question for a step when it is asked again in the same round."""
+
+
 def _decimals(asked: PlanQuestion | StepQuestion) -> int:
     return position_decimals(asked.mission.max_step)
 

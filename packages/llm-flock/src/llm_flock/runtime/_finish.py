@@ -89,6 +89,8 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
         waypoints=waypoints,
         waypoint_shares=waypoint_shares(waypoints),
+        steps_over_limit=journal.steps_over_limit,
+        center_distance=_center_distance(trial),
         plan_robot=None if origin is None else origin.proposer,
         plan_by=by,
         breakers_opened=tuple(sorted(journal.breakers_opened)),
@@ -113,6 +115,15 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         spares=None if plan is None else slots.count(None),
         flight=flight,
     )
+
+
+def _center_distance(trial: Trial) -> float | None:
+    agents = trial.roster.agents
+    placed = [robot for robot in trial.roster.awake if agents[robot].claim.slot is not None]
+    if not placed:
+        return None
+    center = trial.journal.episode.mission.at(trial.round).center
+    return float(np.linalg.norm(trial.journal.positions[-1][placed].mean(axis=0) - center))
 
 
 def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:

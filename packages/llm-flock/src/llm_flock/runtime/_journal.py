@@ -151,6 +151,7 @@ class Journal:
         self.errors: list[metrics.ShapeError | None] = []
         self.episodes: list[Episode] = []
         self.robot_rounds = 0
+        self.steps_over_limit = 0
         self.rejected_before: Counter[str] = Counter()
         self.row: MetricsRow | None = None
         self.silent_rounds = 0

@@ -123,6 +123,10 @@ class Summary:
     latency_mean_s: float | None  #: Mean duration of a call, waits included [s]; None without calls.
     waypoints: dict[str, int]  #: Waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
     waypoint_shares: dict[str, float]  #: The same as shares of all.
+    steps_over_limit: int  #: Steps that were longer than max_step, which bodies flew up to there.
+    #: Distance of the mean position of robots with a place from the mission's centre [units], which the error does not
+    #: see; None without such robots.
+    center_distance: float | None
     plan_robot: int | None  #: Robot that proposed the plan in force at the end; None without one plan.
     plan_by: str | None  #: Who made that plan: a model, by its name, or `geometry`.
     #: Robots whose circuit breaker was open at any time, so that geometry answered for their model.
