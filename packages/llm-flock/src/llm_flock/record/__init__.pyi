@@ -58,6 +58,7 @@ from ._words import sentence as sentence
 from ._words import verdict as verdict
 from ._words import work_text as work_text
 from ._writer import LIBRARY as LIBRARY
+from ._writer import Guarded as Guarded
 from ._writer import RecordWriter as RecordWriter
 from ._writer import Tee as Tee
 from ._writer import both as both
