@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
+from llm_flock.bounds import DEEPEST
 from llm_flock.errors import FlockError
 from llm_flock.mission import Mission
-from llm_flock.record._schema import _DETAILS, DEEPEST, MissionInfo, State
+from llm_flock.record._schema import _DETAILS, MissionInfo, State
 
 Strategy = st.SearchStrategy[Any]
 
@@ -99,7 +100,7 @@ def _texts(bounds: _Bounds) -> Strategy:
     return texts.filter(lambda text: low <= len(text) <= high) | longest
 
 
-def _sizes(bounds: _Bounds) -> dict[str, int]:
+def _sizes(bounds: _Bounds) -> dict[str, Any]:
     low, high = bounds.get("min_length", 0), bounds.get("max_length", 4)
     return {"min_size": low, "max_size": min(high, max(4, low))}
 
@@ -133,7 +134,7 @@ def _states() -> Strategy:
     """States whose lists have an item for each robot, and whose points have as many coordinates."""
 
     def of(team: tuple[int, int]) -> Strategy:
-        sizes = {"min_size": team[0], "max_size": team[0]}
+        sizes: dict[str, Any] = {"min_size": team[0], "max_size": team[0]}
         point = st.lists(
             st.floats(-1e12, 1e12) | st.sampled_from([-1e12, 0.0, 1e12]), min_size=team[1], max_size=team[1]
         )
