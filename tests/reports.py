@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from llm_flock.plan import Plan
+from llm_flock.record import ProtocolEvent
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.wire import RobotReport
 
@@ -13,6 +14,11 @@ CONFIG = SwarmConfig.build({}, shape="triangle", n_robots=N, model="simulated:id
 MISSION = CONFIG.mission
 PLAN = Plan.of(MISSION.ideal or ())
 PLACES = PLAN.points
+
+
+def happened(robot: int, kind: str, /, **detail: Any) -> tuple[ProtocolEvent, ...]:
+    """An event of a robot, as its report carries it."""
+    return (ProtocolEvent(round=0, comm_round=None, robot=robot, kind=kind, detail=detail),)
 
 
 def told(robot: int, **changes: Any) -> RobotReport:

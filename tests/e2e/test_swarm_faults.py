@@ -7,11 +7,11 @@ import os
 import signal
 from pathlib import Path
 
-from swarms import fly, formed, swarm_config
+from swarms import fly, formed, living, swarm_config
 
 from llm_flock.record._reader import read_record
 from llm_flock_swarm._network.observer import Observer
-from llm_flock_swarm._network.swarm import Swarm, SwarmResult
+from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launch_swarm, run_swarm
 from llm_flock_swarm._network.watch import give_mission
 
 SAFE = 3.0 - 1e-6
@@ -49,6 +49,40 @@ def test_a_killed_recorder_is_not_missed(tmp_path: Path) -> None:
     check(fly(swarm_config(5, out=str(tmp_path)), strike), 5)
     found = read_record(tmp_path / "run.mcap")
     assert found.states and found.result is None
+
+
+def broken(*_: object) -> None:
+    raise ZeroDivisionError
+
+
+def test_a_broken_display_and_sink_are_not_missed() -> None:
+    """Both belong to the launcher, which ends every robot when it ends."""
+
+    class Sink:
+        def write(self, entry: object) -> None:
+            raise ZeroDivisionError
+
+    result = asyncio.run(run_swarm(swarm_config(3), on_row=broken, sink=Sink()))
+    check(result, 3)
+    assert sorted(result.gave_up) == ["display", "sink"]
+
+
+def test_robots_fly_on_without_the_launchers_observer() -> None:
+    pids: dict[str, int] = {}
+
+    async def fly() -> SwarmResult:
+        async with launch_swarm(swarm_config(3, max_s=8.0)) as swarm:
+            while swarm.observer.began_s is None:  # noqa: ASYNC110 - there is no event to wait for
+                await asyncio.sleep(0.05)
+            swarm.observer.check = broken
+            stopped = await swarm.run()
+            pids.update(swarm.pids)
+            assert living(set(pids.values())) == set(pids.values())
+            return swarm.result(stopped)
+
+    result = asyncio.run(fly())
+    assert (result.stopped, result.formed, list(result.gave_up)) == ("time", None, ["observer"])
+    assert not living(set(pids.values()))
 
 
 def test_stopped_robot_resumes_at_its_position() -> None:

@@ -220,7 +220,7 @@ def test_no_report_ends_an_observer(seed: int) -> None:
         for report in (told(robot), told(robot, **changes)):
             payload = mangled(pack(report), rng, 1)
             tried(lambda robot=robot, payload=payload: seen.report(robot, unpack(RobotReport, payload)), MessageError)
-    seen.check(50.0)
+    seen.check()
     assert seen.supplier is None or seen.supplier[0] >= 0
     assert (seen.rejected is not None and seen.hopeless is None) or seen.hopeless
 

@@ -276,7 +276,7 @@ def test_flight_goes_on_when_its_record_cannot_be_written(tmp_path, caplog) -> N
     flight = figures(result)
     assert trial(result).formed and flight.ended == "mission" and set(flight.ends.values()) == {"landed"}
     assert "cannot be written (File too large)" in str(result.broken_record)
-    assert "the record breaks off here, and the flight goes on" in caplog.text
+    assert "the record ends here, and the robots fly on" in caplog.text
     record = read_record(tmp_path / "run.mcap")
     assert record.result is None and 0 < record.rounds < trial(result).summary.rounds
     assert isinstance(seen[-1], SummaryMessage), "a live viewer misses nothing"

@@ -179,6 +179,15 @@ def test_flood_of_bad_messages_is_not_logged_one_by_one() -> None:
     assert sum(event.kind == "rejected_message" for event in told) + dropped >= 2 * MAX_NOTES
 
 
+def test_no_error_about_what_observers_are_told_ends_a_robot() -> None:
+    def act(process: RobotProcess, _: FakeLink) -> None:
+        process.agent_loop.notes.append({"kind": "proposed", "detail": {"plan": object()}})
+
+    link, ended = fly(act)
+    assert ended is None and link.traffic.refused["fault"] == 1
+    assert [kind for kind, _ in link.sent].count("report") > 1
+
+
 def test_beacons_of_members_that_are_no_robots_are_refused() -> None:
     def act(_: RobotProcess, link: FakeLink) -> None:
         link.see()

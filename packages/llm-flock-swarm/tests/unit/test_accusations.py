@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from reports import CONFIG, MISSION, N, told
+from reports import CONFIG, MISSION, N, happened, told
 from sample_records import make_record
 from toy_keys import ToyKeys
 
@@ -22,7 +22,7 @@ from llm_flock_swarm._cli.accusations import MAX_SHOWN, show_accusations
 from llm_flock_swarm._network.accusations import MAX_JUDGED, MAX_PROOF_BYTES, Accuser, Judge
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.observer import MAX_UNPROVEN, Observer
-from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, ReportedEvent, pack
+from llm_flock_swarm._network.wire import WIRE_VERSION, Beacon, BeaconedMessage, pack
 from llm_flock_swarm._signed.certificates import Proofs, origin_statement, wrap
 from llm_flock_swarm._trust.envelope import Envelope, signed_payload
 from llm_flock_swarm._trust.keys import load_keyring, load_public_keys, make_keys
@@ -35,7 +35,7 @@ STAMP = MissionStamp(0, MISSION.digest)
 def sealed(message: bytes | None, by: int = LIAR, topic: str | None = None) -> bytes:
     """What a member sends; `None` for a message between processes that is none."""
     beacon = Beacon(stamp=1.0, position=(1.0, 2.0))
-    payload = b"\x03?" if message is None else pack(BeaconedMessage(beacon=beacon, message=message))
+    payload = bytes([WIRE_VERSION]) + b"?" if message is None else pack(BeaconedMessage(beacon=beacon, message=message))
     topic = JUDGE.topic(by) if topic is None else topic
     return Envelope(ToyKeys(by), 1, max_payload=MAX_PROOF_BYTES).seal(payload, topic)
 
@@ -110,7 +110,8 @@ def test_without_verification_no_plan_is_evidence() -> None:
 def test_accusations_that_prove_nothing_are_dropped(detail: dict[str, Any]) -> None:
     assert JUDGE.confirms(detail, [MISSION]) is None
     observer = Observer(CONFIG, Sink(), judge=JUDGE)
-    observer.report(0, told(0, happened=(ReportedEvent("accused", detail),)))
+    accused = ProtocolEvent.model_construct(round=0, robot=0, kind="accused", detail=detail)
+    observer.report(0, told(0, happened=(accused,)))
     assert observer.shown_to_lie == {} and observer.reports.keys() == {0}
 
 
@@ -127,14 +128,14 @@ def test_an_observer_records_the_first_proof() -> None:
     sink = Sink()
     observer = Observer(CONFIG, sink, judge=JUDGE)
     for robot in (0, 1):
-        observer.report(robot, told(robot, happened=(ReportedEvent("accused", accusation(FORGED)),)))
+        observer.report(robot, told(robot, happened=happened(robot, "accused", **accusation(FORGED))))
     assert observer.shown_to_lie == {LIAR: "impostor"}
     assert [event.robot for event in sink.events] == [0]
 
 
 def test_without_keys_nothing_is_proven() -> None:
     observer = Observer(CONFIG, Sink())
-    observer.report(0, told(0, happened=(ReportedEvent("accused", accusation(FORGED)),)))
+    observer.report(0, told(0, happened=happened(0, "accused", **accusation(FORGED))))
     assert observer.shown_to_lie == {}
 
 
@@ -142,7 +143,7 @@ def test_false_accusations_are_judged_a_limited_number_of_times(monkeypatch: pyt
     judged: list[object] = []
     monkeypatch.setattr(JUDGE, "confirms", lambda *_: judged.append(1))
     observer = Observer(CONFIG, Sink(), judge=JUDGE)
-    many = tuple(ReportedEvent("accused", accusation(FORGED)) for _ in range(3 * MAX_UNPROVEN))
+    many = happened(0, "accused", **accusation(FORGED)) * (3 * MAX_UNPROVEN)
     observer.report(0, told(0, happened=many))
     assert len(judged) == MAX_UNPROVEN
 

@@ -1,4 +1,4 @@
-"""Limits on the size of missions, shared by missions and readers of records. Imports nothing heavy."""
+"""Limits on what missions, messages, reports and records hold: one table for all. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -11,6 +11,15 @@ MAX_CORNERS = 1_024  #: Most corners of all polygons of a mission together.
 MAX_POLYGON_CORNERS = 128  #: Most corners of one polygon: dividing it takes the cube of their number, here 0.2 s.
 MIN_LENGTH = 1e-3  #: Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it.
 MAX_LENGTH = 1e9  #: Largest length in a mission [units]: far more than any arena, and small enough to be squared.
+
+MAX_INTEGER = 2**53  #: The largest whole number that every reader of JSON can hold.
+MAX_FIGURE = 1e15  #: Largest figure of a record.
+MAX_DISTANCE = 1e12  #: Largest length and time of a record: no trouble for the arithmetic of drawings.
+MAX_ROUND = 10**9  #: Largest number of a round.
+LATEST = 2**60  #: Above every time of an order: far enough in the future, and below the largest machine integer.
+MAX_WORD = 64  #: Longest name or digest in a report [characters].
+MAX_REASON = 2000  #: Longest reason in a report [characters].
+DEEPEST = 32  #: Deepest nesting of free values; those of this program have a quarter of it.
 
 TIME_OUT = 10
 """Default of the rounds without a heartbeat, by any route, after which a robot counts as dead; some flights leave

@@ -20,13 +20,12 @@ import msgspec
 from msgspec.structs import astuple, force_setattr, replace
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.bounds import LATEST, MAX_ROBOTS
 from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import Mission
 from llm_flock.plan import Coordinate, Plan
 
 LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
-LATEST = 2**60  #: Above every time of an order: far enough in the future, and below the largest machine integer.
 
 MAX_AHEAD_MS = 24 * 3600 * 1000  #: Others' times are believed if at most this far ahead of the own clock [ms].
 

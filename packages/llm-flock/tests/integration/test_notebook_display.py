@@ -138,6 +138,20 @@ def test_progress_is_one_line_that_is_replaced(monkeypatch: pytest.MonkeyPatch) 
     assert len(shown) == 2, "a quick run shows nothing"
 
 
+def test_a_notebook_that_cannot_draw_ends_no_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def display(*_: object, **__: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(notebook, "in_notebook", lambda: True)
+    monkeypatch.setattr(notebook, "import_module", lambda _: types.SimpleNamespace(HTML=str, display=display))
+    monkeypatch.setattr(notebook, "PATIENCE_S", 0.0)
+    heard: list[TrialProgress] = []
+    with notebook_progress("circle", heard.append) as on_round:
+        assert on_round is not None
+        on_round(NOW)
+    assert heard == [NOW]
+
+
 def test_outside_notebooks_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "IPython", raising=False)
     assert not in_notebook()

@@ -58,14 +58,14 @@ class FlightResult:
 
     report: PreflightReport
     result: RunResult | None = None
-    broken_record: RecordError | None = None
+    broken_record: Exception | None = None
 
 
 class Flight:
     """Flies one mission. Call `run` once; `abort`, `return_home` and `emergency` at any time meanwhile.
 
     Listeners hear of each round, each stage as it begins, and each drone's connection. The `sink` takes every message
-    of a record, whether one is written or not, and must not raise. `poses` replace the source that the configuration
+    of a record, whether one is written or not, until it raises. `poses` replace the source that the configuration
     names.
     """
 
@@ -89,8 +89,8 @@ class Flight:
         self._sink = sink
         self._poses = poses
         self._supervisor: FlightSupervisor | None = None
+        self._ended: dict[str, Exception] = {}  # parts that only look on
         self._stage: Stage = "connecting"
-        self._broken_record: RecordError | None = None
         self._ordered_home = asyncio.Event()
 
     def abort(self) -> bool:
@@ -152,20 +152,16 @@ class Flight:
                     return FlightResult(report=report)
                 result: RunResult | None = None
                 try:
-                    with open_outputs(config, planners, self._sink, on_broken=self._break_record) as (journal, record):
+                    with open_outputs(config, planners, self._sink, ended=self._ended) as (journal, record):
                         result = await self._fly(planners, journal, record, report, feed, claims)
                 except RecordError as error:
                     if result is None:
                         raise
-                    self._broken_record = self._broken_record or error  # all are down
-                return FlightResult(report=report, result=result, broken_record=self._broken_record)
+                    self._ended.setdefault("record", error)  # all are down
+                return FlightResult(report=report, result=result, broken_record=self._ended.get("record"))
         finally:
             await planners.close()
             await asyncio.gather(*map(_close, self._robots))
-
-    def _break_record(self, error: RecordError) -> None:
-        self._broken_record = error
-        logger.warning("%s; the record breaks off here, and the flight goes on", error)
 
     async def _fly(
         self,
@@ -192,8 +188,8 @@ class Flight:
         rules, start = config.protocol.rules(), team.readings.places
         trial = Trial(config, rules, planners, team, journal, start, self._on_round)
         log.note("preflight", checks=len(report.checks))
-        if self._broken_record is not None:
-            raise self._broken_record  # nothing has taken off yet
+        if "record" in self._ended:
+            raise self._ended["record"]  # nothing has taken off yet
         landing = Landing(config, team, log)
         async with HeartbeatSender(config, lambda: team.aloft, claims) as heartbeats:
             team.on_take_off = heartbeats.beat

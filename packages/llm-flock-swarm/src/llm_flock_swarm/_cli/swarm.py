@@ -179,11 +179,12 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     p50, p99, latency = result.latency_p50_s, result.latency_p99_s, "not known"
     if p50 is not None and p99 is not None:
         latency = f"median {1000 * p50:.1f} ms, 99th percentile {1000 * p99:.1f} ms"
+    not_formed = "not known" if result.formed is None else NOT_FORMED
     plan = f"robot {result.plan_robot}, by {result.plan_by}" if result.plan_robot is not None else "none in force"
     separation, limit = result.min_separation, settings.mission.safe_distance
     rows = [
         ("protocol", rules_text(rules.consensus, rules.assignment, shield=rules.shield)),
-        ("formed", f"[bold green]yes[/], after {result.mission_s or 0.0:.1f} s" if result.formed else NOT_FORMED),
+        ("formed", f"[bold green]yes[/], after {result.mission_s or 0.0:.1f} s" if result.formed else not_formed),
         ("stopped", result.stopped),
         ("plan", escape(plan)),
         ("smallest separation", f"{separation:.3f} (safe distance {limit:g})"),
@@ -199,6 +200,7 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
         ("rejected", ", ".join(f"{n} {why}" for why, n in result.messages_rejected.items())),
         ("shown to lie", ", ".join(f"robot {robot}: {why}" for robot, why in result.shown_to_lie.items())),
         ("ended", ", ".join(f"{name} ({code})" for name, code in result.ended.items())),
+        ("gave up", ", ".join(f"{part} ({why})" for part, why in result.gave_up.items())),
         ("record", result.record or ""),
     ]
     for name, value in rows + [(name, escape(value)) for name, value in special if value]:

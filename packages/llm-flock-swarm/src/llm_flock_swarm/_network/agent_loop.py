@@ -17,25 +17,26 @@ from typing import Any
 from llm_flock import events
 from llm_flock.agent import Agent
 from llm_flock.arrays import Point
+from llm_flock.bounds import MAX_REASON
 from llm_flock.errors import FlockError, InputError
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin, Phase
 from llm_flock.message import NO_OWNER
 from llm_flock.metrics import AT_GOAL
 from llm_flock.planner import NoAnswer, PlanAnswer, Planner, StepAnswer
 from llm_flock.protocol import Authorization
+from llm_flock.record import LlmEntry, ProtocolEvent
 from llm_flock.transport import Radio
 from llm_flock_swarm._network.accusations import Accuser
 from llm_flock_swarm._network.body_control import STILL, BodyControl
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.process import PeriodClock, phase_s
 from llm_flock_swarm._network.receiving import INTERNAL_ERROR, count_refusals
-from llm_flock_swarm._network.wire import MissionOrder, ReportedEvent, RobotReport
+from llm_flock_swarm._network.wire import MissionOrder, RobotReport
 from llm_flock_swarm._zenoh import LinkTraffic
 
 SETTLED_EXCHANGES = 2  # exchanges without another slot after which agreement about a new plan counts as settled
 LATEST = 2.0  # a move ends at the latest after this multiple of its unhindered duration
 MAX_NOTES = 256  # events in one report; more of them, in a flood of bad messages say, are only counted
-MAX_REASON = 2000  # longest reason in a report [characters]
 MAX_FAULTS = 20  # exchanges in a row that meet an error in this program before the robot gives up
 RETELL = 25  # one report in this many names the plan's places and the mission again, for observers that came later
 STUCK_S = 0.3  # a body that has not moved for this long cannot get any nearer [s]
@@ -58,7 +59,7 @@ class AgentLoop:
         self.round = 0
         self.period = 0
         self.waypoints: Counter[str] = Counter()
-        self.notes: list[ReportedEvent] = []
+        self.notes: list[dict[str, Any]] = []
         self.refused = Counter[str]()
         self._dropped_notes = self._faults = self._reports = 0
         self._config, self._planner, self._radio, self._body = config, planner, radio, body
@@ -91,7 +92,7 @@ class AgentLoop:
 
     def _note(self, kind: str, detail: dict[str, Any]) -> None:
         if len(self.notes) < MAX_NOTES:
-            self.notes.append(ReportedEvent(kind, detail, self._comm_rounds))
+            self.notes.append({"kind": kind, "detail": detail})
         else:
             self._dropped_notes += 1
 
@@ -273,7 +274,7 @@ class AgentLoop:
             await asyncio.wait_for(self._changed.wait(), rest_s)
 
     def report(
-        self, calls: list[dict[str, Any]], latencies_s: list[float], traffic: LinkTraffic, contradicted: int
+        self, calls: list[LlmEntry], latencies_s: list[float], traffic: LinkTraffic, contradicted: int
     ) -> RobotReport:
         """The state for observers, with the plan and the mission where no report has named them of late."""
         agent = self.agent
@@ -286,7 +287,7 @@ class AgentLoop:
         known.update({mission.digest} if plan is None else {mission.digest, plan.digest})
         notes, self.notes = self.notes, []
         if self._dropped_notes:
-            notes.append(ReportedEvent("dropped_notes", {"count": self._dropped_notes}))
+            notes.append({"kind": "dropped_notes", "detail": {"count": self._dropped_notes}})
             self._dropped_notes = 0
         refused = Counter({"contradicted_beacon": contradicted} if contradicted else {})
         return RobotReport(
@@ -303,7 +304,7 @@ class AgentLoop:
             waypoint=None if move is None else move.waypoint,
             origin="start" if move is None else move.origin.value,
             neighbors=agent.degree,
-            happened=tuple(notes),
+            happened=tuple(ProtocolEvent(round=0, comm_round=None, robot=agent.robot, **note) for note in notes),
             calls=tuple(calls),
             waypoints=dict(self.waypoints),
             sent=traffic.sent["say"],

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from llm_flock.llm import parse_models
 from llm_flock.message import MissionStamp
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.record import ASLEEP, DEAD, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent, RecordSink, RoundEnd, State
+from llm_flock.record import ASLEEP, DEAD, Guarded, MetricsRow, PlanInfo, RecordSink, RoundEnd, State
 from llm_flock.runtime import TrialProgress, commonest, finite, mission_info
 from llm_flock.validation import input_error
 from llm_flock_swarm._network.accusations import Judge
@@ -36,11 +36,34 @@ SILENT_S = 1.0  # a robot that reports is there; it is gone once it has left and
 MAX_UNPROVEN = 8  # accusations of one robot that prove nothing, after which none are judged: each takes time
 
 
+class _FormedClock:
+    """Decides since when a team has formed: from when it came in order, once it has been so for `held_s`."""
+
+    def __init__(self, spacing: float, held_s: float) -> None:
+        self.formed_s: float | None = None
+        self.tracker = metrics.FormedTracker(spacing=spacing)
+        self._held_s = held_s
+        self._since_s: float | None = None
+        self._checks = 0
+
+    def update(self, now: float, **team: Any) -> None:
+        """Add the state of the team at a time, as `FormedTracker.update` takes it."""
+        self._checks += 1
+        self.tracker.update(self._checks, **team)
+        if not self.tracker.in_order:
+            self._since_s = None
+            return
+        self._since_s = now if self._since_s is None else self._since_s
+        if self.formed_s is None and now - self._since_s >= self._held_s:
+            self.formed_s = self._since_s
+
+
 class Observer:
     """Follows one swarm. Give it what arrives, and call `check` again and again.
 
     `signed` tells whether the operator signed a mission, and `judge` whether an accusation is proven; None in a team
-    without keys, where every process is trusted and nothing can be proven. `clock` is the wall clock [s].
+    without keys, where every process is trusted and nothing can be proven. `clock` is the wall clock [s]. `ended` has
+    the errors of parts that look on: see `Guarded`.
     """
 
     def __init__(
@@ -53,22 +76,22 @@ class Observer:
         judge: Judge | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
+        self.ended: dict[str, Exception] = {}
         self.min_separation = math.inf
         self.late_commands = 0
         self.began_s: float | None = None
-        self.in_order = False
         self.alive: set[int] = set()
         self.reports: dict[int, RobotReport] = {}
         self.heard_s: dict[int, float] = {}
         self.shown_to_lie: dict[int, str] = {}
-        self.on_world: Callable[[WorldState], None] | None = None
+        self.on_world = Guarded("view", None, self.ended)
         self._unproven = Counter[int]()
         self.said = SelfReports(parse_models(config.model.model, config.mission.n_robots))
         self._config = config
         # Robots that have to say that a place is blocked; fewer only in a team that has fewer.
         self._witnesses = config.network.liars + 1
-        self._sink = sink
-        self._on_row = on_row
+        self._sink = Guarded("sink", sink.write, self.ended)
+        self._on_row = Guarded("display", on_row, self.ended)
         self._signed, self._judge = signed, judge
         self._clock = clock
         self._left: set[int] = set()
@@ -76,7 +99,6 @@ class Observer:
         self._row = -1
         self._row_due = 0.0
         self._row_closest = math.inf
-        self._checks = 0
         self._counter = 0
         self._seen: set[int] = set()
         self._missions = 0
@@ -108,19 +130,31 @@ class Observer:
                 self._restart()
 
     def _restart(self) -> None:
-        self.formed_s: float | None = None
-        self._since_s: float | None = None
-        self._tracker = metrics.FormedTracker(spacing=self.mission.spacing)
+        self._formed = _FormedClock(self.mission.spacing, metrics.HELD_ROUNDS * self._config.network.step_s)
+
+    @property
+    def in_order(self) -> bool:
+        return self._formed.tracker.in_order
+
+    @property
+    def formed_s(self) -> float | None:
+        """When the team came in order and stayed so [s]; None if it has not formed."""
+        return self._formed.formed_s
+
+    @property
+    def _current_row(self) -> int:
+        return max(self._row, 0)
 
     def world(self, state: WorldState) -> None:
-        if len(state.bodies) != self.mission.n_robots:
+        """Take a reading of the sensors; one of another team is dropped."""
+        if [len(body.position) for body in state.bodies] != [self.mission.dim] * self.mission.n_robots:
             return
         self._world = state
-        self.min_separation = min(self.min_separation, state.closest)
+        closest = math.inf if state.closest is None else state.closest
+        self.min_separation = min(self.min_separation, closest)
         self.late_commands = state.late
-        self._row_closest = min(self._row_closest, state.closest)
-        if self.on_world is not None:
-            self.on_world(state)
+        self._row_closest = min(self._row_closest, closest)
+        self.on_world(state)
 
     def report(self, robot: int, report: RobotReport) -> None:
         """Take a robot's report; nothing of it is taken if no honest robot of this team reports like this."""
@@ -129,20 +163,20 @@ class Observer:
         now_s = self._clock()
         if not self.said.has_room(robot, report, now_s):
             raise MessageError("too_much", "more events and calls than records have room for")
-        events, calls = self._check_report(robot, report)
+        self._check_report(robot, report)
+        happened = [e for e in report.happened if e.kind != "accused" or self._is_news(robot, e.detail)]
         self._take_mission(report)
         self._take_places(robot, report)
         self.reports[robot] = report
         self.heard_s[robot] = now_s
         if report.round and self.began_s is None:
             self.began_s = now_s
-        now = max(self._row, 0)
-        self.said.take(robot, report, calls)
-        for entry in (*events, *calls):
-            self._sink.write(entry.model_copy(update={"round": now}))
+        self.said.take(robot, report)
+        for entry in (*happened, *report.calls):
+            self._sink.write(entry.model_copy(update={"round": self._current_row}))
 
-    def _check_report(self, robot: int, report: RobotReport) -> tuple[list[ProtocolEvent], list[LlmEntry]]:
-        """The events and calls in a report as entries of round 0, once all of it is found to be possible."""
+    def _check_report(self, robot: int, report: RobotReport) -> None:
+        """A MessageError if a report is none of this robot's in this team, or no record has room for it."""
         dim = self.mission.dim
         for point in (report.waypoint, *(report.points or ())):
             if point is not None and len(point) != dim:
@@ -152,18 +186,12 @@ class Observer:
             raise MessageError("wrong_length", f"a plan of {places} places")
         if report.points is not None and not (places and Plan(report.points).digest == report.plan_id):
             raise MessageError("malformed", "places of another plan than the digest names")
+        if any(entry.robot != robot for entry in (*report.happened, *report.calls)):
+            raise MessageError("impostor", f"robot {robot} reports an event or a call of another robot")
         try:
-            events = [
-                ProtocolEvent(round=0, comm_round=None, robot=robot, kind=event.kind, detail=event.detail)
-                for event in report.happened
-                if event.kind != "accused" or self._is_news(robot, event.detail)
-            ]
-            calls = [LlmEntry.model_validate({**call, "round": 0}) for call in report.calls]
+            self._state(np.zeros((1, dim)), [report])
         except ValidationError as error:
-            raise MessageError("malformed", f"an event or a call: {error.errors()[0]['msg']}") from None
-        if any(call.robot != robot for call in calls):
-            raise MessageError("impostor", f"robot {robot} reports a call of another robot's model")
-        return events, calls
+            raise MessageError("malformed", f"no record holds it: {error.errors()[0]['msg']}") from None
 
     def _is_news(self, accuser: int, accusation: Mapping[str, Any]) -> bool:
         """Whether a robot is shown to lie for the first time; accusations that prove nothing are dropped."""
@@ -184,7 +212,7 @@ class Observer:
         if plan_id is None or points is None or not self.said.take_places(robot, plan_id, points):
             return
         places, proposer = [list(point) for point in points], report.proposer or 0
-        self._sink.write(PlanInfo(round=max(self._row, 0), plan_id=plan_id, proposer=proposer, points=places))
+        self._sink.write(PlanInfo(round=self._current_row, plan_id=plan_id, proposer=proposer, points=places))
 
     def _take_mission(self, report: RobotReport) -> None:
         """Follow the team to another mission; a MessageError if it cannot be its, or the operator has not signed it."""
@@ -204,7 +232,7 @@ class Observer:
             raise MessageError("malformed", "a mission of another team, or another one than its digest names")
         self._counter = counter
         self._set_mission(mission)
-        self._record_mission(max(self._row, 0) + 1)
+        self._record_mission(self._current_row + 1)
 
     def _record_mission(self, first: int) -> None:
         self._sink.write(mission_info(self.mission, self._missions, first))
@@ -218,22 +246,26 @@ class Observer:
         """Every robot as it is now, with the number of the last row; None before the first world state."""
         if self._world is None:
             return None
-        return self._state(np.array([body.position for body in self._world.bodies]))
+        return self._state(np.array([body.position for body in self._world.bodies]), self._last_reports)
 
-    def _state(self, positions: Points) -> State:
+    @property
+    def _last_reports(self) -> list[RobotReport | None]:
+        """By id; None of a robot that is not alive."""
+        return [self.reports.get(robot) if robot in self.alive else None for robot in range(self.mission.n_robots)]
+
+    def _state(self, positions: Points, reports: Sequence[RobotReport | None]) -> State:
         """Every robot, for bodies at positions of shape (n, d) [units]; one that was never seen sleeps."""
-        row, living, robots = max(self._row, 0), self.robots, range(len(positions))
-        reports = [self.reports[robot] if robot in living else None for robot in robots]
+        row = self._current_row
         goals = [None if report is None else self.goal_of(report) for report in reports]
         start = Origin.START.value if row == 0 else Origin.HOLD.value
-        gone = [DEAD if robot in self._seen else ASLEEP for robot in robots]
+        gone = [DEAD if robot in self._seen else ASLEEP for robot in range(len(reports))]
         return State(
             round=row,
             positions=positions.tolist(),
             goals=[None if goal is None else list(goal) for goal in goals],
             slots=[None if r is None else r.slot for r in reports],
             plan_ids=[None if r is None else r.plan_id for r in reports],
-            influence=[0.0 if r is None else r.neighbors / len(positions) for r in reports],
+            influence=[0.0 if r is None else r.neighbors / self.mission.n_robots for r in reports],
             waypoints=[None if r is None or r.waypoint is None else list(r.waypoint) for r in reports],
             origins=[start if r is None else r.origin for r in reports],
             open_breakers=[[] if r is None else list(r.breakers) for r in reports],
@@ -273,8 +305,9 @@ class Observer:
         """Time from the first robot's first round until the team formed [s]; None if it has not."""
         return None if self.formed_s is None or self.began_s is None else self.formed_s - self.began_s
 
-    def check(self, now: float) -> None:
+    def check(self) -> None:
         """Check whether the team is in order; once per step time, write a row of the record."""
+        now = self._clock()
         if self._world is None:
             return
         self._take_leave(now)
@@ -298,38 +331,26 @@ class Observer:
         return None if report.slot is None or report.slot >= len(places) else places[report.slot]
 
     def _update_formed(self, now: float, robots: list[int], distances: list[float], error: float | None) -> None:
-        if not robots:
-            self.in_order, self._since_s = False, None
-            return
         reports = [self.reports[robot] for robot in robots]
-        places = self.said.places.get(reports[0].plan_id or "", ())
+        places = self.said.places.get((reports[0].plan_id if reports else None) or "", ())
         witnesses = Counter(slot for report in reports for slot in set(report.blocked))
         blocked = [slot for slot, count in witnesses.items() if count >= min(self._witnesses, len(reports))]
         stamp = (self._counter, self.mission.digest)
-        self._checks += 1
-        self._tracker.update(
-            self._checks,
+        self._formed.update(
+            now,
             plan_ids=[report.plan_id if tuple(report.mission) == stamp else None for report in reports],
             slots=[report.slot for report in reports],
             goal_distances=distances,
             residual=error,
             usable=len(places) - len(blocked),
         )
-        self.in_order = self._tracker.in_order
-        if not self.in_order:
-            self._since_s = None
-            return
-        self._since_s = now if self._since_s is None else self._since_s
-        held_s = metrics.HELD_ROUNDS * self._config.network.step_s
-        if self.formed_s is None and now - self._since_s >= held_s:
-            self.formed_s = self._since_s
 
     def _write(self, positions: Points, robots: list[int], distances: list[float], error: float | None) -> None:
         if self._row < 0:
             self._record_mission(0)
         self._row += 1
         self._seen |= set(robots)
-        self._sink.write(self._state(positions))
+        self._sink.write(self._state(positions, self._last_reports))
         near = graph.distances(positions) <= self.mission.comm_range
         messages, volume = sent(self.reports.values())
         plan_ids = [self.reports[robot].plan_id for robot in robots]
@@ -353,5 +374,4 @@ class Observer:
         self._sink.write(row)
         self._row_closest = math.inf
         self._sink.write(RoundEnd(round=self._row))
-        if self._on_row is not None:
-            self._on_row(TrialProgress.of(row, rounds=0, n_robots=len(robots)))
+        self._on_row(TrialProgress.of(row, rounds=0, n_robots=len(robots)))

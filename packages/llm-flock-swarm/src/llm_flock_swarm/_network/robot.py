@@ -6,10 +6,11 @@ import asyncio
 import logging
 import time
 from contextlib import closing, suppress
-from typing import Any, cast
+from typing import cast
 
 from llm_flock.errors import FlockError, InputError, MessageError
 from llm_flock.members import OPERATOR, WORLD
+from llm_flock.record import LlmEntry
 from llm_flock.runtime import Stream, TeamPlanners, llm_entry, make_agent, parts_of, stream
 from llm_flock.transport import Radio, Seen
 from llm_flock_swarm._network.access import REPORT_S
@@ -40,8 +41,8 @@ class RobotProcess:
         self._loop = asyncio.get_running_loop()
         self._phase_s = phase_s(robot, mission.n_robots, network.gossip_s)
         self.planners = TeamPlanners(config)
-        self.planners.listen(lambda attempt: self._calls.append(llm_entry(attempt).model_dump(mode="json")))
-        self._calls: list[dict[str, Any]] = []
+        self.planners.listen(lambda attempt: self._calls.append(llm_entry(attempt)))
+        self._calls: list[LlmEntry] = []
         self._latencies_s: list[float] = []
         self._beacon_sent_s = 0.0
         self._alive: set[int] = set()
@@ -176,9 +177,10 @@ class RobotProcess:
         clock = PeriodClock(REPORT_S, self._phase_s)
         while True:
             await clock.next()
-            report = self.agent_loop.report(self._calls, self._latencies_s, self._link.traffic, self.radio.contradicted)
-            self._calls, self._latencies_s = [], []
-            self._link.publish("report", self._robot, pack(report))
+            calls, ages, self._calls, self._latencies_s = self._calls, self._latencies_s, [], []
+            with count_refusals(self._link.traffic.refused):  # no error about what observers are told ends a flight
+                report = self.agent_loop.report(calls, ages, self._link.traffic, self.radio.contradicted)
+                self._link.publish("report", self._robot, pack(report))
 
     async def _partition(self) -> None:
         """For tests: do not hear the other half of the ids for a while."""

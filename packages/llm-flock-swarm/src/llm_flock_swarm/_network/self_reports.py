@@ -6,15 +6,12 @@ from collections import Counter, deque
 from collections.abc import Iterable, Sequence
 from itertools import chain
 
-import msgspec
-
 from llm_flock.arrays import Point
-from llm_flock.record import MAX_INTEGER, LlmEntry
+from llm_flock.bounds import MAX_INTEGER, MAX_WORD
 from llm_flock_swarm._network.wire import RobotReport
 from llm_flock_swarm._zenoh import Allowance
 
 MAX_PLANS = 256  # most plans of which one robot tells the places, or the supplier: far more than an honest one knows
-MAX_ID_LENGTH = 64  # longest name of a plan
 RECORDED = 512 * 1024  # events and calls of each robot that are taken [bytes/s]: records fit on disks
 MAX_LATENCIES = 16_384  # latest latencies of each robot that are kept
 
@@ -39,22 +36,20 @@ class SelfReports:
 
     def has_room(self, robot: int, report: RobotReport, now: float) -> bool:
         """Whether what a report adds to the record is within the robot's share at this time [s]; if so, it counts."""
-        if not report.happened and not report.calls:
-            return True
-        size = len(msgspec.msgpack.encode((report.happened, report.calls)))
-        return self._allowances.setdefault(robot, Allowance(RECORDED)).spend(now, size)
+        size = sum(len(entry.encoded()) for entry in (*report.happened, *report.calls))
+        return not size or self._allowances.setdefault(robot, Allowance(RECORDED)).spend(now, size)
 
-    def take(self, robot: int, report: RobotReport, calls: Iterable[LlmEntry]) -> None:
+    def take(self, robot: int, report: RobotReport) -> None:
         if report.breakers:
             self.breakers_opened.add(robot)
         supplied = self._suppliers.setdefault(robot, {})
         for event in report.happened:
             plan_id = event.detail.get("plan")
-            if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > MAX_ID_LENGTH:
+            if event.kind != "proposed" or not isinstance(plan_id, str) or len(plan_id) > MAX_WORD:
                 continue
             if len(supplied) < MAX_PLANS:
                 supplied[plan_id] = self._models[robot] if event.detail.get("by") == "model" else "geometry"
-        for call in calls:
+        for call in report.calls:
             self.calls += 1
             self.calls_failed += call.error is not None
             self.tokens = bounded(self.tokens + call.usage.input + call.usage.output)

@@ -20,7 +20,7 @@ from typing import Any
 from llm_flock.errors import FlockError
 from llm_flock.llm import parse_model, parse_models
 from llm_flock.members import WORLD
-from llm_flock.record import NullWriter, RecordSink
+from llm_flock.record import Guarded, NullWriter, RecordSink
 from llm_flock.runtime import TeamPlanners, TrialProgress, by_origin, warn_of_mission, waypoint_shares
 from llm_flock_swarm._network.config import SwarmConfig, check_models, warn_of_spacing
 from llm_flock_swarm._network.connection import load_keys
@@ -41,7 +41,7 @@ class SwarmResult:
 
     stopped: str  # why: formed, time, ended (no robot is left), or no_plan: no robot has one, and no model gives one
     reason: str | None  # the commonest reason why plans were refused, where it ended by no_plan
-    formed: bool  # whether the team formed, as for a run, with the time of a step in place of a round
+    formed: bool | None  # whether the team formed, with a step's time in place of a round; None if nobody saw its end
     mission_s: float | None  # from the first robot's first round until it formed; None if it never did
     n_robots: int  # alive at the end
     simulated: bool  # whether any language model was a simulated stand-in
@@ -60,6 +60,7 @@ class SwarmResult:
     breakers_opened: tuple[int, ...]  # robots whose circuit breaker was open at any time
     messages_rejected: dict[str, int]  # by reason
     shown_to_lie: dict[int, str]  # robots whose own signatures prove that they lie, and the reason
+    gave_up: dict[str, str]  # parts of the launcher that ended by an error while the robots flew on: sink, display, ...
     ended: dict[str, int]  # processes that ended before the swarm did, and their exit codes; -9 for SIGKILL, and so on
     record: str | None  # its path; None without one
 
@@ -155,12 +156,17 @@ class Swarm:
     async def run(self, until: Callable[[Observer], bool] = lambda observer: observer.formed_s is not None) -> str:
         """Watch until `formed` (or `until`), `time` is over, no model gives a plan (`no_plan`), or all `ended`."""
         deadline = time.monotonic() + self.config.network.max_s
+        reasons: list[str] = []
+
+        def look() -> None:
+            self.observer.check()
+            reasons.extend(["formed"] if until(self.observer) else ["no_plan"] if self.observer.hopeless else [])
+
+        watching = Guarded("observer", look, self.observer.ended)
         while time.monotonic() < deadline:
-            self.observer.check(time.time())
-            if until(self.observer):
-                return "formed"
-            if self.observer.hopeless is not None:
-                return "no_plan"
+            watching()
+            if reasons:
+                return reasons[0]
             if "world" in self.ended:
                 raise SwarmError("the world has ended")
             robots = {name for name in self.pids if name.startswith("robot-")}
@@ -182,7 +188,9 @@ class Swarm:
         return SwarmResult(
             stopped=stopped,
             reason=observer.hopeless if stopped == "no_plan" else None,
-            formed=observer.formed_s is not None,
+            formed=None
+            if "observer" in observer.ended and observer.formed_s is None
+            else observer.formed_s is not None,
             mission_s=observer.mission_s,
             n_robots=len(observer.robots),
             simulated=self.config.simulated,
@@ -201,6 +209,7 @@ class Swarm:
             breakers_opened=tuple(sorted(observer.said.breakers_opened)),
             messages_rejected=dict(observer.rejected),
             shown_to_lie=dict(observer.shown_to_lie),
+            gave_up={name: repr(error) for name, error in observer.ended.items()},
             ended=dict(self.ended),
             record=None if self.config.record is None else str(self.config.record),
         )

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
 from llm_flock.message import MissionStamp, OperatorClock
-from llm_flock.record import NullWriter, RecordSink, RecordWriter, SummaryMessage, Tee
+from llm_flock.record import Guarded, NullWriter, RecordSink, RecordWriter, SummaryMessage, Tee
 from llm_flock.runtime import TrialProgress, finite, run_info
 from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
@@ -41,7 +41,7 @@ def observer_of(
 def recording(config: SwarmConfig, record: Path | None, sink: RecordSink | None = None) -> Generator[RecordSink]:
     """A writer of a swarm's record to a file, and to a sink, begun with the entry of the run."""
     with nullcontext(NullWriter()) if record is None else RecordWriter(record) as file:
-        writer = file if sink is None else Tee(file, sink)
+        writer = file if sink is None else Tee(file, Guarded("sink", sink.write, {}))
         writer.write(run_info(config, simulated=config.simulated, unrepeatable=config.unrepeatable))
         yield writer
 
@@ -59,10 +59,13 @@ def observing(
         yield observer
 
 
-async def look(observer: Observer) -> None:
-    """Let an observer check the team again and again, until cancelled."""
+async def look(observer: Observer, *, alone: bool = True) -> None:
+    """Let an observer check the team until cancelled. If `alone` here, it raises its error or its sink's."""
+    check = observer.check if alone else Guarded("observer", observer.check, observer.ended)
     while True:
-        observer.check(time.time())
+        check()
+        if alone and "sink" in observer.ended:
+            raise observer.ended["sink"]
         await asyncio.sleep(CHECK_S)
 
 

@@ -6,28 +6,32 @@ from typing import Annotated, Any, TypeAlias, TypeVar
 
 import msgspec
 
-from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.bounds import LATEST, MAX_DISTANCE, MAX_INTEGER, MAX_REASON, MAX_ROBOTS, MAX_ROUND, MAX_WORD
 from llm_flock.errors import MessageError
-from llm_flock.message import LATEST, Coordinate
+from llm_flock.message import Coordinate, Id, OrderTime
+from llm_flock.printable import one_line
+from llm_flock.record import Entry, LlmEntry, ProtocolEvent
 from llm_flock_swarm._signed.certificates import Signature
 
-WIRE_VERSION = 3
+WIRE_VERSION = 4
 
 MAX_EVENTS = 4096  # most events or calls in one report
 MAX_WORDS = 64  # most entries of a dictionary by origin or by reason
 Place: TypeAlias = tuple[Coordinate, ...]  # one position; its receiver checks the length [units; world frame]
 Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]  # a moment by the wall clock [s]
 
-Amount = Annotated[float, msgspec.Meta(ge=0.0, le=1e12)]
-Count = Annotated[int, msgspec.Meta(ge=0, lt=2**53)]
-Word = Annotated[str, msgspec.Meta(max_length=64)]
-Slot = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
+Amount = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_DISTANCE)]
+Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
+Round = Annotated[int, msgspec.Meta(ge=0, le=MAX_ROUND)]
+Word = Annotated[str, msgspec.Meta(max_length=MAX_WORD)]
+Reason = Annotated[str, msgspec.Meta(max_length=MAX_REASON)]
 
-Slots = Annotated[tuple[Slot, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
+Slots = Annotated[tuple[Id, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MAX_WORDS)]
 Amounts = Annotated[tuple[Amount, ...], msgspec.Meta(max_length=MAX_EVENTS)]
-Calls = Annotated[tuple[dict[str, Any], ...], msgspec.Meta(max_length=MAX_EVENTS)]
+Events = Annotated[tuple[ProtocolEvent, ...], msgspec.Meta(max_length=MAX_EVENTS)]
+Calls = Annotated[tuple[LlmEntry, ...], msgspec.Meta(max_length=MAX_EVENTS)]
 Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MAX_WORDS)]
 
 
@@ -57,8 +61,8 @@ class WorldState(msgspec.Struct, array_like=True, frozen=True):
     """All bodies, by id, at one moment by the wall clock [s]."""
 
     stamp: Stamp
-    closest: float  # smallest distance of two bodies since the last state, also along their segments [units]
-    bodies: tuple[Body, ...]
+    closest: Amount | None  # smallest distance of two bodies since the last state, on their way too; None of one body
+    bodies: Annotated[tuple[Body, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
     late: Count  # commands refused so far because they came too late
 
 
@@ -79,48 +83,37 @@ class MissionOrder(msgspec.Struct, frozen=True):
     signature: Signature = b""
 
 
-class ReportedEvent(msgspec.Struct, frozen=True):
-    """An event of one robot, as in the record."""
-
-    kind: Word
-    detail: dict[str, Any]
-    comm_round: Count | None = None
-
-
-Events = Annotated[tuple[ReportedEvent, ...], msgspec.Meta(max_length=MAX_EVENTS)]
-
-
 class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     """State of a robot, for observers only: no robot listens to it. Positions are in [units; world frame]."""
 
-    round: Count  # own count of motion rounds
-    period: Count  # own count of heartbeat periods
+    round: Round  # own count of motion rounds
+    period: Round  # own count of heartbeat periods
     phase: Word  # of its state machine
-    mission: tuple[Annotated[int, msgspec.Meta(ge=0, lt=LATEST)], Word]  # time of the order, digest of the mission
+    mission: tuple[OrderTime, Word]  # time of the order, digest of the mission
     order: Signature  # of the operator, on that time and digest; empty for the first mission, and without keys
     plan_id: Word | None  # digest of the plan it follows
     points: Places | None  # that plan's places, in the first report that names it
-    proposer: Slot | None  # robot that proposed it
-    slot: Slot | None  # index of its place in the plan
+    proposer: Id | None  # robot that proposed it
+    slot: Id | None  # index of its place in the plan
     blocked: Slots  # slots that it knows to be out of every robot's reach
     waypoint: Place | None  # where it is flying to
     origin: Word  # what chose that waypoint
-    neighbors: Count  # |N_i|
-    happened: Events  # since the last report
-    calls: Calls  # likewise, as in the record
+    neighbors: Id  # |N_i|
+    happened: Events  # since the last report; entries of a record in its JSON, so that all that is decoded fits there
+    calls: Calls  # likewise
     waypoints: Counts  # flown so far, by origin
     sent: Count  # protocol messages broadcast so far
     bytes: Count  # broadcast so far, beacons included
     rejected: Counts  # messages refused so far, by reason
     breakers: Words  # kinds of questions that its model is not asked
-    hopeless: str | None  # why its model's last plan was refused, while it has none and its model is not asked
+    hopeless: Reason | None  # why its model's last plan was refused, while it has none and its model is not asked
     latencies_s: Amounts  # one-way, of beacons heard since the last report
     shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
 
 
 T = TypeVar("T", bound=msgspec.Struct)
 
-_ENCODER = msgspec.msgpack.Encoder()
+_ENCODER = msgspec.msgpack.Encoder(enc_hook=Entry.encoded)
 
 
 def pack(message: msgspec.Struct) -> bytes:
@@ -128,11 +121,15 @@ def pack(message: msgspec.Struct) -> bytes:
     return bytes([WIRE_VERSION]) + _ENCODER.encode(message)
 
 
+def _entry(kind: type[Entry], data: bytes) -> Entry:
+    return kind.model_validate_json(data)
+
+
 def unpack(kind: type[T], payload: bytes) -> T:
     """The message that `pack` encoded; `MessageError` if it is not of this kind or version."""
     if payload[:1] != bytes([WIRE_VERSION]):
         raise MessageError("version", f"this program speaks version {WIRE_VERSION}")
     try:
-        return msgspec.msgpack.decode(memoryview(payload)[1:], type=kind)
+        return msgspec.msgpack.decode(memoryview(payload)[1:], type=kind, dec_hook=_entry)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise MessageError("malformed", str(error)) from None
+        raise MessageError("malformed", one_line(str(error))) from None

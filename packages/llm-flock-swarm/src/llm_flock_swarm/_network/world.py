@@ -17,7 +17,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.members import WORLD
-from llm_flock.runtime import Stream, stream
+from llm_flock.runtime import Stream, finite, stream
 from llm_flock.simulate import start_positions
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import open_link
@@ -129,7 +129,7 @@ async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None =
         while True:
             now = time.time()
             bodies.advance(now)
-            state = WorldState(stamp=now, closest=bodies.closest(), bodies=bodies.states(), late=bodies.late)
+            state = WorldState(stamp=now, closest=finite(bodies.closest()), bodies=bodies.states(), late=bodies.late)
             link.publish("frame", WORLD, pack(state))
             await asyncio.sleep(network.frame_s)
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.message import MISSION_FIELDS
-from llm_flock.record import ASLEEP, DEAD
+from llm_flock.record import ASLEEP, DEAD, Guarded
 from llm_flock.runtime import ROBOT
 from llm_flock_swarm._network.config import SwarmConfig, endpoints
 from llm_flock_swarm._network.observer import Observer
@@ -254,7 +254,7 @@ async def showing(config: SwarmConfig) -> AsyncGenerator[Show | None]:
             bridges.append(bridge)
             if now.ros2.ros_missions:
                 bridge.take_missions()
-            observer.on_world = bridge.frame
+            observer.on_world = Guarded("view in ROS 2", bridge.frame, observer.ended)
             tasks.append(asyncio.create_task(bridge.live()))
 
         try:

@@ -9,16 +9,15 @@ from contextlib import ExitStack, closing
 from pathlib import Path
 
 from llm_flock.members import WORLD
-from llm_flock.record import RecordSink, SummaryMessage
+from llm_flock.record import Guarded, RecordSink, SummaryMessage
 from llm_flock.runtime import TrialProgress, finite
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import open_link
-from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.process import until_stopped
 from llm_flock_swarm._network.receiving import receive
 from llm_flock_swarm._network.swarm import Swarm, SwarmResult, run_swarm, world_config
 from llm_flock_swarm._network.watch import look, observer_of, recording, run_watch
-from llm_flock_swarm._network.wire import Command, RobotReport, pack
+from llm_flock_swarm._network.wire import Command, RobotReport, WorldState, pack
 from llm_flock_swarm._ros2 import drawing
 from llm_flock_swarm._ros2.bridge import Bridge, check_router, showing
 from llm_flock_swarm._ros2.graph import Graph
@@ -76,7 +75,7 @@ async def _run_sensors(
         bridge.take_poses(bodies)
         if config.ros2.ros_missions:
             bridge.take_missions()
-        observer.on_world = bridge.frame
+        observer.on_world = Guarded("view in ROS 2", bridge.frame, observer.ended)
         spaces = [f"{bridge.nodes.namespace}/robot_{robot}/set_point" for robot in range(n_robots)]
         publishers = [node.publisher(name, POSE) for node, name in zip(bridge.nodes.robots, spaces, strict=True)]
 
@@ -103,7 +102,8 @@ async def _run_sensors(
 
         async def live() -> None:
             async with asyncio.TaskGroup() as group:
-                for work in (_sense(link, bodies, observer, network.frame_s), repeat(), bridge.live(), look(observer)):
+                sense = _sense(link, bodies, Guarded("observer", observer.world, observer.ended), network.frame_s)
+                for work in (sense, repeat(), bridge.live(), look(observer, alone=False)):
                     group.create_task(work)
 
         await until_stopped(live())
@@ -111,11 +111,11 @@ async def _run_sensors(
         writer.write(SummaryMessage(result=result))
 
 
-async def _sense(link: ZenohLink, bodies: SensedBodies, observer: Observer, frame_s: float) -> None:
+async def _sense(link: ZenohLink, bodies: SensedBodies, observe: Callable[[WorldState], None], frame_s: float) -> None:
     """Send the swarm its sensors' readings while they hold every robot."""
     while True:
         reading = bodies.reading()
         if reading is not None:
             link.publish("frame", WORLD, pack(reading))
-            observer.world(reading)
+            observe(reading)
         await asyncio.sleep(frame_s)

@@ -15,6 +15,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
+from llm_flock.runtime import finite
 from llm_flock_swarm._network.wire import Body, Command, WorldState
 from llm_flock_swarm._network.world import SAME_POSITION
 from llm_flock_swarm._ros2.wire import Attachment
@@ -113,7 +114,7 @@ class SensedBodies:
         tracks = [self._tracks[robot] for robot in range(self._n)]
         return WorldState(
             stamp=min(track.stamp_s for track in tracks),
-            closest=metrics.min_separation(np.array([track.position for track in tracks])),
+            closest=finite(metrics.min_separation(np.array([track.position for track in tracks]))),
             bodies=tuple(
                 Body(track.position, track.end, answered)
                 for track, answered in zip(tracks, self._answered, strict=True)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from typing import Any, Protocol
 
-from llm_flock.errors import FlockError
-from llm_flock.record import RecordSink, Tee
+from llm_flock.printable import printable
+from llm_flock.record import Guarded, RecordSink, Tee
 from llm_flock.runtime import RunConfig
 from llm_flock_view._viewer.recording import Recording
 
@@ -41,13 +41,11 @@ class SwarmSource:
 
     def watch(self) -> None:
         """Listen until the process ends. Call it in a thread."""
-        sink = self.recording if self.also is None else Tee(self.recording, self.also)
-        try:
-            asyncio.run(self.team.follow(sink))
-        except FlockError as error:
-            self.recording.fail(error)
-        finally:
-            self.recording.open = False
+        ended: dict[str, Exception] = {}
+        sink = self.recording if self.also is None else Tee(self.recording, Guarded("feed", self.also.write, ended))
+        Guarded("view", lambda: asyncio.run(self.team.follow(sink)), ended)()
+        self.recording.failure = printable(str(ended["view"])) if "view" in ended else None
+        self.recording.open = False
 
     def _steer(self) -> dict[str, Any]:
         """The possible orders: another mission, while a robot may answer."""

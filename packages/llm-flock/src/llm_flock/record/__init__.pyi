@@ -21,7 +21,6 @@ from ._schema import ASLEEP as ASLEEP
 from ._schema import CHANNELS as CHANNELS
 from ._schema import DEAD as DEAD
 from ._schema import MAGIC as MAGIC
-from ._schema import MAX_INTEGER as MAX_INTEGER
 from ._schema import RECORD_NAME as RECORD_NAME
 from ._schema import ROUND_NS as ROUND_NS
 from ._schema import SCENE_TOPIC as SCENE_TOPIC
@@ -58,6 +57,7 @@ from ._words import sentence as sentence
 from ._words import verdict as verdict
 from ._words import work_text as work_text
 from ._writer import LIBRARY as LIBRARY
+from ._writer import Guarded as Guarded
 from ._writer import RecordWriter as RecordWriter
 from ._writer import Tee as Tee
 from ._writer import both as both

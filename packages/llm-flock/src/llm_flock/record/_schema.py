@@ -7,7 +7,7 @@ from typing import Annotated, Any, Protocol, Self, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
-from llm_flock.bounds import MAX_CORNERS, MAX_OBSTACLES, MAX_ROBOTS
+from llm_flock import bounds
 
 RECORD_NAME = "run.mcap"
 """Name of a record in its folder."""
@@ -15,38 +15,31 @@ RECORD_NAME = "run.mcap"
 MAGIC = b"\x89MCAP0\r\n"
 """How an MCAP file begins."""
 
-Finite = Annotated[float, Field(ge=-1e15, le=1e15, allow_inf_nan=False)]
-Coordinate = Annotated[float, Field(ge=-1e12, le=1e12, allow_inf_nan=False)]
-"""Far more than any run reaches or missions accept, and no trouble for the arithmetic of drawings."""
+Finite = Annotated[float, Field(ge=-bounds.MAX_FIGURE, le=bounds.MAX_FIGURE, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(ge=-bounds.MAX_DISTANCE, le=bounds.MAX_DISTANCE, allow_inf_nan=False)]
 
 Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
 """One position, d coordinates [units; world frame]."""
 
-Rows = Annotated[list[Row], Field(max_length=MAX_ROBOTS)]
+Rows = Annotated[list[Row], Field(max_length=bounds.MAX_ROBOTS)]
 
-Length = Annotated[float, Field(ge=1e-6, le=1e12, allow_inf_nan=False)]
+Length = Annotated[float, Field(ge=1e-6, le=bounds.MAX_DISTANCE, allow_inf_nan=False)]
 """A length that divides others [units]."""
 
-MAX_INTEGER = 2**53
-"""The largest whole number that every reader of JSON can hold."""
-
-Whole = Annotated[int, Field(ge=-MAX_INTEGER, le=MAX_INTEGER)]
-Count = Annotated[int, Field(ge=0, le=MAX_INTEGER)]
-Round = Annotated[int, Field(ge=0, le=10**9)]
+Whole = Annotated[int, Field(ge=-bounds.MAX_INTEGER, le=bounds.MAX_INTEGER)]
+Count = Annotated[int, Field(ge=0, le=bounds.MAX_INTEGER)]
+Round = Annotated[int, Field(ge=0, le=bounds.MAX_ROUND)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
 
-DEEPEST = 32
-"""Deepest nesting of free values; those of this program have a quarter of it."""
 
-
-def check_plain(value: Any, depth: int = DEEPEST) -> None:
+def check_plain(value: Any, depth: int = bounds.DEEPEST) -> None:
     """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
     if isinstance(value, Mapping | list | tuple):
         if depth == 0:
             raise ValueError("values are nested too deeply")
         for one in cast("list[Any]", value.values() if isinstance(value, Mapping) else value):
             check_plain(one, depth - 1)
-    elif isinstance(value, int | float) and not -1e300 <= value <= 1e300:
+    elif isinstance(value, int | float) and not abs(value) <= (2**63 if isinstance(value, int) else 1e300):
         raise ValueError("a number that readers cannot hold")
     elif not isinstance(value, str | int | float | None):
         raise ValueError(f"a value of type {type(value).__name__}")
@@ -65,7 +58,7 @@ class _Obstacle(BaseModel):
     center: Row | None = None
     radius: Annotated[Coordinate, Field(ge=0)] | None = None
     polygon: (
-        Annotated[list[Annotated[Row, Field(max_length=2)]], Field(min_length=3, max_length=MAX_CORNERS)] | None
+        Annotated[list[Annotated[Row, Field(max_length=2)]], Field(min_length=3, max_length=bounds.MAX_CORNERS)] | None
     ) = None
 
     @model_validator(mode="after")
@@ -79,13 +72,13 @@ class _MissionFields(BaseModel):
     """Fields of a mission on which readers of records rely; versions of this program may write more."""
 
     shape: str
-    n_robots: Annotated[int, Field(ge=1, le=MAX_ROBOTS)]
+    n_robots: Annotated[int, Field(ge=1, le=bounds.MAX_ROBOTS)]
     spacing: Length
     safe_distance: Length
     comm_range: Length
     arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
     places: Whole | None = None
-    obstacles: Annotated[list[_Obstacle], Field(max_length=MAX_OBSTACLES)] = []
+    obstacles: Annotated[list[_Obstacle], Field(max_length=bounds.MAX_OBSTACLES)] = []
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -94,8 +87,8 @@ class _MissionFields(BaseModel):
             raise ValueError("arena is not two corners, each lower < upper")
         if any(one.center is not None and len(one.center) != len(low) for one in self.obstacles):
             raise ValueError("obstacles have another number of coordinates than the arena")
-        if sum(len(one.polygon or ()) for one in self.obstacles) > MAX_CORNERS:
-            raise ValueError(f"obstacles have more than {MAX_CORNERS} corners")
+        if sum(len(one.polygon or ()) for one in self.obstacles) > bounds.MAX_CORNERS:
+            raise ValueError(f"obstacles have more than {bounds.MAX_CORNERS} corners")
         return self
 
 
@@ -385,7 +378,7 @@ SCENE_TOPIC = "/scene"
 class RecordSink(Protocol):
     """Takes the entries of a run as they happen: `RunInfo` and `MissionInfo` first, at a clean end `SummaryMessage`."""
 
-    def write(self, entry: Entry) -> None:
+    def write(self, entry: Entry, /) -> None:
         """Take one entry."""
         ...
 

@@ -8,17 +8,19 @@ The file is locked while it is written, so that no program deletes the record of
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections import Counter
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mcap.writer import IndexType, Writer
 
 from llm_flock.errors import InputError, RecordError
+from llm_flock.printable import one_line
 from llm_flock.record._schema import (
     CHANNELS,
     ROUND_NS,
@@ -38,6 +40,8 @@ from llm_flock.record._schema import (
 if TYPE_CHECKING:
     from llm_flock.record._scene import SceneDrawer
 
+logger = logging.getLogger(__name__)
+
 LIBRARY = "llm-flock"
 BUFFER_BYTES = 1 << 20
 """Larger than most rounds, so that the file usually grows by whole rounds [bytes]."""
@@ -55,21 +59,25 @@ class Tee:
             sink.write(entry)
 
 
-class GivenUp:
-    """A sink that stops writing to another one at its first error, and calls `on_failure`: the run goes on."""
+class Guarded:
+    """A part that only looks on, as a function or a sink: its first error ends the part, and nothing else.
 
-    def __init__(self, sink: RecordSink, on_failure: Callable[[RecordError], None]) -> None:
-        self._sink: RecordSink | None = sink
-        self._on_failure = on_failure
+    The error is logged, and kept in `ended` under the part's name; parts of one name end together.
+    """
 
-    def write(self, entry: Entry) -> None:
-        """Pass an entry on, unless the other sink has failed."""
-        if self._sink is not None:
+    def __init__(self, name: str, work: Callable[..., object] | None, ended: dict[str, Exception]) -> None:
+        self._name, self._work, self._ended = name, work, ended
+
+    def __call__(self, *args: Any) -> None:
+        """Do the work, unless the part has ended."""
+        if self._work is not None and self._name not in self._ended:
             try:
-                self._sink.write(entry)
-            except RecordError as error:
-                self._sink = None
-                self._on_failure(error)
+                self._work(*args)
+            except Exception as error:  # noqa: BLE001 - whatever it is, it must not end a flight
+                self._ended[self._name] = error
+                logger.warning("the %s ends here, and the robots fly on: %s", self._name, one_line(repr(error)))
+
+    write = __call__
 
 
 def both(*sinks: RecordSink | None) -> RecordSink | None:

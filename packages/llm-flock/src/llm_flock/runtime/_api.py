@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, Unpack, cast
 
-from llm_flock.errors import FieldError, FlockError, InputError, RecordError
+from llm_flock.errors import FieldError, FlockError, InputError
 from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
@@ -274,11 +274,11 @@ def open_outputs(
     *,
     trace: bool = False,
     unrepeatable: Sequence[str] = (),
-    on_broken: Callable[[RecordError], None] | None = None,
+    ended: dict[str, Exception] | None = None,
 ) -> Generator[tuple[Journal, str | None]]:
     """Open the files that a run writes. Yields its journal, with or without a trace, and the path of its record.
 
-    With `on_broken`, the run goes on without a record that can no longer be written; it is called with the error.
+    With `ended`, the run goes on without a record or a sink that fails: see `Guarded`.
     """
     with ExitStack() as stack:
         path, cassette = config.record, config.model.record_llm
@@ -288,7 +288,7 @@ def open_outputs(
             planners.listen(stack.enter_context(CassetteWriter(Path(cassette), simulated=planners.simulated)))
         writer: RecordSink = NullWriter()
         if path is not None:
-            from llm_flock.record._writer import GivenUp, RecordWriter
+            from llm_flock.record._writer import Guarded, RecordWriter
 
             try:
                 writer = stack.enter_context(RecordWriter(path))
@@ -296,12 +296,12 @@ def open_outputs(
                 if cassette is not None:
                     Path(cassette).unlink()  # just created, still empty
                 raise
-            writer = writer if on_broken is None else GivenUp(writer, on_broken)
+            writer = writer if ended is None else Guarded("record", writer.write, ended)
         target = writer
         if sink is not None:
-            from llm_flock.record._writer import Tee
+            from llm_flock.record._writer import Guarded, Tee
 
-            target = Tee(writer, sink)
+            target = Tee(writer, sink if ended is None else Guarded("sink", sink.write, ended))
         journal = Journal(config.mission, target, replans=config.protocol.gaps == "replan", trace=trace)
         journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
         planners.listen(journal.attempt)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, cast
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from llm_flock import graph
-from llm_flock.bounds import TIME_OUT
+from llm_flock.bounds import DEEPEST, MAX_INTEGER, TIME_OUT
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.links import LinkFaults
 from llm_flock.llm._port import FrameName
@@ -29,15 +29,12 @@ from llm_flock.validation import fields_of, input_error, unknown_section
 
 logger = logging.getLogger(__name__)
 
-Count = Annotated[int, Field(ge=1, le=2**53)]
+Count = Annotated[int, Field(ge=1, le=MAX_INTEGER)]
 PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
 """One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are accepted too."""
 
 _NO_NAME = re.compile("[\0\ud800-\udfff]")
 """What neither the names of files nor the texts of a record can hold."""
-
-DEEPEST = 32
-"""Deepest nesting of values in a configuration file; fields need a third of it."""
 
 
 class ConfigSection(BaseModel):

@@ -10,6 +10,8 @@ from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from llm_flock.record import Guarded
+
 if TYPE_CHECKING:
     from llm_flock.runtime._trial import TrialProgress
 
@@ -49,11 +51,13 @@ def notebook_progress(
         else:
             handle.update(shown)
 
+    draw_line = Guarded("line of progress", draw, {})
+
     def show(now: TrialProgress) -> None:
         nonlocal last, due
         last = now
         if time.monotonic() >= due:
-            draw(now)
+            draw_line(now)
             due = time.monotonic() + REDRAW_S
         if on_round is not None:
             on_round(now)
@@ -62,7 +66,7 @@ def notebook_progress(
         yield show
     finally:
         if handle is not None and last is not None:
-            draw(last)
+            draw_line(last)
 
 
 def progress_html(label: str, now: TrialProgress) -> str:
