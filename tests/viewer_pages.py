@@ -33,6 +33,11 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
             assert "Traceback" not in errors, errors
 
 
+def at(url: str, path: str) -> str:
+    """The address of another page of the viewer, with the token."""
+    return url.replace("/?", f"/{path}?")
+
+
 @contextmanager
 def page_at(
     browser: Browser, url: str, *, width: int = 1280, height: int = 720, dark: bool = False, still: bool = True

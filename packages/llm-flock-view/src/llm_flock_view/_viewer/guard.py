@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hmac
 from collections.abc import Iterable
+from html import escape
 from urllib.parse import parse_qsl, quote, unquote, urlencode
 
 from starlette.requests import HTTPConnection
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 POLICY = "; ".join(
@@ -32,17 +33,18 @@ HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
 )
-COOKIE = "flock_token"
+NEEDED = "This viewer needs the address with its token: open it as `llm-flock view` printed it in its terminal.\n"
 
 
 class RequestGuard:
     """Middleware that refuses requests which do not come from the viewer's own pages.
 
     `hosts` are the accepted values of the Host header; empty: any. Another site can point its own name at this machine,
-    but it cannot change the Host that the browser sends. A browser must show the token once, then has a cookie.
+    but it cannot change the Host that the browser sends. A browser must show the token once, then has a cookie, named
+    by the port: browsers send the cookies of one viewer to all others on the same machine.
     """
 
-    def __init__(self, app: ASGIApp, *, hosts: Iterable[str] = (), token: str | None = None) -> None:
+    def __init__(self, app: ASGIApp, *, hosts: Iterable[str] = (), token: str) -> None:
         self._app = app
         self._hosts = frozenset(host.lower() for host in hosts)
         self._token = token
@@ -78,24 +80,24 @@ class RequestGuard:
             return PlainTextResponse("another site's page may not ask", status_code=403)
         if scope["type"] == "websocket" and origin is None:
             return PlainTextResponse("no origin", status_code=403)
-        if self._token is None:
-            return None
-        if self._is_token(unquote(asked.cookies.get(COOKIE, ""))):
+        cookie = f"flock_token_{scope['server'][1]}"
+        if self._is_token(unquote(asked.cookies.get(cookie, ""))):
             return None
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
         given = dict(query).get("token", "")
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
             rest = urlencode([(name, value) for name, value in query if name != "token"])
             # Two slashes at the beginning of a path would name another server.
-            path = "/" + scope["path"].lstrip("/\\")
-            # Addresses are copied, logged and kept in histories, so the token is taken out of this one.
-            answer = RedirectResponse(path + (f"?{rest}" if rest else ""), status_code=303)
-            answer.set_cookie(COOKIE, quote(given, safe=""), httponly=True, samesite="strict", path="/")
+            target = "/" + quote(scope["path"].lstrip("/\\")) + (f"?{rest}" if rest else "")
+            # Addresses are copied, logged and kept in histories, so the token is taken out of this one. A page does
+            # it: browsers send no cookie along a redirect, where another page linked here.
+            answer = HTMLResponse(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(target)}">')
+            answer.set_cookie(cookie, quote(given, safe=""), httponly=True, samesite="strict", path="/")
             return answer
-        return PlainTextResponse("This viewer needs the address with its token, as the command printed it.", 401)
+        return PlainTextResponse(NEEDED, 401)
 
     def _is_token(self, given: str) -> bool:
-        return self._token is not None and hmac.compare_digest(given.encode(), self._token.encode())
+        return hmac.compare_digest(given.encode(), self._token.encode())
 
 
 def _with_headers(send: Send) -> Send:

@@ -1,4 +1,4 @@
-"""The address at which a viewer listens: one port, by default for this machine only, else with a token."""
+"""The address at which a viewer listens: one port, by default for this machine only, and a token."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Address:
-    """The address at which a viewer listens, with the host as it was given; a browser must show the token, if any."""
+    """The address at which a viewer listens, with the host as it was given; a browser must show the token."""
 
     sock: socket.socket
     host: str
-    token: str | None
+    token: str
 
     @property
     def port(self) -> int:
@@ -48,8 +48,7 @@ class Address:
     @property
     def url(self) -> str:
         """The address to open, with the token."""
-        query = "" if self.token is None else f"?token={quote(self.token, safe='')}"
-        return f"http://{self.shown_host}:{self.port}/{query}"
+        return f"http://{self.shown_host}:{self.port}/?token={quote(self.token, safe='')}"
 
     @property
     def hosts(self) -> Sequence[str]:
@@ -61,11 +60,10 @@ class Address:
 
 
 def listen(host: str, port: int, token: str | None) -> Address:
-    """Open the port early, so that a browser waits instead of failing. Other than a loopback address needs a token."""
-    if token is not None and (len(token) < MIN_TOKEN_LENGTH or hidden(token) is not None):
+    """Open the port early, so that a browser waits instead of failing. Without a token, a random one is taken."""
+    token = secrets.token_urlsafe(24) if token is None else token
+    if len(token) < MIN_TOKEN_LENGTH or hidden(token) is not None:
         raise InputError("token", None, f"{MIN_TOKEN_LENGTH} characters or more, all of them visible")
-    if token is None and not is_loopback(host):
-        token = secrets.token_urlsafe(24)
     sock = None
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
