@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from sample_records import make_record
-from viewer_pages import at, page_at, ready, shown_round, until, viewer, violations
+from viewer_pages import at, go, page_at, ready, shown_round, until, viewer, violations
 
 FOCUS = """() => {
     const at = document.activeElement;
@@ -41,12 +41,12 @@ def test_pages_keep_the_rules_of_wcag(served: str, browser: Browser, dark: bool)
         page.keyboard.press("?")
         assert violations(page) == [], "the list of keys"
         for path in ("pair/1/2", "runs", "cockpit"):
-            page.goto(at(served, path))
+            go(page, at(served, path))
             page.locator(".flock-headline:not(:empty), tbody tr, .flock-shape").first.wait_for()
             assert violations(page) == [], path
         page.set_viewport_size({"width": 400, "height": 860})
         for path in ("run/2", "pair/1/2", "runs", "cockpit"):
-            page.goto(at(served, path))
+            go(page, at(served, path))
             page.locator(".flock-headline:not(:empty), tbody tr, .flock-shape").first.wait_for()
             assert violations(page) == [], f"{path} on a phone"
         page.evaluate("document.body.append(document.createElement('button'))")

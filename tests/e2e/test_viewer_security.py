@@ -181,7 +181,7 @@ def test_a_browser_is_led_to_the_token_without_telling_others(tmp_path: Path, br
             page.locator(".flock-shape").first.wait_for()
             assert page.evaluate("[document.cookie, history.length]") == ["", 2], "the token is in no history"
             process.send_signal(signal.SIGINT)
-            process.wait(20)
+            process.wait(60)
             assert not Path(unquote(urlsplit(opened).path)).parent.exists()
         finally:
             process.kill()

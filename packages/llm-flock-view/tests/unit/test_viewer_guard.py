@@ -116,6 +116,8 @@ def test_a_token_is_shown_once_and_then_kept_in_a_cookie() -> None:
     assert "HttpOnly" in cookie and "samesite=strict" in cookie.lower()
     kept = cookie.split(";")[0]
     assert status(ask(guard, {"host": HOST, "cookie": kept})) == 200
+    again = ask(guard, {"host": HOST, "cookie": kept}, query=f"token={quote(TOKEN)}")
+    assert b"url=/" in again[1]["body"], "the token leaves the address again"
     assert status(ask(guard, {"host": HOST, "cookie": "flock_token_8765=other"})) == 401
     assert status(ask(guard, {"host": HOST, "cookie": "a\x01=;;"})) == 401
     assert status(ask(guard, {"host": HOST}, query="token=correct%20horse%20battery", method="POST")) == 401

@@ -33,6 +33,7 @@ HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
 )
+LEADS_ON = '<!doctype html><link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url={}">'
 NEEDED = "This viewer needs the address with its token: open it as `llm-flock view` printed it in its terminal.\n"
 
 
@@ -81,8 +82,6 @@ class RequestGuard:
         if scope["type"] == "websocket" and origin is None:
             return PlainTextResponse("no origin", status_code=403)
         cookie = f"flock_token_{scope['server'][1]}"
-        if self._is_token(unquote(asked.cookies.get(cookie, ""))):
-            return None
         query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
         given = dict(query).get("token", "")
         if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
@@ -91,9 +90,11 @@ class RequestGuard:
             target = "/" + quote(scope["path"].lstrip("/\\")) + (f"?{rest}" if rest else "")
             # Addresses are copied, logged and kept in histories, so the token is taken out of this one. A page does
             # it: browsers send no cookie along a redirect, where another page linked here.
-            answer = HTMLResponse(f'<!doctype html><meta http-equiv="refresh" content="0;url={escape(target)}">')
+            answer = HTMLResponse(LEADS_ON.format(escape(target)))
             answer.set_cookie(cookie, quote(given, safe=""), httponly=True, samesite="strict", path="/")
             return answer
+        if self._is_token(unquote(asked.cookies.get(cookie, ""))):
+            return None
         return PlainTextResponse(NEEDED, 401)
 
     def _is_token(self, given: str) -> bool:
