@@ -251,9 +251,26 @@ def test_no_key_leaves_by_an_error_or_an_answer() -> None:
     assert ask(model(lambda *_: ModelResponse(parts=[TextPart(f"my key is {KEY}")]))).text == "my key is [key]"
 
 
+@pytest.mark.parametrize(
+    "between", [" ", "\n", "-", "\u200b", "\u3164", ", ", "\\n", "\\u200b", "%20", "&nbsp;", "<wbr>", '" "']
+)
+def test_no_key_leaves_with_anything_between_its_letters(between: str) -> None:
+    spaced = f"at n{between.join(KEY)}; and {between.join(KEY)}."
+    assert scrub(spaced, (KEY, "another-key-of-somebody")) == "at n[key]; and [key]."
+    assert scrub(r"\n o p q r s t u v w x y z", ("nopqrstuvwxyz",)) == r"\[key]", "a key may begin like an escape"
+
+
+@pytest.mark.parametrize("form", ["%{:02x}", "%{:02X}", "\\u{:04x}", "\\x{:02x}", "&#{};", "&#x{:x};", "&#00{};"])
+def test_no_key_leaves_with_escaped_letters(form: str) -> None:
+    escaped = [form.format(ord(letter)) if k % 3 else letter for k, letter in enumerate(KEY)]
+    for between in ("", " "):
+        shown = scrub(f"with {between.join(escaped)} in it", (KEY,))
+        assert shown == "with [key] in it"
+
+
 def test_scrubbing_leaves_other_text_alone() -> None:
-    text = "risk-averse task-oriented sk-8 Position: [1, 2]"
-    assert scrub(text, ("", KEY)) == text
+    text = "risk-averse task-oriented sk-8 Position: [1, 2] %41 &amp; \\n no negative"
+    assert scrub(text, ("", KEY, "none")) == text
 
 
 def test_lone_surrogate_in_an_answer_is_replaced() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -171,7 +172,10 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, frame in frames.items():
-            frame.with_columns(pl.col(pl.String).map_elements(csv_cell, pl.String)).write_csv(out / name)
+            with (out / name).open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerow(map(csv_cell, frame.columns))
+                texts = pl.col(pl.String).map_elements(csv_cell, pl.String)
+                frame.with_columns(texts).write_csv(file, include_header=False)
     except OSError as error:
         raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
     return [out / name for name in frames]

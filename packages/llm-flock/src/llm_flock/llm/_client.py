@@ -6,6 +6,7 @@ faults, and the planner asks again after answers that it cannot use.
 
 from __future__ import annotations
 
+import html
 import logging
 import re
 import time
@@ -51,12 +52,37 @@ _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
 """The form of providers' keys, including one that a provider returns half hidden by asterisks."""
 
 
+_LETTER = "[0-9A-Za-z]"
+_ESCAPED = rf"%[0-9A-Fa-f]{{2}}|\\(?:u[0-9A-Fa-f]{{4}}|x[0-9A-Fa-f]{{2}}|[a-z])|&#?{_LETTER}+;|<[^<>]*>|{_LETTER}"
+"""A letter or digit, as it is or as an escape of URLs, JSON or HTML; also an escape or a tag that is no letter."""
+
+SPACED_FROM = 12
+"""Fewest letters and digits of a key that is found with anything between them: fewer may be words of a text."""
+
+
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
-    """The text without any of the secrets and without anything that looks like a key."""
-    for secret in secrets:
-        if secret and secret in text:
-            text = text.replace(secret, "[key]")
+    """The text without any of the secrets, spaced out or escaped, and without anything that looks like a key."""
+    for secret in filter(None, secrets):
+        text = text.replace(secret, "[key]")
+    keys = [letters for s in secrets if len(letters := "".join(re.findall(_LETTER, s))) >= SPACED_FROM]
+    for form in (_LETTER, _ESCAPED) if keys else ():
+        said = "".join(map(_letter, re.findall(form, text)))
+        for letters in filter(said.__contains__, keys):
+            found = [one for one in re.finditer(form, text) if _letter(one[0])]
+            left = "".join(_letter(one[0]) for one in found)
+            while (at := left.rfind(letters)) >= 0:
+                text = text[: found[at].start()] + "[key]" + text[found[at + len(letters) - 1].end() :]
+                left = left[:at]
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
+
+
+def _letter(form: str) -> str:
+    """The letter or digit that is meant; empty if none is."""
+    if len(form) == 1:
+        return form
+    digits = re.fullmatch(r"(?:%|\\[ux])([0-9A-Fa-f]+)", form)
+    meant = html.unescape(form) if digits is None else chr(int(digits[1], 16))
+    return meant if re.fullmatch(_LETTER, meant) else ""
 
 
 class PydanticModel:
