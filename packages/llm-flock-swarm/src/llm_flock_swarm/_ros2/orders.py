@@ -16,7 +16,8 @@ from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
-from llm_flock.message import MISSION_FIELDS, MissionStamp, OperatorClock
+from llm_flock.message import MissionStamp, OperatorClock
+from llm_flock.mission import MISSION_FIELDS
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.mission_orders import mission_order, mission_verifier
