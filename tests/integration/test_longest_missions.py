@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import llm_flock
-from llm_flock.bounds import MAX_OBSTACLES, max_mission_bytes
+from llm_flock.bounds import MAX_OBSTACLES, mission_room
 from llm_flock.errors import FlockError
 from llm_flock.message import Message, MissionStamp, received_mission
 from llm_flock.mission import Mission, mission_text
@@ -31,7 +31,7 @@ BASE = llm_flock.Mission(n_robots=5)
 
 
 def room(mission: Mission) -> int:
-    return max_mission_bytes(mission.n_robots, mission.n_places, mission.dim) - len(mission_text(mission).encode())
+    return mission_room(mission.n_robots, mission.n_places, mission.dim) - len(mission_text(mission).encode())
 
 
 def words(more: int = 0) -> dict[str, Any]:

@@ -22,15 +22,13 @@ def max_payload_bytes(n_robots: int) -> int:
     return 4096 + 256 * n_robots
 
 
-def max_mission_bytes(n_robots: int, places: int, dim: int) -> int:
-    """Largest mission as text: what is left of the largest message if all else in it takes as much as it can [bytes].
-
-    That is a point and a bid for each place, and a heartbeat and two positions of each robot.
-    """
+def mission_room(n_robots: int, places: int, dim: int) -> int:
+    """Room for a mission's text in the largest message, beside all else at its largest [bytes]."""
+    # A point and a bid for each place, a heartbeat and two positions of each robot.
     point = 1 + 9 * dim
     return max_payload_bytes(n_robots) - 261 - (point + 25) * places - (16 + 2 * point) * n_robots
 
 
 def max_places(n_robots: int, dim: int) -> int:
     """Most places of a mission: messages of a larger one would have less than half a kilobyte for its text."""
-    return (max_mission_bytes(n_robots, 0, dim) - 512) // (26 + 9 * dim)
+    return (mission_room(n_robots, 0, dim) - 512) // (26 + 9 * dim)

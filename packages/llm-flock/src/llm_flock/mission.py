@@ -13,15 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
-from llm_flock.bounds import (
-    MAX_CORNERS,
-    MAX_LENGTH,
-    MAX_OBSTACLES,
-    MAX_ROBOTS,
-    MIN_LENGTH,
-    max_mission_bytes,
-    max_places,
-)
+from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places, mission_room
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.printable import hidden
@@ -149,7 +141,7 @@ class Mission(BaseModel):
         if self.n_places > (most := max_places(self.n_robots, self.dim)):
             raise InputError("places", self.n_places, f"at most {most} {team}")
         long = "shape" if self.points is None else "points"
-        most = max_mission_bytes(self.n_robots, self.n_places, self.dim) - len(mission_text(self).encode())
+        most = mission_room(self.n_robots, self.n_places, self.dim) - len(mission_text(self).encode())
         if most < 0:
             size = len(self.model_dump_json(include={long}).encode())
             says = f"at most {size + most:,} bytes of JSON with {self.n_places} places {team} (here {size:,})"

@@ -29,15 +29,12 @@ from llm_flock_swarm._ros2.drawing import Position
 ORDERED = MISSION_FIELDS - {"velocity", "since"}
 """Fields that an order may change. Formations of a swarm of processes stand still."""
 
-MAX_TEXT_LENGTH = 1 << 16  # longest text of a mission [characters]
 TAKERS = 3  # robots that are given an order: one is enough, if it lives
 RATE, POSE_RATE = 1.0, 500.0  # orders a second, in the long run, on each topic; and poses of one robot
 
 
 def mission_fields(text: str) -> dict[str, Any]:
     """Fields of a mission in JSON or TOML, in a table `mission` or without [units]; a MessageError `bad_mission`."""
-    if len(text) > MAX_TEXT_LENGTH:
-        raise MessageError("bad_mission", f"{len(text)} characters, more than {MAX_TEXT_LENGTH}")
     try:
         found: object = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -17,8 +17,6 @@ from llm_flock.errors import InputError
 from llm_flock.extras import ExtraMissing, require
 from llm_flock_view._foxglove.options import Foxglove, FoxglovePort, port_of
 
-OPENING_S = 60.0  #: Time in which the browser has opened the page it is given [s].
-
 
 def view(
     records: Annotated[
@@ -128,17 +126,15 @@ def view(
 
 
 def _open(url: str, runs: Path) -> None:
-    """Let the browser open a page that leads to the viewer: other users of the machine see what a command is given.
-
-    Browsers that are confined to the user's own folders read it there, but not in the system's folder.
-    """
+    """Let the browser open a page that leads to the viewer: other users of the machine see what a command is given."""
     import webbrowser
 
+    # Browsers that are confined to the user's own folders read it there, but not in the system's folder.
     with TemporaryDirectory(dir=runs if os.access(runs, os.W_OK) else None) as folder:
         page = Path(folder).resolve() / "viewer.html"
         page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={url}">', encoding="ascii")
         webbrowser.open(page.as_uri())
-        time.sleep(OPENING_S)
+        time.sleep(60.0)  # the browser has read it by then
 
 
 def reach_browser() -> list[Finding]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import errno
-import ipaddress
 import os
 import secrets
 import socket
-from collections.abc import Sequence
 from dataclasses import dataclass
 from urllib.parse import quote
 
@@ -16,15 +14,6 @@ from llm_flock.printable import hidden
 
 MIN_TOKEN_LENGTH = 16
 """Fewest characters of a token."""
-
-
-def is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,14 +38,6 @@ class Address:
     def url(self) -> str:
         """The address to open, with the token."""
         return f"http://{self.shown_host}:{self.port}/?token={quote(self.token, safe='')}"
-
-    @property
-    def hosts(self) -> Sequence[str]:
-        """Values of the Host header that are accepted; none (any) where the machine's names are not known here."""
-        if self.host in ("0.0.0.0", "::"):
-            return ()
-        names = {self.shown_host} | ({"127.0.0.1", "localhost", "[::1]"} if is_loopback(self.host) else set[str]())
-        return [f"{name}:{self.port}" for name in sorted(names)]
 
 
 def listen(host: str, port: int, token: str | None) -> Address:

@@ -13,6 +13,7 @@ import time
 from collections.abc import Mapping
 from itertools import groupby
 from typing import Any, cast
+from urllib.parse import unquote
 
 import httpx2
 from pydantic_ai import exceptions as pai
@@ -52,37 +53,28 @@ _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
 """The form of providers' keys, including one that a provider returns half hidden by asterisks."""
 
 
-_LETTER = "[0-9A-Za-z]"
-_ESCAPED = rf"%[0-9A-Fa-f]{{2}}|\\(?:u[0-9A-Fa-f]{{4}}|x[0-9A-Fa-f]{{2}}|[a-z])|&#?{_LETTER}+;|<[^<>]*>|{_LETTER}"
-"""A letter or digit, as it is or as an escape of URLs, JSON or HTML; also an escape or a tag that is no letter."""
-
+_ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|[a-z])")
 SPACED_FROM = 12
-"""Fewest letters and digits of a key that is found with anything between them: fewer may be words of a text."""
+"""Fewest letters and digits of a key that is looked for with anything between them: fewer may be words of a text."""
 
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
-    """The text without any of the secrets, spaced out or escaped, and without anything that looks like a key."""
+    """The text without any of the secrets and without anything that looks like a key.
+
+    No server says a key with anything between its letters, or escaped, by chance: nothing of that text is passed on.
+    """
     for secret in filter(None, secrets):
         text = text.replace(secret, "[key]")
-    keys = [letters for s in secrets if len(letters := "".join(re.findall(_LETTER, s))) >= SPACED_FROM]
-    for form in (_LETTER, _ESCAPED) if keys else ():
-        said = "".join(map(_letter, re.findall(form, text)))
-        for letters in filter(said.__contains__, keys):
-            found = [one for one in re.finditer(form, text) if _letter(one[0])]
-            left = "".join(_letter(one[0]) for one in found)
-            while (at := left.rfind(letters)) >= 0:
-                text = text[: found[at].start()] + "[key]" + text[found[at + len(letters) - 1].end() :]
-                left = left[:at]
+    plain = re.sub(_ESCAPE, lambda one: chr(int(one[1] or one[2] or "20", 16)), text)
+    plain = re.sub("<[^<>]*>", "", html.unescape(unquote(plain)))
+    for letters in (_letters(text), _letters(plain)):
+        if any(len(key) >= SPACED_FROM and key in letters for key in map(_letters, secrets)):
+            return "[a text with a key in it]"
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
 
 
-def _letter(form: str) -> str:
-    """The letter or digit that is meant; empty if none is."""
-    if len(form) == 1:
-        return form
-    digits = re.fullmatch(r"(?:%|\\[ux])([0-9A-Fa-f]+)", form)
-    meant = html.unescape(form) if digits is None else chr(int(digits[1], 16))
-    return meant if re.fullmatch(_LETTER, meant) else ""
+def _letters(text: str) -> str:
+    return re.sub("[^0-9A-Za-z]", "", text)
 
 
 class PydanticModel:

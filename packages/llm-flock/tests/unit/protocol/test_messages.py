@@ -7,7 +7,7 @@ import msgspec.structs
 import pytest
 from tables import told
 
-from llm_flock.bounds import MAX_ROBOTS, max_mission_bytes, max_payload_bytes, max_places
+from llm_flock.bounds import MAX_ROBOTS, max_payload_bytes, max_places, mission_room
 from llm_flock.errors import MessageError
 from llm_flock.message import (
     BLOCKED,
@@ -191,7 +191,7 @@ def test_the_longest_mission_fits_beside_all_else(n: int, dim: int, crowded: boo
         sender=n - 1,
         sequence=far,
         degree=n - 1,
-        mission_text="x" * max_mission_bytes(n, places, dim),
+        mission_text="x" * mission_room(n, places, dim),
         plan=plan,
         provenance=msgspec.structs.replace(
             ORIGIN, mission=2**60 - 1, epoch=far, degree=n - 1, proposer=n - 1, sequence=far
