@@ -17,17 +17,11 @@ _JOINED = re.compile(
 _BLANK = re.compile("(?<!GAP |INE )FILLER$|JOINER$|VOWEL INHERENT|VARIATION SELECTOR|BLANK$|NULL NOTEHEAD$")
 """Names of characters that draw nothing, although their category is that of letters, marks and symbols."""
 
-_FORMULA = re.compile("[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""Beginning of a text that spreadsheets read as a formula, also in full width."""
-
 
 @lru_cache(maxsize=4096)
 def _drawn(letter: str) -> bool:
-    """Whether a character draws something, or is a space, and leaves the text around it as it is.
-
-    Characters that Python does not call printable control, turn, break or join text, are half a character, or are not
-    assigned, which those in the blocks of emoji will be.
-    """
+    """Whether a character is drawn, or a space, and leaves the text around it as it is."""
+    # What Python calls not printable is neither, or not assigned, which letters in the blocks of emoji will be.
     space_or_emoji = unicodedata.category(letter) == "Zs" or "\U0001f000" <= letter <= "\U0001faff"
     return (letter.isprintable() or space_or_emoji) and not _BLANK.search(unicodedata.name(letter, ""))
 
@@ -57,14 +51,11 @@ def one_line(text: str, most: int = 1_000) -> str:
 
 
 def csv_cell(value: object) -> object:
-    """A value for a cell of a CSV file: text as `printable`, after a quote if a spreadsheet would read a formula.
-
-    See OWASP, CSV injection. A negative number is no formula.
-    """
+    """A cell of a CSV file: text as `printable`, quoted if spreadsheets would read a formula (OWASP, CSV injection)."""
     if not isinstance(value, str):
         return value
     text = printable(value)
-    return f"'{text}" if _FORMULA.match(text) else text
+    return f"'{text}" if re.match("[=+\\-@\t\n\uff1d\uff0b\uff0d\uff20]", text) else text  # some are of full width
 
 
 class CleanFormatter(logging.Formatter):

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
 from llm_flock.message import MissionStamp, OperatorClock
@@ -69,8 +68,6 @@ def check_frame(message: Any, frame: str) -> None:
 def places_fields(message: Any, frame: str, unit_m: float, dim: int) -> dict[str, Any]:
     """The fields of a mission whose places are the poses of a PoseArray [m]; their mean is its centre."""
     check_frame(message, frame)
-    if not 1 <= len(message.poses) <= MAX_ROBOTS:
-        raise MessageError("bad_mission", f"{len(message.poses)} points, not 1 to {MAX_ROBOTS}")
     rows = [checked_position(pose.position) for pose in message.poses]
     points = [[x / unit_m for x in row[:dim]] for row in rows]
     return {"points": points, "center": [math.fsum(column) / len(points) for column in zip(*points, strict=True)]}

@@ -29,15 +29,11 @@ class Address:
         return self.sock.getsockname()[1]
 
     @property
-    def shown_host(self) -> str:
-        """A host that a browser can be pointed to."""
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
-        return f"[{host}]" if ":" in host else host
-
-    @property
     def url(self) -> str:
-        """The address to open, with the token."""
-        return f"http://{self.shown_host}:{self.port}/?token={quote(self.token, safe='')}"
+        """The address to open, with the token, and a host that a browser can be pointed to."""
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
+        shown = f"[{host}]" if ":" in host else host
+        return f"http://{shown}:{self.port}/?token={quote(self.token, safe='')}"
 
 
 def listen(host: str, port: int, token: str | None) -> Address:

@@ -52,10 +52,7 @@ _FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
 _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
 """The form of providers' keys, including one that a provider returns half hidden by asterisks."""
 
-
 _ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|[a-z])")
-SPACED_FROM = 12
-"""Fewest letters and digits of a key that is looked for with anything between them: fewer may be words of a text."""
 
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
@@ -68,7 +65,7 @@ def scrub(text: str, secrets: tuple[str, ...]) -> str:
     plain = re.sub(_ESCAPE, lambda one: chr(int(one[1] or one[2] or "20", 16)), text)
     plain = re.sub("<[^<>]*>", "", html.unescape(unquote(plain)))
     for letters in (_letters(text), _letters(plain)):
-        if any(len(key) >= SPACED_FROM and key in letters for key in map(_letters, secrets)):
+        if any(len(key) >= 12 and key in letters for key in map(_letters, secrets)):  # fewer may be words
             return "[a text with a key in it]"
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
 
