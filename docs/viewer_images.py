@@ -49,6 +49,11 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
             process.terminate()
 
 
+def at(url: str, path: str) -> str:
+    """The address of another page of the viewer, with the token."""
+    return url.replace("/?", f"/{path}?")
+
+
 def page_of(browser: Browser, size: tuple[int, int] = DESKTOP, *, dark: bool = False) -> Page:
     scheme = "dark" if dark else "light"
     window = ViewportSize(width=size[0], height=size[1])
@@ -114,11 +119,11 @@ def pictures_of_a_record(browser: Browser, url: str, out: Path) -> None:
 def pictures_of_the_cockpit(browser: Browser, url: str, out: Path) -> None:
     for name, size in (("cockpit", DESKTOP), ("cockpit-phone", PHONE)):
         page = page_of(browser, size)
-        page.goto(f"{url}cockpit")
+        page.goto(at(url, "cockpit"))
         page.get_by_role("button", name="Start", exact=True).wait_for()
         save(page, out, name, whole=size is PHONE)
     page = page_of(browser)
-    page.goto(f"{url}cockpit")
+    page.goto(at(url, "cockpit"))
     page.get_by_label("Rounds a second").fill("10")
     page.get_by_label("Rounds at most").fill("60")
     page.get_by_role("button", name="Paper against flock").click()
@@ -132,13 +137,13 @@ def pictures_of_the_cockpit(browser: Browser, url: str, out: Path) -> None:
 
 def pictures_of_runs(browser: Browser, url: str, out: Path) -> None:
     page = page_of(browser)
-    page.goto(f"{url}runs")
+    page.goto(at(url, "runs"))
     page.locator("tbody tr").first.wait_for()
     for box in page.locator("tbody input").all():
         box.check()
     save(page, out, "runs")
     page = page_of(browser)
-    replay(page, f"{url}run/2", 9)
+    replay(page, at(url, "run/2"), 9)
     save(page, out, "not-formed")
 
 

@@ -32,9 +32,8 @@ from llm_flock.message import (
     MissionStamp,
     Offer,
     encode,
-    mission_text,
 )
-from llm_flock.mission import Mission
+from llm_flock.mission import Mission, mission_text
 from llm_flock.protocol._agreement.auction import rank
 from llm_flock_swarm._signed.certificates import (
     Certificate,

@@ -33,6 +33,17 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
             assert "Traceback" not in errors, errors
 
 
+def at(url: str, path: str) -> str:
+    """The address of another page of the viewer, with the token."""
+    return url.replace("/?", f"/{path}?")
+
+
+def go(page: Page, url: str) -> None:
+    """Open an address with its token, and wait until the page has left it."""
+    page.goto(url)
+    page.wait_for_url(lambda now: "token=" not in now)
+
+
 @contextmanager
 def page_at(
     browser: Browser, url: str, *, width: int = 1280, height: int = 720, dark: bool = False, still: bool = True
@@ -63,7 +74,7 @@ def page_at(
     page.on("requestfailed", give_up)
     page.on("request", lambda request: asked.append(request))
     page.on("websocket", lambda socket: sockets.append(socket.url))
-    page.goto(url)
+    go(page, url)
     yield page
     # A page of a run in flight asks on; an unfinished request of a page that is left is no fault.
     page.remove_listener("requestfailed", give_up)

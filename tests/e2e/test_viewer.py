@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 from sample_records import FakeRun, make_record
-from viewer_pages import choose, page_at, ready, shown_round, until, viewer
+from viewer_pages import at, choose, page_at, ready, shown_round, until, viewer
 
 import llm_flock
 from llm_flock.record._schema import SummaryMessage
@@ -300,7 +300,7 @@ def test_stacked_robots_fan_out_and_are_counted(tmp_path: Path, browser: Browser
 def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: Browser) -> None:
     for name, rounds, agree in (("alpha", 4, True), ("beta", 9, False), ("gamma", 6, True)):
         make_record(tmp_path / name / "run.mcap", n=4, rounds=rounds, agree=agree)
-    with viewer(tmp_path, "alpha", "beta", "gamma") as url, page_at(browser, f"{url}runs") as page:
+    with viewer(tmp_path, "alpha", "beta", "gamma") as url, page_at(browser, at(url, "runs")) as page:
         rows = page.locator("tbody tr")
         expect(rows).to_have_count(3)
         names = page.locator("tbody tr a")

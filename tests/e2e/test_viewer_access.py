@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from sample_records import make_record
-from viewer_pages import page_at, ready, shown_round, until, viewer, violations
+from viewer_pages import at, go, page_at, ready, shown_round, until, viewer, violations
 
 FOCUS = """() => {
     const at = document.activeElement;
@@ -30,7 +30,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
 
 @pytest.mark.parametrize("dark", [False, True])
 def test_pages_keep_the_rules_of_wcag(served: str, browser: Browser, dark: bool) -> None:
-    with page_at(browser, f"{served}run/1", dark=dark) as page:
+    with page_at(browser, at(served, "run/1"), dark=dark) as page:
         ready(page)
         page.keyboard.press("End")
         expect(page.locator(".flock-mind")).to_contain_text("round 6")
@@ -41,12 +41,12 @@ def test_pages_keep_the_rules_of_wcag(served: str, browser: Browser, dark: bool)
         page.keyboard.press("?")
         assert violations(page) == [], "the list of keys"
         for path in ("pair/1/2", "runs", "cockpit"):
-            page.goto(served + path)
+            go(page, at(served, path))
             page.locator(".flock-headline:not(:empty), tbody tr, .flock-shape").first.wait_for()
             assert violations(page) == [], path
         page.set_viewport_size({"width": 400, "height": 860})
         for path in ("run/2", "pair/1/2", "runs", "cockpit"):
-            page.goto(served + path)
+            go(page, at(served, path))
             page.locator(".flock-headline:not(:empty), tbody tr, .flock-shape").first.wait_for()
             assert violations(page) == [], f"{path} on a phone"
         page.evaluate("document.body.append(document.createElement('button'))")
@@ -55,7 +55,7 @@ def test_pages_keep_the_rules_of_wcag(served: str, browser: Browser, dark: bool)
 
 def test_every_control_is_reached_by_keyboard_and_shows_focus(served: str, browser: Browser) -> None:
     for path in ("run/1", "runs", "cockpit"):
-        with page_at(browser, served + path) as page:
+        with page_at(browser, at(served, path)) as page:
             page.locator(".flock-mind, tbody tr, .flock-shape").first.wait_for()
             reached: list[str] = []
             for _ in range(60):
@@ -70,7 +70,7 @@ def test_every_control_is_reached_by_keyboard_and_shows_focus(served: str, brows
 
 
 def test_the_question_mark_lists_the_keys_and_they_work(served: str, browser: Browser) -> None:
-    with page_at(browser, f"{served}run/1") as page:
+    with page_at(browser, at(served, "run/1")) as page:
         ready(page)
         page.keyboard.press("?")
         keys = page.get_by_role("dialog", name="Keys")
@@ -106,7 +106,7 @@ def test_a_run_is_started_and_steered_by_keyboard_alone(tmp_path: Path, browser:
                 return
         pytest.fail(f"Tab never reached {name}")
 
-    with viewer(tmp_path) as url, page_at(browser, f"{url}cockpit") as page:
+    with viewer(tmp_path) as url, page_at(browser, at(url, "cockpit")) as page:
         page.locator(".flock-shape").first.wait_for()
         go_to(page, "Start")
         page.keyboard.press("Enter")

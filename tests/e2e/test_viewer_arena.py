@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser, Page, expect
 from sample_records import FakeRun, make_record
-from viewer_pages import page_at, ready, viewer
+from viewer_pages import at, go, page_at, ready, viewer
 
 from llm_flock.record._schema import Entry, State
 from llm_flock.record._writer import RecordWriter
@@ -153,18 +153,18 @@ def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> N
             with page_at(browser, url, width=width, height=height) as page:
                 page.locator("tbody tr").first.wait_for()  # the viewer is there
                 for path in ("run/2", "pair/1/2", "runs", "cockpit"):
-                    page.goto(url + path)
+                    go(page, at(url, path))
                     page.locator("canvas[data-round], tbody tr, .flock-shape").first.wait_for()
                     wide = page.evaluate("document.documentElement.scrollWidth")
                     assert wide <= width, (path, width, wide)
-                page.goto(f"{url}run/1")
+                go(page, at(url, "run/1"))
                 ready(page)
                 expect(page.locator(".flock-legend")).to_be_hidden()
                 tops = [page.locator(one).bounding_box() for one in (".flock-banner", ".flock-layers")]
                 assert tops[0] and tops[1] and tops[0]["y"] < min(tops[1]["y"], 100), "what came of the run is first"
                 bar = page.evaluate("getComputedStyle(document.querySelector('.flock-time')).position")
                 assert bar == ("sticky" if height > 560 else "static"), "what stays in sight leaves room for the rest"
-                page.goto(f"{url}runs")
+                go(page, at(url, "runs"))
                 cells = page.locator("tbody tr").first.get_by_role("cell")
                 expect(cells).to_have_count(10)
                 assert page.get_by_role("link", name="one").evaluate("(at) => at.getBoundingClientRect().height") < 40
@@ -188,7 +188,7 @@ def test_missing_record_is_explained(tmp_path: Path, browser: Browser) -> None:
     record = make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
     page = browser.new_page()
     with viewer(tmp_path, "one") as url:
-        page.goto(f"{url}run/7")
+        go(page, at(url, "run/7"))
         expect(page.get_by_role("heading")).to_have_text("No such run")
         page.get_by_role("link", name="All runs").click()
         page.get_by_role("link", name="one").click()

@@ -7,7 +7,7 @@ from typing import Any
 
 from playwright.sync_api import Browser, Page, expect
 from sample_records import FakeRun, llm_entry
-from viewer_pages import page_at, ready, viewer
+from viewer_pages import at, go, page_at, ready, viewer
 
 from llm_flock.record._schema import (
     Entry,
@@ -102,7 +102,7 @@ def test_hostile_words_stay_words(tmp_path: Path, browser: Browser) -> None:
         for event in (0, 1):
             expect(page.locator(".flock-event").nth(event)).to_contain_text(SHOWN)
         unharmed(page)
-        page.goto(f"{url}runs")
+        go(page, at(url, "runs"))
         expect(page.get_by_text(folder.name.replace("\u202e", "\\u202e"))).to_be_visible()
         expect(page.locator(".flock-runs tbody")).to_contain_text(SHOWN)
         unharmed(page)

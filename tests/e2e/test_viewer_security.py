@@ -4,28 +4,34 @@ from __future__ import annotations
 
 import http.client
 import os
+import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from urllib.parse import urlsplit
+from pathlib import Path
+from urllib.parse import quote, unquote, urlsplit
 
 import pytest
+from playwright.sync_api import Browser
 from sample_records import make_record
+from viewer_pages import until
+
+from llm_flock_view._viewer.routes import Routes
 
 STARTING = 503
 SECRET = "sk-this-must-never-leave-the-server"
 
 
-@pytest.fixture(scope="module")
-def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a viewer that needs a token, with a key of a provider in its environment."""
+@pytest.fixture(scope="module", params=["127.0.0.1", "0.0.0.0"])
+def served(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Iterator[str]:
+    """The address of a viewer, with a key of a provider in its environment."""
     folder = tmp_path_factory.mktemp("secure")
     (folder / "secret.txt").write_text(SECRET)
     make_record(folder / "one" / "run.mcap", n=3, rounds=2)
     make_record(folder / "other" / "run.mcap", n=3, rounds=2)
-    arguments = ["one", "--no-browser", "--host", "0.0.0.0", "--port", "0", "--model", "openai:gpt-5"]
+    arguments = ["one", "--no-browser", "--host", request.param, "--port", "0", "--model", "openai:gpt-5"]
     command = [sys.executable, "-m", "llm_flock", "view", *arguments]
     environment = {**os.environ, "OPENAI_API_KEY": SECRET}
     with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
@@ -54,14 +60,17 @@ def get(url: str, path: str, **headers: str) -> tuple[int, dict[str, str], bytes
 @pytest.fixture(scope="module")
 def cookie(served: str) -> str:
     status, headers, _ = get(served, "/?" + urlsplit(served).query)
-    assert status == 303 and headers["location"] == "/"
+    assert status == 200 and headers["set-cookie"].endswith("; HttpOnly; Path=/; SameSite=strict")
     return headers["set-cookie"].split(";")[0]
 
 
 def test_without_the_token_nothing_is_shown(served: str) -> None:
-    for path in ("/", "/cockpit", "/data/1/about", "/data/1/frames?first=0&count=9", "/?token=guess"):
+    parts = {"key": "1", "first": "1", "second": "1", "what": "about", "name": "run.mcap"}
+    routes = [route.path.format(**parts) for route in Routes(None, None, None).routes()]  # type: ignore[arg-type, attr-defined]
+    assert len(routes) == 10
+    for path in (*routes, "/data/1/frames?first=0&count=9", "/?token=guess", "/none"):
         status, _, body = get(served, path)
-        assert status == 401 and b"circle" not in body
+        assert status == 401 and b"as `llm-flock view` printed it" in body and b"circle" not in body
 
 
 def test_pages_with_the_token_carry_a_policy_but_not_the_key(served: str, cookie: str) -> None:
@@ -148,3 +157,31 @@ def test_orders_need_the_token_the_own_origin_and_json(served: str, cookie: str)
 
 def test_a_foreign_page_may_not_read(served: str, cookie: str) -> None:
     assert get(served, "/data/1/about", Cookie=cookie, Origin="http://evil.example")[0] == 403
+
+
+def test_a_browser_is_led_to_the_token_without_telling_others(tmp_path: Path, browser: Browser) -> None:
+    told = tmp_path / "told"
+    script = tmp_path / "browser.sh"
+    script.write_text(f'#!/bin/sh\necho "$1" > {told}.new && mv {told}.new {told}\n')
+    script.chmod(0o700)
+    token = "correct horse & battery"
+    environment = {**os.environ, "BROWSER": str(script), "LLM_FLOCK_TOKEN": token}
+    command = [sys.executable, "-m", "llm_flock", "view", "--port", "0"]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            url = process.stdout.readline().strip()
+            assert quote(token, safe="") in url
+            until(told.exists, "a browser is started")
+            opened = told.read_text().strip()
+            assert "battery" not in opened and Path(unquote(urlsplit(opened).path)).parent.stat().st_mode & 0o077 == 0
+            page = browser.new_page()
+            page.goto(opened)
+            page.wait_for_url(url.partition("?")[0])
+            page.locator(".flock-shape").first.wait_for()
+            assert page.evaluate("[document.cookie, history.length]") == ["", 2], "the token is in no history"
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+            assert not Path(unquote(urlsplit(opened).path)).parent.exists()
+        finally:
+            process.kill()

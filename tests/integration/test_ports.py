@@ -73,6 +73,12 @@ def test_a_token_is_escaped_in_the_address() -> None:
         address.sock.close()
 
 
+def test_every_viewer_has_a_token_of_its_own() -> None:
+    first, second = (listen("127.0.0.1", 0, None) for _ in range(2))
+    with closing(first.sock), closing(second.sock):
+        assert first.token != second.token and len(first.token) >= 32 and first.token in first.url
+
+
 def test_a_port_that_is_taken_is_named_with_a_way_out() -> None:
     first = listen("127.0.0.1", 0, None)
     with closing(first.sock), pytest.raises(InputError, match=rf"^port {first.port} is taken; try --port 0"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from pydantic import ValidationError
 from ros2_messages import SAMPLES, points, same
 
 from llm_flock.errors import InputError, MessageError
+from llm_flock.mission import Mission
 from llm_flock.record._schema import BodySample, FlightEvent, MissionInfo
 from llm_flock.runtime._journal import mission_info
 from llm_flock.runtime._ros2_config import Ros2Config
@@ -24,7 +26,7 @@ from llm_flock_swarm._ros2 import drawing
 from llm_flock_swarm._ros2.bridge import Stamps
 from llm_flock_swarm._ros2.flight import FlightShow
 from llm_flock_swarm._ros2.nodes import Refused
-from llm_flock_swarm._ros2.orders import ORDERED, mission_fields, places_fields
+from llm_flock_swarm._ros2.orders import ORDERED, MissionGiver, mission_fields, places_fields
 from llm_flock_swarm._ros2.sensors import FRESH_S, LATE_S, LOST_S, SensedBodies
 from llm_flock_swarm._ros2.types import DIAGNOSTICS, MARKERS, NS, PATH, POSE, from_cdr, to_cdr, type_store
 from llm_flock_swarm._ros2.wire import Attachment
@@ -86,8 +88,6 @@ def test_places_become_points_in_units_around_their_mean() -> None:
 @pytest.mark.parametrize(
     ("rows", "frame", "reason"),
     [
-        ([], "world", "bad_mission"),
-        ([(0.0, 0.0, 0.0)] * 2001, "world", "bad_mission"),
         ([(0.0, 0.0, 0.0)], "map", "wrong_frame"),
         ([(0.0, NAN, 0.0)], "world", "not_finite"),
         ([(0.0, 0.0, math.inf)], "world", "not_finite"),
@@ -96,6 +96,14 @@ def test_places_become_points_in_units_around_their_mean() -> None:
 )
 def test_places_that_cannot_be_are_refused(rows: list[Any], frame: str, reason: str) -> None:
     assert refusal(places_fields, points(*rows, frame=frame), "world", 1.0, 2) == reason
+
+
+@pytest.mark.parametrize("count", [0, 2001])
+def test_no_mission_has_any_number_of_places(count: int) -> None:
+    giver = MissionGiver.__new__(MissionGiver)
+    giver._observer = SimpleNamespace(mission=Mission(n_robots=5))  # type: ignore[assignment]
+    rows = [(float(k), 0.0, 0.0) for k in range(count)]
+    assert refusal(giver.give, places_fields(points(*rows, frame="world"), "world", 1.0, 2)) == "bad_mission"
 
 
 class Sensors:

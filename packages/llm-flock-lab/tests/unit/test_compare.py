@@ -231,13 +231,13 @@ def test_a_line_for_each_trial(tmp_path: Path) -> None:
         add(CELL, 3, good())
         assert len(path.read_text().splitlines()) == 2, "an interrupted comparison keeps what was ready"
         add(CELL, 4, broken())
-        add(CELL, 5, broken("=1+1"))
+        add(CELL, 5, broken("=1+1\x1b\u202e"))
     with path.open() as lines:
         first, second, formula = csv.DictReader(lines)
     assert (first["protocol"], first["shape"], first["n_robots"], first["seed"]) == ("flock", "circle", "10", "3")
     assert (first["formed"], first["rounds_to_formed"], first["waypoints"]) == ("True", "10", "model=115 shield=5")
     assert (second["seed"], second["formed"], second["error"]) == ("4", "", "ValueError: bad")
-    assert formula["error"] == "'=1+1", "a spreadsheet calculates nothing"
+    assert formula["error"] == "'=1+1\\x1b\\u202e", "a spreadsheet calculates nothing"
 
 
 def test_a_file_is_never_overwritten(tmp_path: Path) -> None:

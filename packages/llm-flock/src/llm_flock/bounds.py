@@ -26,6 +26,18 @@ TIME_OUT = 10
 every other robot's range for a while."""
 
 
-def max_places(n_robots: int) -> int:
-    """Most places of a mission. Messages of a larger one would exceed their size limit, and would be rejected."""
-    return 48 + 6 * n_robots
+def max_payload_bytes(n_robots: int) -> int:
+    """Largest message that a team of N legitimately needs [bytes]."""
+    return 4096 + 256 * n_robots
+
+
+def mission_room(n_robots: int, places: int, dim: int) -> int:
+    """Room for a mission's text in the largest message, beside all else at its largest [bytes]."""
+    # A point and a bid for each place, a heartbeat and two positions of each robot.
+    point = 1 + 9 * dim
+    return max_payload_bytes(n_robots) - 261 - (point + 25) * places - (16 + 2 * point) * n_robots
+
+
+def max_places(n_robots: int, dim: int) -> int:
+    """Most places of a mission: messages of a larger one would have less than half a kilobyte for its text."""
+    return (mission_room(n_robots, 0, dim) - 512) // (26 + 9 * dim)

@@ -20,9 +20,9 @@ import msgspec
 from msgspec.structs import astuple, force_setattr, replace
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import LATEST, MAX_ROBOTS
+from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes
 from llm_flock.errors import InputError, MessageError
-from llm_flock.mission import Mission
+from llm_flock.mission import MISSION_FIELDS, Mission
 from llm_flock.plan import Coordinate, Plan
 
 LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
@@ -277,11 +277,6 @@ def without_plan(message: Message) -> Message:
     )
 
 
-def max_payload_bytes(n_robots: int) -> int:
-    """Largest payload that a team of N legitimately needs [bytes]."""
-    return 4096 + 256 * n_robots
-
-
 def encode(message: Message) -> bytes:
     """The message as bytes, without absent fields at its end, and without the digest of a plan that it spells out."""
     fields: list[object] = [*astuple(message)[:_WIRE_FIELDS]]
@@ -351,15 +346,6 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
     slots += [] if offer is None else [offer.give, offer.take]
     if slots and max(slots) >= places:
         raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {places} places")
-
-
-MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
-"""Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
-
-
-def mission_text(mission: Mission) -> str:
-    """The mission's fields as JSON, for a message."""
-    return mission.model_dump_json(include=set(MISSION_FIELDS))
 
 
 def received_mission(message: Message, own: Mission) -> Mission:

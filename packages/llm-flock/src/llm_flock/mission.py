@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
-from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places
+from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places, mission_room
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.printable import hidden
@@ -32,6 +32,9 @@ CENTER_TOLERANCE = 0.05
 paper's spacing of 10, the largest error of whole-number coordinates. The shape does not depend on it."""
 
 SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less than that, if no orientation fits.
+
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
+"""Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
 
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
@@ -127,11 +130,16 @@ class Mission(BaseModel):
             raise InputError("velocity", list(self.velocity), f"at most max_step / 2 = {most:g} per round, {why}")
 
     def _check_room(self) -> None:
-        """Check that messages have room for all places, and the arena for random starts `safe_distance` apart."""
-        most = max_places(self.n_robots)
-        if self.n_places > most:
-            says = f"at most {most} for {self.n_robots} robots: their messages have room for no more"
-            raise InputError("places", self.n_places, says)
+        """Check that messages have room for the mission, and the arena for random starts `safe_distance` apart."""
+        team = f"for {self.n_robots} robots: their messages have room for no more"
+        if self.n_places > (most := max_places(self.n_robots, self.dim)):
+            raise InputError("places", self.n_places, f"at most {most} {team}")
+        long = "shape" if self.points is None else "points"
+        most = mission_room(self.n_robots, self.n_places, self.dim) - len(mission_text(self).encode())
+        if most < 0:
+            size = len(self.model_dump_json(include={long}).encode())
+            says = f"at most {size + most:,} bytes of JSON with {self.n_places} places {team} (here {size:,})"
+            raise InputError(long, None, says)
         low, high = self.arena
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
         most = max(1, int(volume / self.start_volume(1)))
@@ -355,6 +363,11 @@ class Mission(BaseModel):
             ways = "(raise sense_range or comm_range, lower max_step, or switch the shield off)"
             allowed = f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on {ways}"
             raise InputError("sense_range", self.sensing, allowed)
+
+
+def mission_text(mission: Mission) -> str:
+    """The mission's fields as JSON, for a message."""
+    return mission.model_dump_json(include=set(MISSION_FIELDS))
 
 
 def _copy(mission: Mission, **fields: Any) -> Mission:

@@ -4,31 +4,44 @@ from __future__ import annotations
 
 import logging
 import re
+import unicodedata
+from functools import lru_cache
 
-_HIDDEN = re.compile(
-    "["
-    "\x00-\x08\x0b-\x1f\x7f-\x9f"  # control characters but tab and line feed: escape sequences, carriage returns
-    "\u061c\u200e\u200f\u202a-\u202e\u2066-\u206f"  # direction: text that turns around
-    "\u00ad\u180e\u200b\u2060-\u2065\ufeff\ufff9-\ufffb\U000e0000-\U000e0fff"  # invisible letters
-    "\u2028\u2029\ud800-\udfff"  # other line breaks; half characters, which no terminal can be sent
-    "]"
+_EMOJI = "[\u2190-\u27ff\u2b00-\u2bff\U0001f000-\U0001faff]"
+_JOINED = re.compile(
+    rf"(?<={_EMOJI})\ufe0f|\ufe0f(?=\u20e3)|(?:(?<={_EMOJI})|(?<={_EMOJI}\ufe0f))\u200d(?={_EMOJI})"  # within emoji
+    "|(?<=[\u0620-\u109f])[\u200c\u200d]"  # after letters of scripts whose forms they change
 )
-"""Characters that change how a terminal, or a reader, takes the text around them."""
+"""Selectors and joiners that draw nothing themselves, where they change what is seen."""
+
+_BLANK = re.compile("(?<!GAP |INE )FILLER$|JOINER$|VOWEL INHERENT|VARIATION SELECTOR|BLANK$|NULL NOTEHEAD$")
+"""Names of characters that draw nothing, although their category is that of letters, marks and symbols."""
 
 
-FORMULA = "^[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]"
-"""Beginning of a text that spreadsheets read as a formula, also in full width: a pattern for `re` and Polars."""
+@lru_cache(maxsize=4096)
+def _drawn(letter: str) -> bool:
+    """Whether a character is drawn, or a space, and leaves the text around it as it is."""
+    # What Python calls not printable is neither, or not assigned, which letters in the blocks of emoji will be.
+    space_or_emoji = unicodedata.category(letter) == "Zs" or "\U0001f000" <= letter <= "\U0001faff"
+    return (letter.isprintable() or space_or_emoji) and not _BLANK.search(unicodedata.name(letter, ""))
+
+
+def _seen(found: re.Match[str]) -> bool:
+    return _drawn(found[0]) or _JOINED.match(found.string, found.start()) is not None
 
 
 def hidden(text: str) -> str | None:
     """The first hidden character of a text, line break or tab; None without one."""
-    match = re.search(f"[\t\n]|{_HIDDEN.pattern}", text)
-    return None if match is None else match[0]
+    return next((found[0] for found in re.finditer("[^ -~]", text) if not _seen(found)), None)
+
+
+def _written(found: re.Match[str]) -> str:
+    return found[0] if _seen(found) else found[0].encode("unicode_escape").decode("ascii")
 
 
 def printable(text: str) -> str:
     """The text with such characters written out as escapes; line breaks and tabs stay. Call before showing it."""
-    return _HIDDEN.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), text)
+    return re.sub("[^ -~\n\t]", _written, text)
 
 
 def one_line(text: str, most: int = 1_000) -> str:
@@ -37,12 +50,12 @@ def one_line(text: str, most: int = 1_000) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def csv_cell(text: str) -> str:
-    """The text for a cell of a CSV file, with a quote before it if a spreadsheet would read it as a formula.
-
-    See OWASP, CSV injection. Only texts need it: a negative number is no formula.
-    """
-    return f"'{text}" if re.match(FORMULA, text) else text
+def csv_cell(value: object) -> object:
+    """A cell of a CSV file: text as `printable`, quoted if spreadsheets would read a formula (OWASP, CSV injection)."""
+    if not isinstance(value, str):
+        return value
+    text = printable(value)
+    return f"'{text}" if re.match("[=+\\-@\t\n\uff1d\uff0b\uff0d\uff20]", text) else text  # some are of full width
 
 
 class CleanFormatter(logging.Formatter):

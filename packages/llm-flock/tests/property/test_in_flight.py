@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from still_team import PERFECT, WIDE, StillTeam, a_leaf, assert_at_rest, connected_places
 
 from llm_flock.links import LinkFaults
-from llm_flock.message import BLOCKED, MISSION_FIELDS, Message, MissionStamp, encode
-from llm_flock.mission import Mission
+from llm_flock.message import BLOCKED, Message, MissionStamp, encode
+from llm_flock.mission import MISSION_FIELDS, Mission
 from llm_flock.protocol._messages import dissemination
 
 FAULTS = st.builds(

@@ -20,6 +20,7 @@ from llm_flock.llm._client import DETAIL_LENGTH, CallSettings, PydanticModel, er
 from llm_flock.llm._port import MAX_TOKENS, Call, ChatMessage, Reply, Usage
 
 KEY = "0123456789-abcdefghij"
+LEFT_OUT = "[a text with a key in it]"
 
 
 def call(*messages: ChatMessage, schema: dict[str, Any] | None = None) -> Call:
@@ -251,9 +252,28 @@ def test_no_key_leaves_by_an_error_or_an_answer() -> None:
     assert ask(model(lambda *_: ModelResponse(parts=[TextPart(f"my key is {KEY}")]))).text == "my key is [key]"
 
 
+@pytest.mark.parametrize(
+    "between", [" ", "\n", "-", "\u200b", "\u3164", ", ", "\\n", "\\u3164", "%20", "&nbsp;", "<wbr>", '" "']
+)
+def test_no_key_leaves_with_anything_between_its_letters(between: str) -> None:
+    assert scrub(f"at n{between.join(KEY)}; and", (KEY, "another-key-of-somebody")) == LEFT_OUT
+    assert LEFT_OUT in str(failing(ValueError(f"bad {between.join(KEY)}")))
+
+
+def test_a_key_may_begin_like_an_escape() -> None:
+    assert scrub(r"\n o p q r s t u v w x y z", ("nopqrstuvwxyz",)) == LEFT_OUT
+
+
+@pytest.mark.parametrize("form", ["%{:02x}", "%{:02X}", "\\u{:04x}", "\\x{:02x}", "&#{};", "&#x{:x};", "&#00{};"])
+def test_no_key_leaves_with_escaped_letters(form: str) -> None:
+    escaped = [form.format(ord(letter)) if k % 3 else letter for k, letter in enumerate(KEY)]
+    for between in ("", " "):
+        assert scrub(f"with {between.join(escaped)} in it", (KEY,)) == LEFT_OUT
+
+
 def test_scrubbing_leaves_other_text_alone() -> None:
-    text = "risk-averse task-oriented sk-8 Position: [1, 2]"
-    assert scrub(text, ("", KEY)) == text
+    text = "risk-averse task-oriented sk-8 Position: [1, 2] %41 &amp; \\n no negative"
+    assert scrub(text, ("", KEY, "none")) == text
 
 
 def test_lone_surrogate_in_an_answer_is_replaced() -> None:

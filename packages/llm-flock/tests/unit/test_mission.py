@@ -48,7 +48,7 @@ from llm_flock.mission import Mission, build_mission
         ({"points": ((0, 0, 0), (9, 9, 9)), "n_robots": 2}, "points", "2 coordinates in each row"),
         ({"points": ((0, 0), (9, 9)), "n_robots": 3, "places": 4}, "places", "2"),
         ({"places": 0}, "places", "at least 1"),
-        ({"n_robots": 4, "places": 73}, "places", "at most 72 for 4 robots"),
+        ({"n_robots": 4, "places": 94}, "places", "at most 93 for 4 robots"),
         ({"shape": "triangle", "n_robots": 3, "places": 4}, "places", "a triangle takes 3, 6, 9, 12, ... places"),
         ({"shape": "circle", "n_robots": 3, "places": 60}, "arena", "of 60 places"),
         ({"velocity": (1, 2, 3)}, "velocity", "2 numbers"),

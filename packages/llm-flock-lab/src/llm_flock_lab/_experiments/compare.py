@@ -250,8 +250,8 @@ def trial_file(path: Path) -> Generator[OnResult]:
             summary = {} if result.summary is None or result.error is not None else result.summary
             figures = [summary.get(name) for name in FIGURES]
             waypoints = " ".join(f"{who}={count}" for who, count in summary.get("waypoints", {}).items())
-            shape, error = csv_cell(cell.shape), csv_cell(result.error or "")
-            writer.writerow((cell.protocol, shape, cell.n_robots, seed, *figures, waypoints, error))
+            row = (cell.protocol, cell.shape, cell.n_robots, seed, *figures, waypoints, result.error)
+            writer.writerow(map(csv_cell, row))
             file.flush()
 
         yield add

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +16,7 @@ from pydantic import AliasPath, BaseModel, Field, ValidationError
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.events import Origin
-from llm_flock.printable import FORMULA
+from llm_flock.printable import csv_cell
 from llm_flock_lab._experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock_lab._experiments.store import read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.trial import TrialResult
@@ -167,13 +168,15 @@ def build_tables(folder: Path) -> None:
 
 
 def export_csv(folder: Path, out: Path) -> list[Path]:
-    """Write `trials.csv` and `rounds.csv`; results come from anywhere, so no text becomes a spreadsheet's formula."""
+    """Write `trials.csv` and `rounds.csv`; results come from anywhere, so every text is a `csv_cell`."""
     frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, frame in frames.items():
-            texts = frame.select(pl.col(pl.String)).columns
-            frame.with_columns(pl.col(texts).str.replace(f"({FORMULA})", "'${1}")).write_csv(out / name)
+            with (out / name).open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerow(map(csv_cell, frame.columns))
+                texts = pl.col(pl.String).map_elements(csv_cell, pl.String)
+                frame.with_columns(texts).write_csv(file, include_header=False)
     except OSError as error:
         raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
     return [out / name for name in frames]

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from llm_flock.members import OPERATOR
-from llm_flock.message import MISSION_FIELDS, MissionStamp
+from llm_flock.message import MissionStamp
+from llm_flock.mission import MISSION_FIELDS
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import load_keys
 from llm_flock_swarm._network.wire import MissionOrder

@@ -12,7 +12,7 @@ from contextlib import asynccontextmanager, closing
 from typing import Any
 
 from llm_flock.errors import InputError, MessageError
-from llm_flock.message import MISSION_FIELDS
+from llm_flock.mission import MISSION_FIELDS
 from llm_flock.record import ASLEEP, DEAD, Guarded
 from llm_flock.runtime import ROBOT
 from llm_flock_swarm._network.config import SwarmConfig, endpoints

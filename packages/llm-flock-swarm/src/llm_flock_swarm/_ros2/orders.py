@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import InputError, MessageError
 from llm_flock.members import OPERATOR
-from llm_flock.message import MISSION_FIELDS, MissionStamp, OperatorClock
+from llm_flock.message import MissionStamp, OperatorClock
+from llm_flock.mission import MISSION_FIELDS
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.mission_orders import mission_order, mission_verifier
@@ -28,15 +28,12 @@ from llm_flock_swarm._ros2.drawing import Position
 ORDERED = MISSION_FIELDS - {"velocity", "since"}
 """Fields that an order may change. Formations of a swarm of processes stand still."""
 
-MAX_TEXT_LENGTH = 1 << 16  # longest text of a mission [characters]
 TAKERS = 3  # robots that are given an order: one is enough, if it lives
 RATE, POSE_RATE = 1.0, 500.0  # orders a second, in the long run, on each topic; and poses of one robot
 
 
 def mission_fields(text: str) -> dict[str, Any]:
     """Fields of a mission in JSON or TOML, in a table `mission` or without [units]; a MessageError `bad_mission`."""
-    if len(text) > MAX_TEXT_LENGTH:
-        raise MessageError("bad_mission", f"{len(text)} characters, more than {MAX_TEXT_LENGTH}")
     try:
         found: object = json.loads(text) if text.lstrip().startswith("{") else tomllib.loads(text)
     except (ValueError, RecursionError) as error:
@@ -71,8 +68,6 @@ def check_frame(message: Any, frame: str) -> None:
 def places_fields(message: Any, frame: str, unit_m: float, dim: int) -> dict[str, Any]:
     """The fields of a mission whose places are the poses of a PoseArray [m]; their mean is its centre."""
     check_frame(message, frame)
-    if not 1 <= len(message.poses) <= MAX_ROBOTS:
-        raise MessageError("bad_mission", f"{len(message.poses)} points, not 1 to {MAX_ROBOTS}")
     rows = [checked_position(pose.position) for pose in message.poses]
     points = [[x / unit_m for x in row[:dim]] for row in rows]
     return {"points": points, "center": [math.fsum(column) / len(points) for column in zip(*points, strict=True)]}

@@ -9,8 +9,7 @@ from pydantic import ValidationError
 
 from llm_flock.arrays import Point
 from llm_flock.errors import RecordError
-from llm_flock.message import MISSION_FIELDS
-from llm_flock.mission import input_error
+from llm_flock.mission import MISSION_FIELDS, input_error
 from llm_flock.record import BodySample, Entry, MissionInfo, PlanInfo, RunInfo, State
 from llm_flock.runtime import WorldConfig
 from llm_flock_swarm._ros2.drawing import Position, TeamView, ToWorld, scaled, view_of

@@ -15,7 +15,7 @@ from typing import Annotated, Protocol, TypeAlias
 import msgspec
 from msgspec.structs import astuple
 
-from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.bounds import MAX_ROBOTS, max_payload_bytes
 from llm_flock.errors import MessageError
 from llm_flock.message import (
     BLOCKED,
@@ -28,7 +28,6 @@ from llm_flock.message import (
     MissionStamp,
     Offer,
     Provenance,
-    max_payload_bytes,
 )
 
 OPERATOR = -2  # member id of the operator, who gives missions

@@ -13,18 +13,8 @@ from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
 from llm_flock.events import Broadcast, CommRoundBegan, CommRoundEnded, MissionGiven, Planned, RoundBegan
-from llm_flock.message import (
-    BLOCKED,
-    MAX_EPOCHS,
-    MAX_LOOKS,
-    NO_OWNER,
-    Message,
-    MissionStamp,
-    Offer,
-    encode,
-    mission_text,
-)
-from llm_flock.mission import Mission
+from llm_flock.message import BLOCKED, MAX_EPOCHS, MAX_LOOKS, NO_OWNER, Message, MissionStamp, Offer, encode
+from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.protocol._agreement.auction import AuctionAssignment

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import typer
@@ -50,14 +54,13 @@ def view(
     base_url: Annotated[
         str | None, typer.Option(help="Address that replaces the provider's own", show_default=False)
     ] = None,
-    host: Annotated[str, typer.Option(help="Address to listen at; any but this machine's own needs a token")] = (
-        "127.0.0.1"
-    ),
+    host: Annotated[str, typer.Option(help="Address to listen at")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port to listen at; 0 takes a free one")] = 8765,
     token: Annotated[
         str | None,
         typer.Option(
-            help="Token that a browser must show [random, where one is needed]",
+            envvar="LLM_FLOCK_TOKEN",
+            help="Token that a browser must show [random]; on the command line, others on this machine can see it",
             show_default=False,
         ),
     ] = None,
@@ -105,10 +108,7 @@ def view(
         typer.echo(f"Foxglove: {server.url}", err=True)
     typer.echo("Ctrl-C ends the viewer", err=True)
     if browser:
-        import threading
-        import webbrowser
-
-        threading.Thread(target=webbrowser.open, args=(address.url,), daemon=True).start()
+        threading.Thread(target=_open, args=(address.url, runs), daemon=True).start()
     # The heavy libraries come last: the browser starts meanwhile, and waits at the open port.
     from llm_flock_view._viewer.app import run_viewer
 
@@ -123,6 +123,18 @@ def view(
         reader=reader,
         foxglove=server,
     )
+
+
+def _open(url: str, runs: Path) -> None:
+    """Let the browser open a page that leads to the viewer: other users of the machine see what a command is given."""
+    import webbrowser
+
+    # Browsers that are confined to the user's own folders read it there, but not in the system's folder.
+    with TemporaryDirectory(dir=runs if os.access(runs, os.W_OK) else None) as folder:
+        page = Path(folder).resolve() / "viewer.html"
+        page.write_text(f'<!doctype html><meta http-equiv="refresh" content="0;url={url}">', encoding="ascii")
+        webbrowser.open(page.as_uri())
+        time.sleep(60.0)  # the browser has read it by then
 
 
 def reach_browser() -> list[Finding]:

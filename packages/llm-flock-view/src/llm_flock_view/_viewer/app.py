@@ -65,8 +65,10 @@ def run_viewer(
             source.also = foxglove
         threading.Thread(target=Feed(library, foxglove).run, daemon=True).start()
     app = Starlette(routes=Routes(library, launcher, PageOrders(library, launcher, source)).routes())
-    guarded = RequestGuard(app, hosts=address.hosts, token=address.token)
-    server = uvicorn.Server(uvicorn.Config(guarded, log_level="warning", access_log=False, timeout_graceful_shutdown=1))
+    guarded = RequestGuard(app, address.token)
+    # Pages open no WebSocket.
+    settings = uvicorn.Config(guarded, ws="none", log_level="error", access_log=False, timeout_graceful_shutdown=1)
+    server = uvicorn.Server(settings)
     if source is not None:
         threading.Thread(target=source.watch, daemon=True).start()
     server.run(sockets=[address.sock])

@@ -219,11 +219,6 @@ _FLIGHT: Mapping[str, Callable[[Detail], str]] = {
 """Flights of real drones, see docs/reference/record.md; where a flight is told by no robot, it is not listed."""
 
 
-def told_kinds() -> frozenset[str]:
-    """Kinds of events that have a sentence of their own."""
-    return frozenset(_SENTENCES) | frozenset(_PLAN_SENTENCES)
-
-
 def _unknown(event: ProtocolEvent) -> str:
     """Of a flight, or of another version of the format."""
     details = ", ".join(

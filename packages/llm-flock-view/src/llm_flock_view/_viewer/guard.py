@@ -1,13 +1,13 @@
-"""Access control: host and origin of every request and WebSocket, a token, and a content security policy."""
+"""Access control: origin of every request, a token, and a content security policy."""
 
 from __future__ import annotations
 
 import hmac
-from collections.abc import Iterable
-from urllib.parse import parse_qsl, quote, unquote, urlencode
+from html import escape
+from urllib.parse import quote, unquote, urlencode
 
-from starlette.requests import HTTPConnection
-from starlette.responses import PlainTextResponse, RedirectResponse, Response
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 POLICY = "; ".join(
@@ -32,70 +32,49 @@ HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
 )
-COOKIE = "flock_token"
+LEADS_ON = '<!doctype html><link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url={}">'
+NEEDED = "This viewer needs the address with its token: open it as `llm-flock view` printed it in its terminal.\n"
 
 
 class RequestGuard:
     """Middleware that refuses requests which do not come from the viewer's own pages.
 
-    `hosts` are the accepted values of the Host header; empty: any. Another site can point its own name at this machine,
-    but it cannot change the Host that the browser sends. A browser must show the token once, then has a cookie.
+    A browser must show the token once, then has a cookie, named by the port: browsers send the cookies of one viewer to
+    all others on the same machine. Another site can point its own name at this machine, but has no cookie.
     """
 
-    def __init__(self, app: ASGIApp, *, hosts: Iterable[str] = (), token: str | None = None) -> None:
+    def __init__(self, app: ASGIApp, token: str) -> None:
         self._app = app
-        self._hosts = frozenset(host.lower() for host in hosts)
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        refused = self._refusal(HTTPConnection(scope))
-        if refused is None:
-            await self._app(scope, receive, _with_headers(send))
-        elif scope["type"] == "websocket":
-            await receive()
-            await send({"type": "websocket.close", "code": 1008})  # policy violated (RFC 6455, section 7.4.1)
-        else:
-            await refused(scope, receive, _with_headers(send))
+        asked = self._app if scope["type"] != "http" else self._refusal(Request(scope)) or self._app
+        await asked(scope, receive, _with_headers(send))
 
-    def _refusal(self, asked: HTTPConnection) -> Response | None:
-        refused = self._token_refusal(asked)
-        # Every page's order names its origin; what names none comes from no page.
-        reads = asked.scope["type"] == "websocket" or asked.scope["method"] in ("GET", "HEAD")
-        if refused is None and not reads and asked.headers.get("origin") is None:
-            return PlainTextResponse("no origin", status_code=403)
-        return refused
-
-    def _token_refusal(self, asked: HTTPConnection) -> Response | None:
-        scope, headers = asked.scope, asked.headers
-        host = headers.get("host", "").lower()
-        if self._hosts and host not in self._hosts:
-            return PlainTextResponse("unknown host", status_code=421)
-        origin = headers.get("origin")
+    def _refusal(self, asked: Request) -> Response | None:
+        host, origin = asked.headers.get("host", "").lower(), asked.headers.get("origin")
         if origin is not None and origin.lower() not in (f"http://{host}", f"https://{host}"):
             return PlainTextResponse("another site's page may not ask", status_code=403)
-        if scope["type"] == "websocket" and origin is None:
+        # Every page's order names its origin; what names none comes from no page.
+        if origin is None and asked.method not in ("GET", "HEAD"):
             return PlainTextResponse("no origin", status_code=403)
-        if self._token is None:
-            return None
-        if self._is_token(unquote(asked.cookies.get(COOKIE, ""))):
-            return None
-        query = parse_qsl(scope.get("query_string", b"").decode("latin-1"))
-        given = dict(query).get("token", "")
-        if scope["type"] == "http" and scope["method"] == "GET" and self._is_token(given):
-            rest = urlencode([(name, value) for name, value in query if name != "token"])
+        cookie = f"flock_token_{asked.scope['server'][1]}"
+        given = asked.query_params.get("token", "")
+        if asked.method == "GET" and self._is_token(given):
+            rest = urlencode([(name, value) for name, value in asked.query_params.multi_items() if name != "token"])
             # Two slashes at the beginning of a path would name another server.
-            path = "/" + scope["path"].lstrip("/\\")
-            # Addresses are copied, logged and kept in histories, so the token is taken out of this one.
-            answer = RedirectResponse(path + (f"?{rest}" if rest else ""), status_code=303)
-            answer.set_cookie(COOKIE, quote(given, safe=""), httponly=True, samesite="strict", path="/")
+            target = "/" + quote(asked.scope["path"].lstrip("/\\")) + (f"?{rest}" if rest else "")
+            # Addresses are copied, logged and kept in histories, so the token is taken out of this one. A page does
+            # it: browsers send no cookie along a redirect, where another page linked here.
+            answer = HTMLResponse(LEADS_ON.format(escape(target)))
+            answer.set_cookie(cookie, quote(given, safe=""), httponly=True, samesite="strict", path="/")
             return answer
-        return PlainTextResponse("This viewer needs the address with its token, as the command printed it.", 401)
+        if self._is_token(unquote(asked.cookies.get(cookie, ""))):
+            return None
+        return PlainTextResponse(NEEDED, 401)
 
     def _is_token(self, given: str) -> bool:
-        return self._token is not None and hmac.compare_digest(given.encode(), self._token.encode())
+        return hmac.compare_digest(given.encode(), self._token.encode())
 
 
 def _with_headers(send: Send) -> Send:

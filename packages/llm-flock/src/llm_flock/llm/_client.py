@@ -6,12 +6,14 @@ faults, and the planner asks again after answers that it cannot use.
 
 from __future__ import annotations
 
+import html
 import logging
 import re
 import time
 from collections.abc import Mapping
 from itertools import groupby
 from typing import Any, cast
+from urllib.parse import unquote
 
 import httpx2
 from pydantic_ai import exceptions as pai
@@ -50,13 +52,26 @@ _FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
 _KEY_LIKE = re.compile(r"\bsk-[A-Za-z0-9_*-]{6,}")
 """The form of providers' keys, including one that a provider returns half hidden by asterisks."""
 
+_ESCAPE = re.compile(r"\\(?:u([0-9A-Fa-f]{4})|x([0-9A-Fa-f]{2})|[a-z])")
+
 
 def scrub(text: str, secrets: tuple[str, ...]) -> str:
-    """The text without any of the secrets and without anything that looks like a key."""
-    for secret in secrets:
-        if secret and secret in text:
-            text = text.replace(secret, "[key]")
+    """The text without any of the secrets and without anything that looks like a key.
+
+    No server says a key with anything between its letters, or escaped, by chance: nothing of that text is passed on.
+    """
+    for secret in filter(None, secrets):
+        text = text.replace(secret, "[key]")
+    plain = re.sub(_ESCAPE, lambda one: chr(int(one[1] or one[2] or "20", 16)), text)
+    plain = re.sub("<[^<>]*>", "", html.unescape(unquote(plain)))
+    for letters in (_letters(text), _letters(plain)):
+        if any(len(key) >= 12 and key in letters for key in map(_letters, secrets)):  # fewer may be words
+            return "[a text with a key in it]"
     return _KEY_LIKE.sub("[key]", text) if "sk-" in text else text
+
+
+def _letters(text: str) -> str:
+    return re.sub("[^0-9A-Za-z]", "", text)
 
 
 class PydanticModel:

@@ -14,8 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from llm_flock.errors import InputError
-from llm_flock.message import MISSION_FIELDS
-from llm_flock.mission import Coordinate, Mission
+from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
 
 
 class Stream(IntEnum):

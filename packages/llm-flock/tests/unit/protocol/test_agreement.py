@@ -20,8 +20,8 @@ from llm_flock.events import (
     Received,
     Sensed,
 )
-from llm_flock.message import NO_OWNER, UNSAID, BidTable, mission_text
-from llm_flock.mission import Mission
+from llm_flock.message import NO_OWNER, UNSAID, BidTable
+from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
 from llm_flock.planner import StepAnswer
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim

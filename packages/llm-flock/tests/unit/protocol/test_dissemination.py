@@ -10,19 +10,8 @@ from msgspec.structs import replace
 from still_team import StillTeam, connected_places
 from tables import told
 
-from llm_flock.message import (
-    MISSION_FIELDS,
-    UNSAID,
-    BidEntry,
-    BidTable,
-    Message,
-    MissionStamp,
-    Provenance,
-    decode,
-    mission_text,
-    table_digest,
-)
-from llm_flock.mission import Mission
+from llm_flock.message import UNSAID, BidEntry, BidTable, Message, MissionStamp, Provenance, decode, table_digest
+from llm_flock.mission import MISSION_FIELDS, Mission, mission_text
 from llm_flock.plan import Plan
 from llm_flock.protocol._membership.liveness import Liveness
 from llm_flock.protocol._messages.dissemination import RESTLESS_ROUNDS, SMALL, Dissemination

@@ -7,6 +7,7 @@ import msgspec.structs
 import pytest
 from tables import told
 
+from llm_flock.bounds import MAX_ROBOTS, max_payload_bytes, max_places, mission_room
 from llm_flock.errors import MessageError
 from llm_flock.message import (
     BLOCKED,
@@ -22,7 +23,6 @@ from llm_flock.message import (
     Provenance,
     decode,
     encode,
-    max_payload_bytes,
 )
 from llm_flock.plan import Plan
 
@@ -179,23 +179,34 @@ def test_a_plan_says_for_which_mission_a_message_is() -> None:
     assert heard.mission == ORIGIN.stamp and heard == FULL
 
 
-def test_a_full_table_of_a_large_team_fits() -> None:
-    n = 1000
-    plan = Plan.of([[12345.678901 + k, -98765.432109 - k] for k in range(n)])
-    table = tuple((2**39, -123456.123456789, k) for k in range(n))
+@pytest.mark.parametrize(("n", "dim"), [(1, 2), (10, 3), (300, 2), (1000, 2), (MAX_ROBOTS, 3)])
+@pytest.mark.parametrize("crowded", [False, True])
+def test_the_longest_mission_fits_beside_all_else(n: int, dim: int, crowded: bool) -> None:
+    places = min(max_places(n, dim), MAX_ROBOTS) if crowded else n
+    plan = Plan.of([[12345.678901 + k, -98765.432109 - k, 0.123456][:dim] for k in range(places)])
+    far = 2**40 - 1
+    table = tuple((far, -123456.123456789, n - 1) for k in range(places))
+    here = plan.points[0]
     message = Message(
-        sender=0,
-        sequence=0,
+        sender=n - 1,
+        sequence=far,
         degree=n - 1,
-        mission_text=str(plan.points),
+        mission_text="x" * mission_room(n, places, dim),
         plan=plan,
-        provenance=ORIGIN,
-        slot=0,
+        provenance=msgspec.structs.replace(
+            ORIGIN, mission=2**60 - 1, epoch=far, degree=n - 1, proposer=n - 1, sequence=far
+        ),
+        slot=places - 1,
         **told(table),
-        beats=(2**32,) * n,
-        positions={k: (LAST_ROUND, point, point) for k, point in enumerate(plan.points)},
+        offer=Offer(to=n - 1, give=places - 1, take=0, give_version=far, take_version=far, bid=-0.1),
+        course=Course(level=15, of=n - 1, path=(here,) * 4),
+        beats=(far,) * n,
+        positions=dict.fromkeys(range(n), (LAST_ROUND, here, here)),
     )
-    assert decode(encode(message), n, 2) == message
+    payload = encode(message)
+    assert decode(payload, n, dim) == message
+    small_ids = 3 * 2 * (n + places) + 60 * (n < 1000)
+    assert max_payload_bytes(n) - len(payload) <= small_ids, "what is left is what smaller numbers take less"
 
 
 @pytest.mark.parametrize("first", [-0.0, 0.0])

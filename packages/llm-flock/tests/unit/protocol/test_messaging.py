@@ -8,8 +8,8 @@ from msgspec.structs import replace
 from opened_payloads import Opened
 
 from llm_flock.events import MissionGiven, Received
-from llm_flock.message import Course, decode, encode, mission_text
-from llm_flock.mission import Mission
+from llm_flock.message import Course, decode, encode
+from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.messaging import COURSE_ROUNDS, MAX_REJECTED_PLANS, MAX_REPEATED
 

@@ -55,7 +55,7 @@ export class Recording {
   async get(path) {
     if (this.held) return this.held(path); // a page that holds its run
     const answer = await fetch(`/data/${this.key}/${path}`, { credentials: "same-origin" });
-    if (!answer.ok) throw new Error(`${path}: ${answer.status}`);
+    if (!answer.ok) throw new Error(answer.status === 401 ? await answer.text() : `${path}: ${answer.status}`);
     return answer.json();
   }
 

@@ -13,8 +13,8 @@ from itertools import compress
 
 from msgspec.structs import replace
 
-from llm_flock.message import BidTable, Message, claims_in, encode, mission_text, table_digest
-from llm_flock.mission import Mission
+from llm_flock.message import BidTable, Message, claims_in, encode, table_digest
+from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
 
 SMALL = 64
