@@ -60,7 +60,7 @@ class MocapPoses:
 
     def _start(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", __name__, self._system, self._host, str(self._port.port), *self._names]
-        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)
+        return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL)  # noqa: S603 - this module
 
     async def close(self) -> None:
         process, self._process = self._process, None

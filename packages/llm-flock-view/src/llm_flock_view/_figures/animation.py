@@ -205,7 +205,7 @@ def _write_video(record: RunRecord, path: Path, part: Path, fps: int, ffmpeg: st
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"]
     target = ["-an", "-c:v", coder, "-pix_fmt", "yuv420p", *settings, str(part)]
     command = [ffmpeg, "-y", "-loglevel", "error", *source, *target]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:  # noqa: S603 - ffmpeg
         pipe = process.stdin
         assert pipe is not None
         data = b""

@@ -42,7 +42,7 @@ class Address:
     @property
     def shown_host(self) -> str:
         """A host that a browser can be pointed to."""
-        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)
+        host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(self.host, self.host)  # noqa: S104 - compared
         return f"[{host}]" if ":" in host else host
 
     @property
@@ -54,7 +54,7 @@ class Address:
     @property
     def hosts(self) -> Sequence[str]:
         """Values of the Host header that are accepted; none (any) where the machine's names are not known here."""
-        if self.host in ("0.0.0.0", "::"):
+        if self.host in ("0.0.0.0", "::"):  # noqa: S104 - compared
             return ()
         names = {self.shown_host} | ({"127.0.0.1", "localhost", "[::1]"} if is_loopback(self.host) else set[str]())
         return [f"{name}:{self.port}" for name in sorted(names)]

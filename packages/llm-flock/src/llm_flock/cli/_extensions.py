@@ -101,7 +101,7 @@ def _flags(function: Callable[..., Any]) -> list[inspect.Parameter]:
     """The keyword parameters of a plug-in, with evaluated annotations; those of its other parameters may be strings."""
     scope = vars(inspect.getmodule(function))
     parameters = inspect.signature(function).parameters.values()
-    return [p.replace(annotation=eval(p.annotation, scope)) for p in parameters if p.kind is p.KEYWORD_ONLY]
+    return [p.replace(annotation=eval(p.annotation, scope)) for p in parameters if p.kind is p.KEYWORD_ONLY]  # noqa: S307 - code of an installed part
 
 
 def refuse(sinks: Sequence[Extension], where: str) -> None:
