@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from hostile import BAIT
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -18,13 +19,13 @@ OWN = tuple(
     str(path)
     for path in (
         *(sys.prefix, sys.base_prefix, ROOT, "/usr/lib", "/usr/share", "/usr/local", "/etc/fonts"),
-        *(HOME / ".cache" / "matplotlib", HOME / ".config" / "matplotlib", HOME / ".fonts", HOME / ".local/share/fonts"),
+        *(HOME / ".cache/matplotlib", HOME / ".config/matplotlib", HOME / ".fonts", HOME / ".local/share/fonts"),
     )
 )
 """What the interpreter and its libraries read."""
 
-SYSTEM = ("/dev/null", "/dev/urandom", "/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/fs/cgroup", "/etc/mime.types")
-PRIVATE = os.path.join(tempfile.gettempdir(), "llm-flock-")
+SYSTEM = ("/dev/null", "/dev/urandom", "/proc/self", "/proc/cpuinfo", "/proc/meminfo", "/sys/fs/cgroup", "/etc/mime")
+PRIVATE = f"{tempfile.gettempdir()}/llm-flock-"
 """Temporary folders of the program itself."""
 
 FORBIDDEN = frozenset(
@@ -52,7 +53,7 @@ def _is_within(path: str, *folders: str) -> bool:
 
 
 def _place(path: Any) -> str:
-    return os.path.abspath(os.fsdecode(path))
+    return os.path.abspath(os.fsdecode(path))  # noqa: PTH100 - follows no link, and asks no file
 
 
 def _is_own(path: Any, *, reads: bool) -> bool:
@@ -68,7 +69,7 @@ def _hook(event: str, args: tuple[Any, ...]) -> None:
     if not _inside:
         return
     if event == "open":
-        path, mode, flags = args
+        path, _, flags = args
         reads = not flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT) if isinstance(flags, int) else True
         allowed = _is_own(path, reads=reads)
     elif event == "import":
@@ -86,16 +87,25 @@ _hooked = False
 
 
 @contextmanager
-def kept_inside(*folders: Path) -> Iterator[None]:
-    """Fail if anything outside these folders is opened or changed, bait imported, a process started, a host called."""
+def kept_inside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Work in a folder `here` with bait in it, and beside it; gives its path.
+
+    Fails if anything outside `here` is opened or changed, bait imported, a process started, or a host called.
+    """
     global _hooked
+    here = folder / "here"
+    here.mkdir()
+    (here / f"{BAIT}.py").write_text("raise SystemExit('imported')\n")
+    (folder / BAIT).mkdir()
+    (folder / BAIT / "file").write_text("[[1, 2], [3, 4], [5, 6]]")
+    monkeypatch.chdir(here)
     if not _hooked:
         sys.addaudithook(_hook)  # for the rest of this process
         _hooked = True
     for name in UNWANTED_MODULES:
         sys.modules.pop(name, None)
     _reached.clear()
-    _inside[:] = map(str, folders)
+    _inside[:] = [str(here)]
     look = os.stat
 
     def stat(path: Any, *args: Any, **kwargs: Any) -> os.stat_result:
@@ -103,10 +113,10 @@ def kept_inside(*folders: Path) -> Iterator[None]:
             _reached.append(f"os.stat {path!r}")
         return look(path, *args, **kwargs)
 
-    os.stat = stat
     try:
-        yield
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "stat", stat)
+            yield here
     finally:
-        os.stat = look
         _inside.clear()
     assert not _reached, _reached

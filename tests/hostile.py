@@ -18,6 +18,7 @@ from typing import Any
 
 import msgspec.inspect as wire
 from effort import EFFORT
+from mangled import changed_bytes
 from pydantic import BaseModel
 
 BAIT = "hostile_bait"
@@ -28,12 +29,13 @@ LURES = (
     f"/{BAIT}/file", f"../{BAIT}/file", f"~/{BAIT}", f"points:/{BAIT}/file", f"points:../{BAIT}/file", "/dev/zero",
     f"{BAIT}:Class", f"{BAIT}.a:b", "this:d", "antigravity:x", "os:system", "subprocess:Popen", f"local:/{BAIT}/file",
     f"replay:/{BAIT}/file", f"replay:../{BAIT}/file", "openai:gpt-4o", "ollama:x", "simulated:ideal", "geometry",
-    "http://127.0.0.1:9/v1", "https://bait.invalid/v1", f"file:///{BAIT}/file", "tcp/127.0.0.1:9", "udp://127.0.0.1:9",
-    "radio://0/80/2M/E7E7E7E701", "0=simulated:ideal,1-2=openai:x", "0-99999999999=a", "polygon:5", "text:\ud55c", "star",
-    "\0", "\x1b[2J\x1b]0;x\x07", "\r\n", "\u202e", "\u3164", "\u200b\u2066", "e\u0301" * 9, "\U000e0041", "\ufeff", "\x7f",
-    "<script>alert(1)</script>", "\"'><img src=x onerror=alert(1)>", "[x](javascript:alert(1))", "=cmd|' /C calc'!A0",
-    "$(id)", "`id`", "%s%n{0.__class__}", "{{7*7}}", "{% include '/etc/passwd' %}", "[bold red]x[/]", "[/]", "$\\frac{$",
-    "*" * 300, "formed", "model", "plan", "step", "text", "json", "none", "full", "accused",
+    "http://127.0.0.1:9/v1", "https://bait.invalid/v1", f"file:///{BAIT}/file", "tcp/127.0.0.1:9",
+    "udp://127.0.0.1:9", "radio://0/80/2M/E7E7E7E701", "0=simulated:ideal,1-2=openai:x", "0-99999999999=a",
+    "polygon:5", "text:\ud55c", "star", "\0", "\x1b[2J\x1b]0;x\x07", "\r\n", "\u202e", "\u3164", "\u200b\u2066",
+    "e\u0301" * 9, "\U000e0041", "\ufeff", "\x7f", "<script>alert(1)</script>", "\"'><img src=x onerror=alert(1)>",
+    "[x](javascript:alert(1))", "=cmd|' /C calc'!A0", "$(id)", "`id`", "%s%n{0.__class__}", "{{7*7}}",
+    "{% include '/etc/passwd' %}", "[bold red]x[/]", "[/]", "$\\frac{$", "*" * 300, "formed", "model", "plan", "step",
+    "text", "json", "none", "full", "accused",
 )  # fmt: skip
 
 WHOLE = (0, 1, -1, 2, 3, 255, 2**31, 2**53, 2**53 + 1, 2**63 - 1, -(2**63), 2**64 - 1)
@@ -361,6 +363,11 @@ def drawn(seed: str) -> Iterator[random.Random]:
     except BaseException as error:
         error.add_note(f"seed: {seed}")
         raise
+
+
+def damaged(payload: bytes, rng: random.Random) -> bytes:
+    """The same, but one in ten with bytes changed, lost or added."""
+    return changed_bytes(payload, rng) if rng.random() < 0.1 else payload
 
 
 def toml(value: Any) -> str:

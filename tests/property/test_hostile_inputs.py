@@ -19,7 +19,7 @@ import pytest
 from audit import kept_inside
 from flights import flight_config
 from gguf_files import MODEL, TENSORS, gguf
-from hostile import BAIT, Hostile, drawn, seeds, toml
+from hostile import Hostile, damaged, drawn, seeds, toml
 from mangled import changed_bytes, mangled_json, tried
 from reports import CONFIG, MISSION, N, told
 from rounds import round_began
@@ -87,20 +87,10 @@ VALIDATOR = Validator(shield_on=True)
 
 
 @pytest.fixture(autouse=True)
-def inside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Tests run in a folder of their own, with bait in it and beside it."""
-    here = tmp_path / "here"
-    here.mkdir()
-    (here / f"{BAIT}.py").write_text("raise SystemExit('imported')\n")
-    (tmp_path / BAIT).mkdir()
-    (tmp_path / BAIT / "file").write_text("[[1, 2], [3, 4], [5, 6]]")
-    monkeypatch.chdir(here)
-    with kept_inside(here):
-        yield
-
-
-def damaged(payload: bytes, rng: random.Random) -> bytes:
-    return changed_bytes(payload, rng) if rng.random() < 0.1 else payload
+    with kept_inside(tmp_path, monkeypatch) as folder:
+        yield folder
 
 
 # --- messages ---------------------------------------------------------------------------------------------------------
@@ -241,10 +231,10 @@ def test_the_wire_is_taken_or_rejected(part: int) -> None:
 
 
 @parts
-def test_no_report_ends_an_observer(part: int, tmp_path: Path) -> None:
+def test_no_report_ends_an_observer(part: int, here: Path) -> None:
     """Every report that is taken is in the record, which can be read; a plain state of the world comes between."""
     for number, seed in enumerate(seeds("report", CASES // 10, part, PARTS)):
-        path = tmp_path / "here" / f"{number}.mcap"
+        path = here / f"{number}.mcap"
         with drawn(seed) as rng, RecordWriter(path) as writer:
             hostile = Hostile(rng, binary=True)
             writer.write(run_info())
@@ -259,10 +249,12 @@ def test_no_report_ends_an_observer(part: int, tmp_path: Path) -> None:
                 good = told(robot, **({"shape": shape, "mission": (7, MISSION.digest)} if rng.random() < 0.3 else {}))
                 report = hostile.struct(RobotReport, msgspec.to_builtins(good, builtin_types=(bytes,)))
                 payload = damaged(pack(good)[:1] + msgspec.msgpack.encode(report), rng)
-                tried(lambda robot=robot, it=payload: seen.report(robot, unpack(RobotReport, it)), MessageError)
+                tried(
+                    lambda seen=seen, robot=robot, it=payload: seen.report(robot, unpack(RobotReport, it)), MessageError
+                )
                 seen.world(world)
                 state = pack(world)[:1] + msgspec.msgpack.encode(hostile.struct(WorldState, plain))
-                tried(lambda it=state: seen.world(unpack(WorldState, it)), MessageError)
+                tried(lambda seen=seen, it=state: seen.world(unpack(WorldState, it)), MessageError)
                 seen.check(50.0 + k)
         assert read_record(path).rounds >= 0
         path.unlink()
@@ -311,13 +303,13 @@ def sweep(path: Path) -> None:
 
 @parts
 @pytest.mark.parametrize("kind", [RunConfig, SwarmConfig, FlightConfig, SweepFile])
-def test_a_configuration_is_taken_or_rejected(kind: Any, part: int, tmp_path: Path) -> None:
+def test_a_configuration_is_taken_or_rejected(kind: Any, part: int, here: Path) -> None:
     """From a file of one's own, up to its dry run, and as stored by others."""
     sample = {"shape": "triangle", "n_robots": 3, "rounds": 2}
     if kind is FlightConfig:
         good = flight_config().model_dump(mode="json")
     elif kind is SweepFile:
-        good = msgspec.toml.decode(small_file(tmp_path / "here").read_bytes())
+        good = msgspec.toml.decode(small_file(here).read_bytes())
     else:
         good = kind.build(**sample).model_dump(mode="json")
     taken = 0
