@@ -257,6 +257,9 @@ class Hostile:
                 return dict(pairs)
             case wire.LiteralType():
                 return self.rng.choice(kind.values)
+            case wire.CustomType() if isinstance(kind.cls, type) and issubclass(kind.cls, BaseModel):
+                known = json.loads(like) if isinstance(like, bytes) else NONE  # models travel as JSON
+                return json.dumps(Hostile(self.rng).model(kind.cls, known)).encode()
             case _:
                 return self.free()
 
@@ -264,7 +267,7 @@ class Hostile:
         fields = [
             (f.encode_name, f.required, lambda old, f=f: self._typed(f.type, old))
             for f in kind.fields
-            if not isinstance(f.type, wire.CustomType)
+            if f.type != wire.CustomType(object)  # never sent
         ]
         if not getattr(kind, "array_like", False):
             return self._fields(fields, like)

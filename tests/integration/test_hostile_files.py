@@ -99,11 +99,8 @@ def inspected(path: Path) -> None:
     found.diagnosis()
     for table in ("rounds", "robots"):
         found.to_polars(table)
-    for robot in range(3):
-        try:
-            show_conversation(found, robot, None)
-        except InputError:
-            continue  # it made no calls
+    if any(call.robot == 1 for call in found.llm):
+        show_conversation(found, 1, None)
 
 
 def watched(path: Path) -> bool:
@@ -153,13 +150,16 @@ def test_a_record_is_shown_or_rejected(part: int, here: Path) -> None:
                     case _:
                         entries[at] = (kind, hostile.model(kind, fields))
             write_record(path, entries, rng)
-            tried(lambda: inspected(path), RecordError)
             shown, tried_files = shown + bool(watched(path)), tried_files + 1
-            tried(lambda: write_file(path, path.with_suffix(".foxglove")), RecordError)
-            tried(lambda: write_page(path, path.with_suffix(".html")), RecordError)
-            if rng.random() < 0.01:
+            if rng.random() < 0.5:
+                tried(lambda: inspected(path), RecordError)
+            else:
+                tried(lambda: write_page(path, path.with_suffix(".html")), RecordError)
+            if rng.random() < 0.1:
+                tried(lambda: write_file(path, path.with_suffix(".foxglove")), RecordError)
+            if rng.random() < 0.003:
                 tried(lambda: pictured(path), FlockError)
-            if rng.random() < 0.001:
+            if rng.random() < 0.0002:
                 tried(lambda: animate(read_record(path), path.with_suffix(".gif")), FlockError)
     assert 0.1 * tried_files < shown < tried_files
 
@@ -213,10 +213,11 @@ def test_results_are_told_or_rejected(part: int, here: Path) -> None:
             (here / PLAN_NAME).write_bytes(damaged(msgspec.json.encode(plan), rng))
             (here / "spent" / "one.json").write_bytes(msgspec.json.encode(hostile.struct(Spent)))
             taken += tried(lambda: told(here), RecordError, InputError) is None
-            tried(lambda: tables.export_csv(here, here / "csv"), RecordError, InputError)
-            tried(lambda: resumed(here), RecordError, InputError)
-            if rng.random() < 0.02:
+            if rng.random() < 0.2:
+                tried(lambda: tables.export_csv(here, here / "csv"), RecordError, InputError)
+                tried(lambda: resumed(here), RecordError, InputError)
+            if rng.random() < 0.003:
                 tried(lambda rng=rng: list(gallery(Results.read(here), 2, fly_again=rng.random() < 0.5)), FlockError)
-            if rng.random() < 0.002:
+            if rng.random() < 0.0005:
                 tried(lambda: write_report(here, here / "report", formats=["svg"]), FlockError)
     assert taken

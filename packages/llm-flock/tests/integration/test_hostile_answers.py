@@ -49,31 +49,31 @@ GOOD = {
 @pytest.mark.parametrize("provider", ["openai-compatible", "ollama", "openai", "anthropic"])
 def test_any_reply_is_an_answer_or_a_failed_call(provider: str, part: int) -> None:
     kind, good = GOOD.get(provider, GOOD["openai"])
+    http = new_http_client()
+    http._mounts = {}
+    address = None if provider == "anthropic" else "http://127.0.0.1:9/v1"
+    built = build_model(provider, "some-model", base_url=address, key="k", http=http, timeout_s=5.0)
+    model = PydanticModel(built, name="x:y")
     answered = 0
-    for seed in seeds(provider, 50, part, 4):
-        with drawn(seed) as rng:
-            body = json.dumps(Hostile(rng).model(kind, good), ensure_ascii=rng.random() < 0.5)
-            body = damaged(body.encode("utf-8", "surrogatepass"), rng)
-            status = rng.choice((200, 200, 200, 200, 429, 500, 302, 204))
-            media = rng.choice(("application/json", "application/json", "text/html", "\x7f"))
-            headers = {"content-type": media, "retry-after": rng.choice(RETRY)}
-            reply = httpx2.Response(status, content=body, headers=headers)
 
-            async def ask(reply: httpx2.Response = reply) -> None:
-                http = new_http_client()
-                http._mounts = {}
-                http._transport = httpx2.MockTransport(lambda request: reply)
-                address = None if provider == "anthropic" else "http://127.0.0.1:9/v1"
-                async with http:
-                    model = PydanticModel(
-                        build_model(provider, "some-model", base_url=address, key="k", http=http, timeout_s=5.0),
-                        name="x:y",
-                    )
-                    found = await model.ask(CALL)
-                    assert isinstance(found.text, str) and found.usage.total >= 0
-                    assert math.isfinite(found.latency_s) and found.text.encode() is not None
+    async def ask(reply: httpx2.Response) -> None:
+        http._transport = httpx2.MockTransport(lambda request: reply)
+        found = await model.ask(CALL)
+        assert isinstance(found.text, str) and found.usage.total >= 0
+        assert math.isfinite(found.latency_s) and found.text.encode() is not None
 
-            answered += tried(lambda ask=ask: asyncio.run(ask()), ModelError) is None
+    with asyncio.Runner() as runner:
+        for seed in seeds(provider, 50, part, 4):
+            with drawn(seed) as rng:
+                body = json.dumps(Hostile(rng).model(kind, good), ensure_ascii=rng.random() < 0.5)
+                body = damaged(body.encode("utf-8", "surrogatepass"), rng)
+                status = rng.choice((200, 200, 200, 200, 429, 500, 302, 204))
+                media = rng.choice(("application/json", "application/json", "text/html", "\x7f"))
+                reply = httpx2.Response(
+                    status, content=body, headers={"content-type": media, "retry-after": rng.choice(RETRY)}
+                )
+                answered += tried(lambda reply=reply: runner.run(ask(reply)), ModelError) is None
+        runner.run(http.aclose())
     assert answered
 
 
