@@ -292,7 +292,7 @@ def dry_run(kind: Any, path: Path) -> None:
         found = [trial.config for trial in load_sweep(path).trials[:1]] if kind is SweepFile else [kind.load(path)]
         for config in found:
             check_planners(config, asks=False)
-            if config.mission.n_robots <= 4 and (config.trial.rounds or 99) <= 3:
+            if type(config) is RunConfig and config.mission.n_robots <= 4 and (config.trial.rounds or 99) <= 3:
                 expect_run(config)
 
 
