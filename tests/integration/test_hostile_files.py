@@ -47,6 +47,8 @@ from llm_flock_view._viewer.replay_page import write_page
 PARTS = 4
 parts = pytest.mark.parametrize("part", range(PARTS))
 CASES = 200
+DRAWN_S = 20.0
+"""Longest time for a drawing [s]."""
 
 
 @pytest.fixture(autouse=True)
@@ -158,9 +160,9 @@ def test_a_record_is_shown_or_rejected(part: int, here: Path) -> None:
             if rng.random() < 0.1:
                 tried(lambda: write_file(path, path.with_suffix(".foxglove")), RecordError)
             if rng.random() < 0.003:
-                tried(lambda: pictured(path), FlockError)
+                tried(lambda: pictured(path), FlockError, within_s=DRAWN_S)
             if rng.random() < 0.0002:
-                tried(lambda: animate(read_record(path), path.with_suffix(".gif")), FlockError)
+                tried(lambda: animate(read_record(path), path.with_suffix(".gif")), FlockError, within_s=DRAWN_S)
     assert 0.1 * tried_files < shown < tried_files
 
 
@@ -217,7 +219,11 @@ def test_results_are_told_or_rejected(part: int, here: Path) -> None:
                 tried(lambda: tables.export_csv(here, here / "csv"), RecordError, InputError)
                 tried(lambda: resumed(here), RecordError, InputError)
             if rng.random() < 0.003:
-                tried(lambda rng=rng: list(gallery(Results.read(here), 2, fly_again=rng.random() < 0.5)), FlockError)
+                tried(
+                    lambda rng=rng: list(gallery(Results.read(here), 2, fly_again=rng.random() < 0.5)),
+                    FlockError,
+                    within_s=DRAWN_S,
+                )
             if rng.random() < 0.0005:
-                tried(lambda: write_report(here, here / "report", formats=["svg"]), FlockError)
+                tried(lambda: write_report(here, here / "report", formats=["svg"]), FlockError, within_s=DRAWN_S)
     assert taken

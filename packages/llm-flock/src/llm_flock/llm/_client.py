@@ -104,12 +104,11 @@ class PydanticModel:
             detail = f"{type(error).__name__} while reading the response: {error}"
             logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
-        reason = reply.finish_reason
-        if reason == "content_filter":
+        if reply.finish_reason == "content_filter":
             refusal = (response.provider_details or {}).get("refusal") or "no reason given"
             raise ModelError("refused", self._clean(f"the provider's content filter stopped the answer: {refusal}"))
-        if reason in BROKEN_OFF:
-            raise ModelError("server", f"the provider broke the answer off ({reason})")
+        if reply.finish_reason in BROKEN_OFF:
+            raise ModelError("server", f"the provider broke the answer off ({reply.finish_reason})")
         return reply
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
