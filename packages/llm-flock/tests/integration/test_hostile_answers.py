@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
-import random
 from collections.abc import AsyncIterator
 
 import httpx2
 import pytest
-from effort import cases
-from hypothesis import given
-from hypothesis import strategies as st
+from anthropic.types import Message
+from hostile import Hostile, damaged, drawn, seeds
 from integration.fault_server import completion
-from mangled import mangled_json, tried
+from mangled import tried
+from openai.types.chat import ChatCompletion
 
 from llm_flock.errors import ModelError
 from llm_flock.llm._client import PydanticModel
@@ -25,31 +25,55 @@ CALL = Call(
 )
 
 
+GOOD = {
+    "openai": (ChatCompletion, json.loads(completion(b"", "Position: [1.0, 2.0]"))),
+    "anthropic": (
+        Message,
+        {
+            "id": "m",
+            "type": "message",
+            "role": "assistant",
+            "model": "stand-in",
+            "content": [{"type": "text", "text": "Position: [1.0, 2.0]"}],
+            "stop_reason": "end_turn",
+            "stop_sequence": None,
+            "usage": {"input_tokens": 1, "output_tokens": 2},
+        },
+    ),
+}
+"""Types of a provider's reply in its own library, and a good one."""
+
+
 @pytest.mark.filterwarnings("ignore::pydantic_ai._warnings.UsageExtractionFailedWarning")
-@cases(25)
-@given(seed=st.integers(0, 2**63), provider=st.sampled_from(["openai-compatible", "ollama", "openai"]))
-def test_any_reply_of_a_provider_is_an_answer_or_a_failed_call(seed: int, provider: str) -> None:
-    rng = random.Random(seed)
-    body = mangled_json(completion(b"", "Position: [1.0, 2.0]"), rng)
-    status = rng.choice((200, 200, 200, 200, 429, 500, 302, 204))
-    headers = {"content-type": rng.choice(("application/json", "text/html", "\x7f")), "retry-after": rng.choice(RETRY)}
+@pytest.mark.parametrize("part", range(4))
+@pytest.mark.parametrize("provider", ["openai-compatible", "ollama", "openai", "anthropic"])
+def test_any_reply_is_an_answer_or_a_failed_call(provider: str, part: int) -> None:
+    kind, good = GOOD.get(provider, GOOD["openai"])
+    http = new_http_client()
+    http._mounts = {}
+    built = build_model(provider, "some-model", base_url="http://127.0.0.1:9/v1", key="k", http=http, timeout_s=5.0)
+    model = PydanticModel(built, name="x:y")
+    answered = 0
 
-    async def ask() -> None:
-        http = new_http_client()
-        http._mounts = {}
-        http._transport = httpx2.MockTransport(lambda request: httpx2.Response(status, content=body, headers=headers))
-        async with http:
-            model = PydanticModel(
-                build_model(
-                    provider, "some-model", base_url="http://127.0.0.1:9/v1", key="k", http=http, timeout_s=5.0
-                ),
-                name="x:y",
-            )
-            reply = await model.ask(CALL)
-            assert isinstance(reply.text, str) and reply.usage.total >= 0
-            assert math.isfinite(reply.latency_s) and reply.text.encode() is not None
+    async def ask(reply: httpx2.Response) -> None:
+        http._transport = httpx2.MockTransport(lambda request: reply)
+        found = await model.ask(CALL)
+        assert isinstance(found.text, str) and found.usage.total >= 0
+        assert math.isfinite(found.latency_s) and found.text.encode() is not None
 
-    tried(lambda: asyncio.run(ask()), ModelError)
+    with asyncio.Runner() as runner:
+        for seed in seeds(provider, 50, part, 4):
+            with drawn(seed) as rng:
+                body = json.dumps(Hostile(rng).model(kind, good), ensure_ascii=rng.random() < 0.5)
+                body = damaged(body.encode("utf-8", "surrogatepass"), rng)
+                status = rng.choice((200, 200, 200, 200, 429, 500, 302, 204))
+                media = rng.choice(("application/json", "application/json", "text/html", "\x7f"))
+                reply = httpx2.Response(
+                    status, content=body, headers={"content-type": media, "retry-after": rng.choice(RETRY)}
+                )
+                answered += tried(lambda reply=reply: runner.run(ask(reply)), ModelError) is None
+        runner.run(http.aclose())
+    assert answered
 
 
 RETRY = ("1", "-5", "1e999", "nan", "Thu, 01 Jan 1970 00:00:00 GMT", "x", "999999999999999999999999")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import httpx2
 import pytest
@@ -291,6 +291,16 @@ def test_no_key_leaves_as_the_name_of_the_model() -> None:
     echo = FunctionModel(answer, model_name=f"authorization=Bearer {KEY} " + "x" * 1000)
     reply = ask(PydanticModel(echo, name="openai:o3-mini", secrets=(KEY,)))
     assert KEY not in reply.model and len(reply.model) < 150
+
+
+def test_a_text_that_is_none_is_a_failed_call() -> None:
+    """Anthropic's library passes on `"text": null`."""
+
+    def nothing(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
+        return ModelResponse(parts=[TextPart(content=cast("str", None))])
+
+    with pytest.raises(ModelError, match="garbage: TypeError while reading the response"):
+        ask(PydanticModel(FunctionModel(nothing), name="anthropic:x"))
 
 
 def test_any_exception_of_an_sdk_is_a_failed_call() -> None:

@@ -236,9 +236,20 @@ def test_an_ideal_shape_of_another_space_is_refused(tmp_path: Path) -> None:
 def test_a_mission_that_begins_after_the_first_state_is_refused(tmp_path: Path) -> None:
     whole = make_record(tmp_path / "whole.mcap", n=3, rounds=1)
     late = [
-        (one.topic, one.data.replace(b'"round":0', b'"round":5') if one.topic == "/mission" else one.data)
+        (one.topic, one.data.replace(b'"round":0', b'"round":1') if one.topic == "/mission" else one.data)
         for one in iter_messages(whole)
     ]
     assert any(data not in {one.data for one in iter_messages(whole)} for _, data in late)
     with pytest.raises(RecordError, match="a state before the first mission"):
         read_record(plain_file(tmp_path / "run.mcap", *late))
+
+
+@pytest.mark.parametrize("topic", ["/mission", "/plan", "/protocol", "/llm", "/metrics"])
+def test_no_entry_is_from_a_round_far_ahead(topic: str, tmp_path: Path) -> None:
+    """A search back from the round of a plan took minutes."""
+    whole = [
+        (one.topic, json.loads(one.data)) for one in iter_messages(make_record(tmp_path / "a.mcap", n=3, rounds=1))
+    ]
+    ahead = [(name, json.dumps({**data, "round": 10**9} if name == topic else data).encode()) for name, data in whole]
+    with pytest.raises(RecordError, match=r"round 1000000000 where round \d was due"):
+        read_record(plain_file(tmp_path / "run.mcap", *ahead))

@@ -207,6 +207,8 @@ def _trials_frame(trials: Sequence[TrialResult]) -> pl.DataFrame:
     schema: dict[str, type[pl.DataType]] = {column.name: column.dtype for column in TRIALS}
     schema.update({AXIS + name: pl.String for trial in trials for name in trial.axes})
     rows = [_row(trial) for trial in trials]
+    if any(isinstance(row.get(name), list | dict) for row in rows for name in schema):
+        raise TypeError("a list or a table as a value")  # polars takes gigabytes for one that is nested deeply
     return pl.DataFrame({name: [row.get(name) for row in rows] for name in schema}, schema=schema)
 
 

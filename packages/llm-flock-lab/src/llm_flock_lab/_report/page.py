@@ -168,7 +168,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> Markup:
         f'<svg viewBox="{box[1]}" role="img" aria-label="{escape(label)}" style="{size}" '
         'xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">'
     )
-    return Markup(head + text[text.index(">", text.index("<svg")) + 1 :].strip())  # noqa: S704 - Matplotlib's
+    return Markup(head + text[text.index(">", text.index("<svg")) + 1 :].strip())  # noqa: S704 - matplotlib escapes
 
 
 def _svg(drawing: Drawing) -> Markup:
@@ -232,7 +232,7 @@ def _count(count: int, name: str) -> str:
 def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("llm_flock_lab._report"),
-        autoescape=lambda name: name is not None and name.endswith(".html.j2"),  # noqa: S701 - Markdown is escaped
+        autoescape=jinja2.select_autoescape(["html.j2"]),
         undefined=jinja2.StrictUndefined,
         finalize=_clean,
     )
@@ -244,7 +244,7 @@ def _environment() -> jinja2.Environment:
 def _clean(value: object) -> str:
     """A value of a page, without characters that turn text around or are invisible."""
     text = printable(str(value))
-    return Markup(text) if isinstance(value, Markup) else text  # noqa: S704
+    return Markup(text) if isinstance(value, Markup) else text  # noqa: S704 - it was markup before
 
 
 def _breakable(text: str) -> Markup:

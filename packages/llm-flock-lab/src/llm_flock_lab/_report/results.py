@@ -10,16 +10,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, cast
 
-import msgspec
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, RecordError
 from llm_flock.metrics import ROUNDING
 from llm_flock.protocol import PRESET_RULES
 from llm_flock.record import protocol_text
 from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.store import read_json
 from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
 
 OUTCOMES: Mapping[str, str] = {
@@ -115,7 +115,7 @@ class Results:
         planned = _read_plan(folder)
         if planned is not None:
             # The grid's own order: models and conditions are shown as the file of the sweep has them.
-            order = pl.DataFrame({"trial": planned, "place": range(len(planned))})
+            order = pl.DataFrame({"trial": planned}, {"trial": pl.String}).with_row_index("place")
             frame = frame.join(order, on="trial", how="left").sort("place", nulls_last=True, maintain_order=True)
             frame = frame.drop("place")
         count = None if planned is None else len(planned)
@@ -252,6 +252,6 @@ def _title(folder: Path) -> tuple[str, str]:
 def _read_plan(folder: Path) -> list[str] | None:
     """Ids of all trials of the sweep, in the order of its grid; None where that is not known."""
     try:
-        return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
-    except (OSError, msgspec.MsgspecError, RecursionError):
+        return list(read_json(folder / PLAN_NAME, dict[str, list[str]], "a plan"))
+    except RecordError:
         return None

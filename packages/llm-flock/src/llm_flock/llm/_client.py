@@ -109,6 +109,7 @@ class PydanticModel:
                 model_settings=self._settings,
                 model_request_parameters=self._parameters(call.schema),
             )
+            reply = self._reply(response, time.perf_counter() - started)
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
             retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
             raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after) from None
@@ -118,13 +119,12 @@ class PydanticModel:
             detail = f"{type(error).__name__} while reading the response: {error}"
             logger.warning("robot %d, %s: %s", call.robot, self.name, self._clean(detail))
             raise ModelError("garbage", self._clean(detail)) from None
-        reason = finish_reason(response)
-        if reason == "content_filter":
+        if reply.finish_reason == "content_filter":
             refusal = (response.provider_details or {}).get("refusal") or "no reason given"
             raise ModelError("refused", self._clean(f"the provider's content filter stopped the answer: {refusal}"))
-        if reason in BROKEN_OFF:
-            raise ModelError("server", f"the provider broke the answer off ({reason})")
-        return self._reply(response, reason, time.perf_counter() - started)
+        if reply.finish_reason in BROKEN_OFF:
+            raise ModelError("server", f"the provider broke the answer off ({reply.finish_reason})")
+        return reply
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
         if schema is None:
@@ -134,7 +134,7 @@ class PydanticModel:
         native = self._model.profile.get("supports_json_schema_output", False)
         return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
 
-    def _reply(self, response: ModelResponse, reason: str | None, latency_s: float) -> Reply:
+    def _reply(self, response: ModelResponse, latency_s: float) -> Reply:
         used = response.usage
         usage = Usage.reported(used.input_tokens, used.output_tokens, used.cache_read_tokens)
         answer = spoken(response.text or "")
@@ -151,7 +151,7 @@ class PydanticModel:
             usage=usage,
             cost_usd=cost_usd(self._price_list, answered_by, usage),
             latency_s=latency_s,
-            finish_reason=reason,
+            finish_reason=finish_reason(response),
             thought=answer.thought or _has_thoughts(response),
         )
 

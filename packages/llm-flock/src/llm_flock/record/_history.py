@@ -177,8 +177,7 @@ class RunHistory:
 
     def mission_at(self, number: int) -> MissionInfo:
         """The mission in force in a round."""
-        given = list(self.missions)
-        return next((info for info in reversed(given) if info.round <= number), given[0])
+        return next((info for info in reversed(self.missions) if info.round <= number), self.missions[0])
 
     def plan_name(self, plan_id: str | None) -> str:
         """The letters that stand for a plan; a dash for none."""
@@ -205,8 +204,5 @@ class RunHistory:
 
     def last_calls(self, robot: int, kind: str, number: int) -> tuple[LlmEntry, ...]:
         """The last call of a kind of a robot's model up to a round, with its retries."""
-        for k in range(number, -1, -1):
-            calls = tuple(entry for entry in self.calls.get((k, robot), ()) if entry.kind == kind)
-            if calls:
-                return calls
-        return ()
+        rounds = (self.calls.get((k, robot), ()) for k in range(number, -1, -1))
+        return next(filter(None, (tuple(entry for entry in calls if entry.kind == kind) for calls in rounds)), ())

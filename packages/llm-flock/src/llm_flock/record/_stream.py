@@ -86,6 +86,8 @@ class _Team:
         if not self.begun:
             self.begun = isinstance(entry, RunInfo)
             return None if self.begun else "not a record of a run: /run comes first"
+        if (number := getattr(entry, "round", 0)) > self._counts[State] + 1:  # missions may be one ahead
+            return f"round {number} where round {self._counts[State]} was due"
         match entry:
             case MissionInfo(mission=fields):
                 self._first = entry.round if self._first is None else min(self._first, entry.round)
