@@ -11,14 +11,15 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from llm_flock.errors import InputError
+from llm_flock.errors import FlockError, InputError
 from llm_flock.printable import one_line
+from llm_flock.validation import checked
 from llm_flock_lab._exam.ask import Outcome
 from llm_flock_lab._exam.questions import SECTIONS
 from llm_flock_lab._experiments.statistics import CONFIDENCE, RESAMPLES, bootstrap_interval, wilson
-from llm_flock_lab._experiments.store import write_whole
+from llm_flock_lab._experiments.store import is_inside, read_json, write_whole
 
 PAGE = "index.md"
 
@@ -191,12 +192,8 @@ def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
     page = folder / PAGE
     if not rows and not folder.is_dir():
         raise InputError("page", str(folder), "a folder that is there, with the rows of a leaderboard")
-    if page.exists() and MARK not in page.read_text(encoding="utf-8", errors="replace"):
+    if page.exists() and not (is_inside(page, folder) and MARK in page.read_text(encoding="utf-8", errors="replace")):
         raise InputError("page", str(folder), says=f"its {PAGE} was not written by this command, and is left alone")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError("page", str(folder), f"a folder that can be written to ({error.strerror})") from None
     known = {row.file_name: row for row in read_rows(folder)}
     new: dict[str, Row] = {}
     for row in rows:
@@ -219,13 +216,9 @@ def read_rows(folder: Path) -> list[Row]:
     rows: list[Row] = []
     for path in sorted(folder.glob("*.json")):
         try:
-            rows.append(Row.model_validate_json(path.read_bytes()))
-        except OSError as error:
-            raise InputError("page", str(path), f"a file that can be read ({error.strerror})") from None
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"])) or "file"
-            raise InputError("page", str(path), f"a row of the leaderboard ({where}: {first['msg']})") from None
+            rows.append(checked(Row, read_json(path, dict[str, Any], "a table")))
+        except FlockError as error:
+            raise InputError("page", str(path), f"a row of the leaderboard ({error})") from None
     return rows
 
 

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
-from pydantic import AliasPath, BaseModel, Field, ValidationError
+from pydantic import AliasPath, BaseModel, Field
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.events import Origin
 from llm_flock.printable import FORMULA
+from llm_flock.validation import checked
 from llm_flock_lab._experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock_lab._experiments.store import read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.trial import TrialResult
@@ -168,13 +169,10 @@ def build_tables(folder: Path) -> None:
 def export_csv(folder: Path, out: Path) -> list[Path]:
     """Write `trials.csv` and `rounds.csv`; results come from anywhere, so no text becomes a spreadsheet's formula."""
     frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, frame in frames.items():
-            texts = frame.select(pl.col(pl.String)).columns
-            frame.with_columns(pl.col(texts).str.replace(f"({FORMULA})", "'${1}")).write_csv(out / name)
-    except OSError as error:
-        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
+    for name, frame in frames.items():
+        texts = frame.select(pl.col(pl.String)).columns
+        plain = frame.with_columns(pl.col(texts).str.replace(f"({FORMULA})", "'${1}"))
+        write_whole(out / name, plain.write_csv().encode())
     return [out / name for name in frames]
 
 
@@ -191,11 +189,9 @@ def load_all(folder: Path) -> list[TrialResult]:
     trials = [read_trial(path) for path in list(trial_files(folder))]
     for trial in trials:
         try:
-            _TrialFields.model_validate(trial.config)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"]))
-            raise RecordError(f"{folder}: trial {trial.id} is not valid (config.{where}: {first['msg']})") from None
+            checked(_TrialFields, trial.config)
+        except InputError as error:
+            raise RecordError(f"{folder}: trial {trial.id} is not valid ({error})") from None
     return sorted(trials, key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id))
 
 

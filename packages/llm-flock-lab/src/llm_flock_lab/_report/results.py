@@ -10,16 +10,16 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self, cast
 
-import msgspec
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, RecordError
 from llm_flock.protocol import PRESET_RULES
 from llm_flock.record import protocol_text
 from llm_flock_lab._experiments import tables
 from llm_flock_lab._experiments.compare import TOLERANCE
+from llm_flock_lab._experiments.store import is_inside, read_json
 from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
 
 OUTCOMES: Mapping[str, str] = {
@@ -243,7 +243,8 @@ def as_number(text: str) -> float | None:
 def _title(folder: Path) -> tuple[str, str]:
     """Name of the sweep, and what it is about, from its file; the folder's name where there is no such file."""
     try:
-        found = cast("dict[str, Any]", tomllib.loads((folder / SWEEP_NAME).read_text(encoding="utf-8"))["sweep"])
+        text = path.read_text(encoding="utf-8") if is_inside(path := folder / SWEEP_NAME, folder) else ""
+        found = cast("dict[str, Any]", tomllib.loads(text)["sweep"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         found = {}
     return str(found.get("name") or folder.resolve().name), str(found.get("about") or "")
@@ -252,6 +253,6 @@ def _title(folder: Path) -> tuple[str, str]:
 def _read_plan(folder: Path) -> list[str] | None:
     """Ids of all trials of the sweep, in the order of its grid; None where that is not known."""
     try:
-        return list(msgspec.json.decode((folder / PLAN_NAME).read_bytes(), type=dict[str, list[str]]))
-    except (OSError, msgspec.MsgspecError, RecursionError):
+        return list(read_json(folder / PLAN_NAME, dict[str, list[str]], "a plan"))
+    except RecordError:
         return None
