@@ -9,11 +9,11 @@ from pathlib import Path
 PACKAGES = Path(__file__).parents[1] / "packages"
 
 BUDGETS = {
-    "llm-flock": 16_000,
+    "llm-flock": 16_200,
     "llm-flock-swarm": 7_100,
     "llm-flock-flight": 10_000,
     "llm-flock-view": 5_800,
-    "llm-flock-lab": 6_400,
+    "llm-flock-lab": 7_900,
     "llm-flock-onboard": 2_000,
 }
 RING_0 = (

@@ -160,12 +160,10 @@ class ConfigFields(SphinxDirective):
 
 
 class SummaryKeys(SphinxDirective):
-    """The keys of the object that `run --json` prints, from the docstring of the summary."""
+    """The keys of the object that `run --json` prints, from the comments beside the fields of the summary."""
 
     def run(self) -> list[nodes.Node]:
-        from llm_flock.runtime._result import Summary
-
-        return [table(("Key", "Meaning"), attributes(Summary), 1)]
+        return [table(("Key", "Meaning"), commented("llm_flock.runtime._result", "Summary"), 1)]
 
 
 class SweepFields(SphinxDirective):
@@ -211,9 +209,7 @@ class MessageFields(SphinxDirective):
     """The fields of a protocol message, from the comments beside them."""
 
     def run(self) -> list[nodes.Node]:
-        found = ModuleAnalyzer.for_module("llm_flock.message").find_attr_docs()
-        rows = [(name, " ".join(lines).strip()) for (owner, name), lines in found.items() if owner == "Message"]
-        return [table(("Field", "Meaning"), rows, 1)]
+        return [table(("Field", "Meaning"), commented("llm_flock.message", "Message"), 1)]
 
 
 class Shapes(SphinxDirective):
@@ -370,16 +366,10 @@ class ProtocolConstants(SphinxDirective):
         return sections
 
 
-def attributes(documented: type) -> list[tuple[str, str]]:
-    """Name and meaning of each attribute in a class's docstring, in their order."""
-    found: list[tuple[str, str]] = []
-    for line in (documented.__doc__ or "").partition("Attributes:")[2].splitlines():
-        name, colon, meaning = line.strip().partition(": ")
-        if colon and name.isidentifier() and line.startswith("        ") and not line.startswith("            "):
-            found.append((name, meaning))
-        elif line.strip() and found:
-            found[-1] = (found[-1][0], f"{found[-1][1]} {line.strip()}")
-    return found
+def commented(module: str, of: str) -> list[tuple[str, str]]:
+    """Name and meaning of each field of a class with a comment beside it, in their order."""
+    found = ModuleAnalyzer.for_module(module).find_attr_docs()
+    return [(name, " ".join(lines).strip()) for (owner, name), lines in found.items() if owner == of]
 
 
 def setup(app: Sphinx) -> dict[str, Any]:

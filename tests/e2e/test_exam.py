@@ -18,8 +18,8 @@ from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock_lab._exam.ask import Examiner, Outcome, round_of
-from llm_flock_lab._exam.leaderboard import summary
 from llm_flock_lab._exam.questions import SECTIONS, WORDS, Question
+from llm_flock_lab._exam.rows import summary
 from llm_flock_lab._exam.score import word_marks
 from llm_flock_lab._exam.splits import paper, public_split
 

@@ -27,7 +27,7 @@ from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import TrialConfig
 from llm_flock.validation import fields_of
 from llm_flock_flight._flight.config import FlightConfig
-from llm_flock_lab._exam.leaderboard import read_rows
+from llm_flock_lab._exam.rows import read_rows
 from llm_flock_lab._experiments.store import Store, read_trial
 from llm_flock_lab._experiments.tables import export_csv
 from llm_flock_lab._report import gallery

@@ -5,29 +5,26 @@ from __future__ import annotations
 import asyncio
 import os
 import socket
+from collections.abc import Callable
 
 import pydantic_ai.models
 import pytest
 
+HERE = ("127.0.0.1", 9)
 
-def test_no_connection_is_opened() -> None:
+
+@pytest.mark.parametrize(
+    "attempt",
+    [
+        pytest.param(lambda plain: plain.connect(HERE), id="connect"),
+        pytest.param(lambda plain: plain.bind(HERE), id="open a port"),
+        pytest.param(lambda _: socket.getaddrinfo("localhost", 80), id="look up a name"),
+        pytest.param(lambda _: asyncio.run(asyncio.open_connection(*HERE)), id="connect by asyncio"),
+    ],
+)
+def test_nothing_leaves_the_process(attempt: Callable[[socket.socket], object]) -> None:
     with socket.socket() as plain, pytest.raises(AssertionError, match="offline suite"):
-        plain.connect(("127.0.0.1", 9))
-
-
-def test_no_port_is_opened() -> None:
-    with socket.socket() as plain, pytest.raises(AssertionError, match="offline suite"):
-        plain.bind(("127.0.0.1", 0))
-
-
-def test_no_name_is_looked_up() -> None:
-    with pytest.raises(AssertionError, match="offline suite"):
-        socket.getaddrinfo("localhost", 80)
-
-
-def test_no_connection_is_opened_by_asyncio() -> None:
-    with pytest.raises(AssertionError, match="offline suite"):
-        asyncio.run(asyncio.wait_for(asyncio.open_connection("127.0.0.1", 9), timeout=5))
+        attempt(plain)
 
 
 def test_tests_ask_no_model_and_have_no_key() -> None:

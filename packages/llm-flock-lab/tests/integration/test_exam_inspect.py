@@ -24,7 +24,7 @@ from integration.fault_server import running
 from llm_flock.llm._own import OwnModel
 from llm_flock.llm._prompting import PromptSet
 from llm_flock_lab._exam.ask import Examiner, Outcome
-from llm_flock_lab._exam.leaderboard import Row, read_rows
+from llm_flock_lab._exam.rows import Row, read_rows
 from llm_flock_lab._exam.splits import paper
 
 pytestmark = pytest.mark.skipif(find_spec("inspect_ai") is None, reason="the extra exam is not installed")

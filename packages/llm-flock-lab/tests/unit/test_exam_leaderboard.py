@@ -10,7 +10,8 @@ import pytest
 from command_line import flock
 
 from llm_flock.errors import InputError
-from llm_flock_lab._exam.leaderboard import PAGE, Row, page_text, publish, read_rows
+from llm_flock_lab._exam.leaderboard import PAGE, page_text, publish
+from llm_flock_lab._exam.rows import Row, read_rows
 from llm_flock_lab._exam.splits import paper
 
 FOLDER = Path(__file__).parents[4] / "docs" / "leaderboard"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint
+from typing import Any
 
 import pytest
 
 from llm_flock import plugins
+from llm_flock.errors import InputError
 from llm_flock_swarm import SwarmConfig
 
 
@@ -29,3 +31,9 @@ def test_swarm_says_whether_a_model_is_simulated(model: str, simulated: bool, mo
 def test_record_of_a_swarm_cannot_repeat_code_of_the_user() -> None:
     config = SwarmConfig.build(model="0=own_models:Echo,1-9=geometry")
     assert not config.simulated and config.unrepeatable
+
+
+@pytest.mark.parametrize("fields", [{"protocol": "released"}, {"relay": True}, {"noise": 0.1}, {"kill": "1@3"}])
+def test_what_needs_all_robots_in_one_process_is_refused(fields: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match="cannot be used in a swarm of processes"):
+        SwarmConfig.build({}, **fields)

@@ -157,14 +157,14 @@ def test_figures_show_dead_and_late_robots_and_another_ideal(tmp_path: Path) -> 
 
 def test_the_table_of_a_run_says_what_happened_on_the_way() -> None:
     change = {"round": 12, "robot": 0, "set": {"center": [50, 49]}}
-    figures = fly(changes=[change], kill="3@2", join="1@3", rounds=13).summary
+    result = fly(changes=[change], kill="3@2", join="1@3", rounds=13)
     console = Console(width=200)
     with console.capture() as shown:
-        console.print(summary_table(figures, 3.0))
+        console.print(summary_table(result))
     rows = [[cell.strip() for cell in line.split("│")[1:3]] for line in shown.get().splitlines() if "│" in line]
     told = dict(rows)
     assert told["missions"].endswith("line not formed (given in round 12)")
     assert (told["died"], told["joined"]) == ("3@2", "1@3")
     with console.capture() as shown:
-        console.print(summary_table(fly().summary, 3.0))
+        console.print(summary_table(fly()))
     assert not any(word in shown.get() for word in ("missions", "died", "joined", "empty places", "spare robots"))

@@ -8,19 +8,17 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from sample_records import FakeRun, make_record
+from sample_records import make_record
 from scipy import stats
 
 from llm_flock.errors import InputError
 from llm_flock.record._reader import RunRecord, read_record
-from llm_flock.record._scene import PALETTE
 from llm_flock_view._figures import figures
 from llm_flock_view._figures.animation import frames
-from llm_flock_view._figures.panel import Panel, short
-from llm_flock_view._figures.style import heading, ink_on, letters, line_colour, luminance, model_names, plan_looks
+from llm_flock_view._figures.panel import short
+from llm_flock_view._figures.style import heading, model_names
 
 
 @pytest.fixture(scope="module")
@@ -147,52 +145,6 @@ def test_a_users_settings_are_neither_used_nor_changed(record: RunRecord) -> Non
     assert figure.axes[0].get_facecolor() == (1.0, 1.0, 1.0, 1.0)
 
 
-def test_a_large_team_is_drawn_without_letters(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=40, rounds=2, llm=False))
-    (axes,) = figures.snapshots(record, [2]).axes
-    assert not axes.texts
-    robots = np.asarray(axes.collections[-1].get_offsets())
-    np.testing.assert_allclose(robots, record.positions[2])
-
-
-def drawn_on(axes: Axes, record: RunRecord, round_number: int, part: float) -> None:
-    panel = Panel(record)
-    panel.frame(axes)
-    panel.draw_team(axes, round_number, part)
-
-
-def test_the_dead_keep_their_numbers(record: RunRecord) -> None:
-    states = tuple(state.model_copy(update={"phases": ["idle", "dead", *["idle"] * 3]}) for state in record.states)
-    (axes,) = figures.snapshots(replace(record, states=states), [10]).axes
-    assert [text.get_text() for text in axes.texts].count("1") == 1
-    assert "dead (\u00d7), with its number" in words(axes.figure)  # type: ignore[arg-type]
-
-
-def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> None:
-    axes = Figure().add_subplot()
-    drawn_on(axes, record, 3, 0.25)
-    middle = 0.75 * record.positions[2] + 0.25 * record.positions[3]
-    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-5:]])
-    np.testing.assert_allclose(drawn, middle)
-
-
-def test_three_dimensions_are_seen_from_above(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=4, rounds=2, dim=3))
-    (axes,) = figures.snapshots(record, [2]).axes
-    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-4:]])
-    np.testing.assert_allclose(drawn, record.positions[2, :, :2])
-
-
-def test_radio_links_span_all_space_also_seen_from_above(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=3, rounds=1, dim=3))
-    # Over one another, but only the lower two within the range of 15.
-    positions = np.array([[[50.0, 50.0, z], [51.0, 50.0, z + 10.0], [52.0, 50.0, 80.0]] for z in (5.0, 6.0)])
-    axes = Figure().add_subplot()
-    drawn_on(axes, replace(record, positions=positions), 1, 0.5)
-    links = next(c for c in axes.collections if isinstance(c, LineCollection))
-    assert [np.asarray(s).tolist() for s in links.get_segments()] == [[[50.0, 50.0], [51.0, 50.0]]]
-
-
 def with_shape(record: RunRecord, shape: str) -> RunRecord:
     mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "shape": shape}})
     return replace(record, missions=(mission,))
@@ -220,54 +172,3 @@ def test_runs_without_a_known_ideal_are_compared_without_errors(record: RunRecor
     figures.save(figure, tmp_path / "compared.png")
     with pytest.raises(InputError, match="known after every round"):
         figures.error_over_time([free], ["one"])
-
-
-def test_plans_look_different_even_without_colour(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=20, rounds=1, llm=False))
-    looks = plan_looks(record)
-    assert list(looks)[1:] == [plan.plan_id for plan in record.plans]
-    assert len({look.name for look in looks.values()}) == 21
-    assert len({(look.fill, look.rim) for look in looks.values()}) == 21
-    assert looks[None].name == ""
-
-
-def test_a_plan_that_was_not_announced_still_has_a_look(record: RunRecord) -> None:
-    assert set(plan_looks(replace(record, plans=()))) - {None} <= {plan.plan_id for plan in record.plans}
-    assert len(plan_looks(replace(record, plans=()))) > 1
-
-
-def test_letters_count_on() -> None:
-    assert [letters(k) for k in (0, 25, 26, 27, 51, 52, 701, 702)] == ["A", "Z", "AA", "AB", "AZ", "BA", "ZZ", "AAA"]
-
-
-def test_letters_and_lines_can_be_read() -> None:
-    for fill in PALETTE:
-        light, letter = luminance(fill), luminance(ink_on(fill))
-        contrast = (max(light, letter) + 0.05) / (min(light, letter) + 0.05)
-        assert contrast >= 3.9, fill
-        assert luminance(line_colour(fill)) <= 0.6, fill
-    assert line_colour(PALETTE[0]) == PALETTE[0]
-
-
-def test_influence_in_few_signs() -> None:
-    assert [short(x) for x in (0.0, 0.1, 0.25, 1.0)] == ["0", ".10", ".25", "1"]
-
-
-def test_one_robot_can_be_drawn(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=1, rounds=1))
-    assert "1 robot ·" in words(figures.snapshots(record))
-    assert FakeRun(n=1).mission.n_robots == 1
-
-
-def test_walls_and_obstacles_are_drawn(record: RunRecord) -> None:
-    disc = {"center": [20.0, 30.0], "radius": 4.0, "polygon": None}
-    corners = {"center": None, "radius": None, "polygon": [[1.0, 1.0], [9.0, 1.0], [5.0, 7.0]]}
-    mission = record.mission.model_copy(update={"mission": {**record.mission.mission, "obstacles": [disc, corners]}})
-    patches = figures.snapshots(replace(record, missions=(mission,)), [0]).axes[0].patches
-    (left, bottom), (right, top) = mission.mission["arena"]
-    boxes = [patch.get_path().get_extents(patch.get_patch_transform()).bounds for patch in patches]
-    expected = [(left, bottom, right - left, top - bottom), (16.0, 26.0, 8.0, 8.0), (1.0, 1.0, 8.0, 6.0)]
-    assert np.allclose(boxes, expected)
-    without = {key: value for key, value in mission.mission.items() if key != "obstacles"}
-    older = record.mission.model_copy(update={"mission": without})
-    assert len(figures.snapshots(replace(record, missions=(older,)), [0]).axes[0].patches) == 1

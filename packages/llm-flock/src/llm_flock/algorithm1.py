@@ -6,10 +6,12 @@ source; everything a robot needs here it has measured itself or heard from a nei
 
 The paper can be read in two ways where it says that an assigned goal "becomes unavailable for others" (line 135):
 
+- `nearest-free`, by the text: a goal that a neighbour on the same plan claims is taken. Messages then carry claims,
+  which the broadcast of line 133 does not have, and of two robots with the same goal the one with the higher id yields.
+  The preset `paper` does this.
 - `nearest`, by the pseudocode (lines 154-156): the available goals are reset to the whole plan by each robot that
-  adopts one, and no other robot learns what it takes. Two robots may take the same goal. The preset `paper` does this.
-- `nearest-free`, by the text: the set is shared as far as claims are heard. Messages then carry claims, which the
-  broadcast of line 133 does not have, and of two robots with the same goal the one with the higher id yields.
+  adopts one, and no other robot learns what it takes. Two robots may take the same goal. The preset `paper-literal`
+  does this.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 if TYPE_CHECKING:
     from llm_flock.arrays import Point
 
-READINGS = ("nearest", "nearest-free")
+READINGS = ("nearest-free", "nearest")
 
 
 class Heard(Protocol):
@@ -59,17 +61,20 @@ def influence(degree: int, n_robots: int) -> float:
     return degree / n_robots
 
 
-def adopt(own_degree: int, own_plan: object, heard: Iterable[H], *, lowest: bool = True) -> H | None:
+def adopt(
+    own_degree: int, own_plan: object, heard: Iterable[H], *, lowest: bool = True, yields_to: int = 0
+) -> H | None:
     """The broadcast whose plan to adopt, or None to keep one's own plan (lines 133 and 151-153).
 
     All influences are shares of one N, so degrees are compared. The paper does not say which of several equally
-    influential neighbours is k: here the one of the `lowest` id, or else of the highest.
+    influential neighbours is k: here the one of the `lowest` id, or else of the highest. By its text a robot keeps its
+    plan if k is only as influential as itself; one that `yields_to` ids below its own then adopts the plan of such a k.
     """
     sign = -1 if lowest else 1
     k = max(heard, key=lambda j: (j.degree, sign * j.sender), default=None)  # k <- argmax over N_i of I_j
-    if k is None or k.plan is None:
+    if k is None or k.plan is None or k.plan == own_plan:
         return None
-    if k.degree > own_degree and k.plan != own_plan:  # if I_k > I_i and P_k != P_i
+    if k.degree > own_degree or (k.degree == own_degree and k.sender < yields_to):  # if I_k > I_i and P_k != P_i
         return k  # P_i <- P_k
     return None
 
@@ -138,8 +143,8 @@ def three_robots() -> list[DemoRobot]:
 
 
 def main(arguments: Sequence[str] = ()) -> None:
-    """Fly three robots by one of the two readings, `nearest` if none is given, and print the decisions of each."""
-    reading = arguments[0] if arguments else "nearest"
+    """Fly three robots by one of the two readings, the text's if none is given, and print the decisions of each."""
+    reading = arguments[0] if arguments else READINGS[0]
     if reading not in READINGS:
         raise SystemExit(f"reading = {reading!r}: must be {' or '.join(READINGS)}")
     team, comm_range, max_step = three_robots(), 15.0, 6.0  # line 184: the paper's radio range and step limit

@@ -22,3 +22,8 @@ MAX_COORDINATE = 1e6
 def moved(point: Point, by: Point, share: float = 1.0) -> Point:
     """The point moved by `share` times the displacement `by` [units]; the point itself if `by` is empty."""
     return tuple(x + share * d for x, d in zip(point, by, strict=True)) if by else point
+
+
+def between(here: Point, there: Point, share: float) -> Point:
+    """The point at this share of the way to another [units]; beyond it for more than 1, and behind for less than 0."""
+    return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))

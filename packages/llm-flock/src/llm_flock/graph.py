@@ -9,13 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from llm_flock import shapes as formations
-from llm_flock.arrays import Mask, Pairwise
-
-
-def distances(positions: ArrayLike) -> Pairwise:
-    """Distances between all robots, shape (n, n) [units], exactly symmetric."""
-    return formations.distances(positions)
+from llm_flock.arrays import Mask
+from llm_flock.shapes import distances as distances
 
 
 def adjacency(positions: ArrayLike, comm_range: float) -> Mask:

@@ -128,14 +128,11 @@ class FormedTracker:
     fewer) have different goals and are within 5 % of the spacing of them; and the mean error to the ideal shape, if
     known, is at most 10 % of the spacing. The team has formed after three consecutive rounds in order. The first of
     the three counts, and later disorder does not change it.
-
-    Attributes:
-        in_order: whether the team was in order in the last round.
-        formed_at: first of the first three consecutive rounds in order; None before.
     """
 
     spacing: float
-    in_order: bool = field(default=False, init=False)
+    in_order: bool = field(default=False, init=False)  #: Whether the team was in order in the last round.
+    #: First of the first three consecutive rounds in order; None before.
     formed_at: int | None = field(default=None, init=False)
     _since: int | None = field(default=None, init=False)
     _last: int = field(default=-1, init=False)
@@ -261,10 +258,8 @@ class StartSeparation:
     def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
         """Add a round (0 is the start), its last positions, and the smallest distance in it, segments included."""
         if self._before is None:
-            self._before, self._together = (
-                positions,
-                frozenset(scipy.spatial.KDTree(positions).query_pairs(self._limit)),
-            )
+            self._before = positions
+            self._together = frozenset(scipy.spatial.KDTree(positions).query_pairs(self._limit))
             self.start_violations = len(self._together)
         if self._together:
             closest = segment_separation(self._before, positions, self._together)
@@ -283,19 +278,12 @@ LARGE = 300
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeError:
-    """Distance of a team from an ideal shape after the best translation, rotation and correspondence.
+    """Distance of a team from an ideal shape after the best translation, rotation and correspondence."""
 
-    Attributes:
-        mean: mean distance of a robot from its target point [units] (paper, line 236).
-        mean_squared: mean of the squared distances [units^2] (paper, line 637).
-        assignment: for each robot, the index of its target point; a permutation of 0 .. n - 1.
-        rotation: rotation of centred positions onto centred targets, shape (d, d), determinant +1.
-    """
-
-    mean: float
-    mean_squared: float
-    assignment: tuple[int, ...]
-    rotation: NDArray[np.float64]
+    mean: float  #: Mean distance of a robot from its target point [units] (paper, line 236).
+    mean_squared: float  #: Mean of the squared distances [units^2] (paper, line 637).
+    assignment: tuple[int, ...]  #: For each robot, the index of its target point; a permutation of 0 .. n - 1.
+    rotation: NDArray[np.float64]  #: Rotation of centred positions onto centred targets, shape (d, d), determinant +1.
 
 
 class ShapeTarget:

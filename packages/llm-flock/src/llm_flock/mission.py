@@ -36,12 +36,6 @@ SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less t
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
 
-def start_volume(n_robots: int, dim: int, safe_distance: float) -> float:
-    """Volume of the smallest arena that has room for `n_robots` random starts, `safe_distance` apart [units^dim]."""
-    ball = math.pi ** (dim / 2) / math.gamma(dim / 2 + 1) * (safe_distance / 2) ** dim
-    return n_robots * ball / START_DENSITY
-
-
 class Mission(BaseModel):
     """A formation to build, the team that builds it, and the limits that the team must respect.
 
@@ -140,11 +134,10 @@ class Mission(BaseModel):
             raise InputError("places", self.n_places, says)
         low, high = self.arena
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
-        most = max(1, int(volume / start_volume(1, len(low), self.safe_distance)))
+        most = max(1, int(volume / self.start_volume(1)))
         if self.n_robots > most:
-            raise InputError(
-                "n_robots", self.n_robots, f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
-            )
+            allowed = f"at most {most} with safe_distance = {self.safe_distance:g} in this arena"
+            raise InputError("n_robots", self.n_robots, allowed)
 
     def check_shape(self) -> None:
         """Check the shape alone. Call after a change of `places`; the constructor calls it too.
@@ -166,9 +159,8 @@ class Mission(BaseModel):
             return
         nearest = formations.smallest_distance(self.ideal)
         if nearest < self.safe_distance - 1e-9:
-            raise InputError(
-                "shape", self.shape, f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
-            )
+            allowed = f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
+            raise InputError("shape", self.shape, allowed)
         reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
@@ -254,6 +246,11 @@ class Mission(BaseModel):
     def body_radius(self) -> float:
         """Smallest allowed distance of a robot's centre from an obstacle: half the safe distance [units]."""
         return self.safe_distance / 2
+
+    def start_volume(self, n_robots: int) -> float:
+        """Volume of the smallest arena that has room for random starts, the safe distance apart [units^dim]."""
+        ball = math.pi ** (self.dim / 2) / math.gamma(self.dim / 2 + 1) * self.body_radius**self.dim
+        return n_robots * ball / START_DENSITY
 
     def __hash__(self) -> int:
         return hash(self.digest)

@@ -149,9 +149,8 @@ class Obstacle(BaseModel):
         if set(given) not in ({"center", "radius"}, {"polygon"}):
             raise InputError("obstacles", given, "either center and radius, or polygon, for each obstacle")
         if self.polygon is not None and len(self.polygon) > MAX_POLYGON_CORNERS:
-            raise InputError(
-                "obstacles", f"a polygon of {len(self.polygon)} corners", f"at most {MAX_POLYGON_CORNERS} corners"
-            )
+            found = f"a polygon of {len(self.polygon)} corners"
+            raise InputError("obstacles", found, f"at most {MAX_POLYGON_CORNERS} corners")
         if self.polygon is not None and (len(self.polygon) < 3 or not is_simple(self.polygon)):
             allowed = "polygons of 3 or more corners that enclose an area and do not cross themselves"
             raise InputError("obstacles", given, allowed)

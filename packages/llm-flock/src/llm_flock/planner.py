@@ -42,6 +42,7 @@ class StepQuestion:
     corner: Point | None = None
     horizon: int = 1  #: Largest number of waypoints in the answer, one for each round; 1 is the paper's question.
     probe: bool = False
+    objection: str = ""  #: Why the last answer to this question is not flown, as a sentence; empty at first.
 
     @property
     def goal(self) -> Point:

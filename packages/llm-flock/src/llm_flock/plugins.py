@@ -7,6 +7,7 @@ An entry point of the group `llm_flock.KIND` is one thing of that kind, under it
 | `commands` | the command | a function with Typer's parameters, or a Typer with commands of its own |
 | `models` | prefix of a model string | a `llm_flock.llm.ModelSource` |
 | `consensus`, `assignment` | the rule | a class without parameters that is a `ConsensusRule` or an `AssignmentRule` |
+| `collision_checks` | the check | a `llm_flock.runtime._trial.CollisionCheck` |
 | `robots` | the driver | makes the robots of a flight (`llm_flock_flight._flight.fleet.Driver`) |
 | `sinks` | the flag | a function that shows runs while they fly (`llm_flock.cli._extensions`) |
 | `exports` | the flag | a function that writes a record for another program (`llm_flock.cli._export`) |
@@ -33,6 +34,7 @@ Kind: TypeAlias = Literal[
     "models",
     "consensus",
     "assignment",
+    "collision_checks",
     "robots",
     "sinks",
     "exports",

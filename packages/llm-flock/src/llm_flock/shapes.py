@@ -161,23 +161,15 @@ def star(n: int, _: int = 0) -> Points:
 
 @dataclass(frozen=True, slots=True)
 class ShapeInfo:
-    """Description of a shape for operators.
+    """Description of a shape for operators."""
 
-    Attributes:
-        name: specification of the shape, with its argument in capitals: `circle`, `polygon:K`.
-        legal: its legal team sizes, as text that follows "N is".
-        description: the shape as text that follows "form".
-        examples: a few legal team sizes (for `polygon:K`: with K = 5).
-        layout: its points, by n and the argument K (0 without one); None if they are given otherwise.
-        is_legal: whether it exists for n and K.
-    """
-
-    name: str
-    legal: str
-    description: str
-    examples: tuple[int, ...]
+    name: str  #: Specification of the shape, with its argument in capitals: `circle`, `polygon:K`.
+    legal: str  #: Its legal team sizes, as text that follows "N is".
+    description: str  #: The shape as text that follows "form".
+    examples: tuple[int, ...]  #: A few legal team sizes (for `polygon:K`: with K = 5).
+    #: Its points, by n and the argument K (0 without one); None if they are given otherwise.
     layout: Callable[[int, int], Points] | None = None
-    is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1
+    is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1  #: Whether it exists for n and K.
 
 
 _LISTED = (

@@ -59,7 +59,7 @@ def test_conversation_options_do_not_prevent_forming(extra: dict[str, Any]) -> N
 
 def test_literal_paper_and_baseline_do_not_form_the_circle() -> None:
     mission = llm_flock.Mission(shape="circle", n_robots=10)
-    for protocol in ("paper", "baseline"):
+    for protocol in ("paper-literal", "baseline"):
         figures = llm_flock.run(mission, protocol=protocol, seed=7, rounds=40).summary
         assert not figures.formed
         assert figures.plans_in_use > 1 or figures.distinct_goals < 10

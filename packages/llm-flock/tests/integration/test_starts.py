@@ -7,7 +7,15 @@ import pytest
 from command_line import typed
 
 import llm_flock
+from llm_flock import graph
 from llm_flock.errors import InputError
+from llm_flock.metrics import min_separation
+from llm_flock.simulate import draw_start
+
+TEAM = llm_flock.Mission(n_robots=10)
+CROWD = llm_flock.Mission(n_robots=30)
+TRIANGLE = llm_flock.Mission(shape="triangle", n_robots=3)
+AREA = ((10.0, 20.0), (30.0, 40.0))
 
 
 def test_given_starts_are_taken_or_refused() -> None:
@@ -22,33 +30,25 @@ def test_given_starts_are_taken_or_refused() -> None:
 
 
 def test_separated_starts_keep_safe_distance_uniform_may_not() -> None:
-    from llm_flock.metrics import min_separation
-    from llm_flock.simulate import draw_start
-
-    mission = llm_flock.Mission(n_robots=10)
     near = 0
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        assert min_separation(draw_start(mission, "separated", rng)) >= 3
-        near += min_separation(draw_start(mission, "uniform", np.random.default_rng(seed))) < 3
+        assert min_separation(draw_start(TEAM, "separated", rng)) >= TEAM.safe_distance
+        near += min_separation(draw_start(TEAM, "uniform", np.random.default_rng(seed))) < TEAM.safe_distance
     assert near > 10
 
 
 def test_connected_starts_are_in_radio_contact_and_apart() -> None:
-    from llm_flock import graph
-    from llm_flock.metrics import min_separation
-    from llm_flock.simulate import draw_start
-
-    mission = llm_flock.Mission(n_robots=30)
+    low, high = CROWD.arena
     for seed in range(20):
-        starts = draw_start(mission, "connected", np.random.default_rng(seed))
-        assert min_separation(starts) >= 3 and (starts >= 0).all() and (starts <= 100).all()
-        near = graph.neighbors(starts, mission.comm_range)
+        starts = draw_start(CROWD, "connected", np.random.default_rng(seed))
+        assert min_separation(starts) >= CROWD.safe_distance and (starts >= low).all() and (starts <= high).all()
+        near = graph.neighbors(starts, CROWD.comm_range)
         met = [0]
         for robot in met:
             met.extend(j for j in near[robot] if j not in met)
-        assert len(met) == 30
-    assert min_separation(draw_start(mission, "connected", np.random.default_rng(0))) < mission.comm_range
+        assert len(met) == CROWD.n_robots
+    assert min_separation(draw_start(CROWD, "connected", np.random.default_rng(0))) < CROWD.comm_range
 
 
 def test_an_area_is_typed_as_two_corners() -> None:
@@ -59,11 +59,10 @@ def test_an_area_is_typed_as_two_corners() -> None:
 
 
 def test_starts_are_drawn_in_an_area() -> None:
-    mission = llm_flock.Mission(shape="triangle", n_robots=3)
+    low, high = AREA
     for start in ("separated", "uniform", "connected"):
-        area = ((10.0, 20.0), (30.0, 40.0))
-        result = llm_flock.run(mission, rounds=0, start=start, start_area=area, model="geometry")
-        assert ((result.positions[0] >= area[0]) & (result.positions[0] <= area[1])).all()
+        result = llm_flock.run(TRIANGLE, rounds=0, start=start, start_area=AREA, model="geometry")
+        assert ((result.positions[0] >= low) & (result.positions[0] <= high)).all()
 
 
 @pytest.mark.parametrize(
@@ -71,4 +70,4 @@ def test_starts_are_drawn_in_an_area() -> None:
 )
 def test_an_area_outside_the_arena_or_without_room_is_refused(area: Any) -> None:
     with pytest.raises(InputError, match=r"start_area|n_robots"):
-        llm_flock.run(llm_flock.Mission(shape="triangle", n_robots=3), rounds=0, start_area=area, model="geometry")
+        llm_flock.run(TRIANGLE, rounds=0, start_area=area, model="geometry")

@@ -56,6 +56,13 @@ def test_of_equally_influential_neighbours_the_id_decides(lowest: bool, chosen: 
     assert k is not None and k.sender == chosen
 
 
+@pytest.mark.parametrize(("yields_to", "adopted"), [(0, False), (2, False), (3, True)])
+def test_a_tie_with_a_lower_id_may_be_yielded(yields_to: int, adopted: bool) -> None:
+    k = said(2, 5)
+    assert adopt(5, PLAN, [k], yields_to=yields_to) is (k if adopted else None)
+    assert adopt(5, OTHER, [k], yields_to=yields_to) is None
+
+
 def test_the_nearest_available_place_is_taken() -> None:
     assert nearest_available((11.0, 0.0), PLAN) == 1
     assert nearest_available((11.0, 0.0), PLAN, {1}) == 2
@@ -84,10 +91,10 @@ def test_the_demonstration_says_what_each_robot_decides(capsys: pytest.CaptureFi
     lines = capsys.readouterr().out.splitlines()
     assert lines[1] == "  robot 0: I = 0.33, plan of 1 (adopted), place 2"
     assert lines[-1] == "1 plan, 3 of 3 goals taken (nearest-free)"
-    with pytest.raises(SystemExit, match="must be nearest or nearest-free"):
+    with pytest.raises(SystemExit, match="must be nearest-free or nearest"):
         main(["best"])
 
 
 def test_the_file_runs_by_itself() -> None:
     ran = subprocess.run([sys.executable, Path(algorithm1.__file__)], capture_output=True, text=True, timeout=60)
-    assert ran.returncode == 0 and ran.stdout.endswith("1 plan, 2 of 3 goals taken (nearest)\n")
+    assert ran.returncode == 0 and ran.stdout.endswith("1 plan, 3 of 3 goals taken (nearest-free)\n")

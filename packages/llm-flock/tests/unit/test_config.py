@@ -35,7 +35,7 @@ def test_presets_fill_what_was_left_open(preset: str) -> None:
 
 def test_single_options_override_the_preset() -> None:
     protocol = build_config(protocol="paper", consensus="provenance", shield=True).protocol
-    assert (protocol.consensus, protocol.assignment, protocol.shield) == ("provenance", "nearest", True)
+    assert (protocol.consensus, protocol.assignment, protocol.shield) == ("provenance", "nearest-free", True)
 
 
 def test_flags_override_the_file(tmp_path: Path) -> None:

@@ -34,5 +34,5 @@ def test_older_records_tell_their_rules_or_nothing() -> None:
 
 
 def test_rules_are_named_where_they_are_a_protocol() -> None:
-    assert rules_text("influence", "nearest", shield=False) == "paper (influence + nearest, shield off)"
+    assert rules_text("influence", "nearest", shield=False) == "paper-literal (influence + nearest, shield off)"
     assert rules_text("influence", "nearest", shield=True) == "influence + nearest, shield on"

@@ -107,16 +107,17 @@ def fly(
     settings = with_output_folder(settings, "flight-", record=record, typed=flags.get("out"))
     with showing(sinks, settings) as sink:
         result = asyncio.run(_fly(settings, yes=yes, as_json=json_output, quiet=quiet, sink=sink))
-    summary = None if result.result is None else result.result.summary
+    flown = result.result
+    figures = None if flown is None else flown.summary.flight
     if json_output:
         say(json.dumps(_plain(result), allow_nan=False))
-    elif summary is not None and summary.flight is not None:
-        Screen().show(summary_table(summary, settings.mission.safe_distance))
-        Screen().show(_flight_table(summary.flight))
+    elif flown is not None and figures is not None:
+        Screen().show(summary_table(flown))
+        Screen().show(_flight_table(figures))
     if result.broken_record is not None:
         say(f"error: the record broke off: {result.broken_record}", error=True)
         raise typer.Exit(EXIT_FAILED)
-    if summary is None or summary.flight is None or not summary.flight.safe or summary.flight.ended != "mission":
+    if figures is None or not figures.safe or figures.ended != "mission":
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -128,7 +129,7 @@ async def _fly(
     from llm_flock.record import both
     from llm_flock_flight._cli.keyboard import Keyboard, ask
     from llm_flock_flight._flight.fleet import build_fleet
-    from llm_flock_flight._flight.flight import TAKING_OFF, Flight
+    from llm_flock_flight._flight.flight import Flight, Stage
     from llm_flock_flight._flight.shown import ros2_bridge
 
     async def confirm(report: PreflightReport) -> bool:
@@ -141,12 +142,12 @@ async def _fly(
 
     live = not quiet and not as_json
 
-    def on_stage(stage: str) -> None:
-        if stage == TAKING_OFF:  # until then the terminal belongs to the question
+    def on_stage(stage: Stage) -> None:
+        if stage == "taking off":  # until then the terminal belongs to the question
             keyboard.listen()
         if live:
             say(stage, error=True)
-        if stage == TAKING_OFF:
+        if stage == "taking off":
             stack.enter_context(bar)
 
     def on_connect(check: Check) -> None:

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 from llm_flock.arrays import Points
 from llm_flock.errors import RecordError
@@ -42,10 +43,10 @@ from llm_flock_flight._positions import PoseFeed
 
 logger = logging.getLogger(__name__)
 
-TAKING_OFF = "taking off"  # name of the stage from which on the operator may end the flight
-RETURN = "return"  # how a flight ended whose operator let all drones return
-FLYING = "flying"  # name of the stage from take-off until the drones return or land
+Stage: TypeAlias = Literal["connecting", "taking off", "flying", "returning", "landing"]
+"""What a flight does, in this order; the operator may end it from taking off on."""
 
+RETURN = "return"  # how a flight ended whose operator let all drones return
 NEVER_UP = "never took off"
 CUT = "motors cut"
 SAFE_ENDS = frozenset({LANDED, STOPPED, FELL, NEVER_UP, CUT})  # ends after which a drone needs no attention
@@ -74,7 +75,7 @@ class Flight:
         robots: Sequence[Robot],
         *,
         on_round: Callable[[TrialProgress], None] | None = None,
-        on_stage: Callable[[str], None] = lambda _: None,
+        on_stage: Callable[[Stage], None] = lambda _: None,
         on_connect: Callable[[Check], None] = lambda _: None,
         sink: RecordSink | None = None,
         poses: PoseSource | None = None,
@@ -88,7 +89,7 @@ class Flight:
         self._sink = sink
         self._poses = poses
         self._supervisor: FlightSupervisor | None = None
-        self._stage = ""
+        self._stage: Stage = "connecting"
         self._broken_record: RecordError | None = None
         self._ordered_home = asyncio.Event()
 
@@ -103,7 +104,7 @@ class Flight:
         """
         if self._supervisor is None:
             return False
-        if self._stage == FLYING:
+        if self._stage == "flying":
             self._ordered_home.set()
         elif self._stage not in ("returning", "landing"):
             return self.abort()
@@ -114,7 +115,7 @@ class Flight:
         all_robots = frozenset(range(len(self._robots)))
         return self._trip(Trouble(TroubleKind.EMERGENCY, detail="the operator cuts all motors", cut=all_robots))
 
-    def _enter(self, stage: str) -> None:
+    def _enter(self, stage: Stage) -> None:
         self._stage = stage
         self._on_stage(stage)
 
@@ -219,9 +220,9 @@ class Flight:
         """Take off and flock, until the mission or the flight ends; then return, if that is asked for."""
         homes = homes_of(self._config, team.readings.places)
         try:
-            self._enter(TAKING_OFF)
+            self._enter("taking off")
             await supervisor.while_safe(take_off(self._config, team, log))
-            self._enter(FLYING)
+            self._enter("flying")
             await supervisor.while_safe(self._until_ordered_home(trial, team))
             if self._ordered_home.is_set() or self._config.safety.at_end == "return":
                 await supervisor.while_safe(self._return(team, homes, log))

@@ -33,7 +33,7 @@ class _Track:
 
 
 class PoseGate:
-    """Judges frames one by one; `doubts` has the reason why the newest pose of a drone was rejected, by name.
+    """Judges frames one by one; `doubts` has the reason why the newest pose of a drone was refused, by name.
 
     A drone flies no faster than `speed_m_s`. After `pose_lost_s` without an accepted pose, one on the ground may be
     anywhere. Set `flying` from the first take-off on: then a track is never given up, so that a drone which was lost

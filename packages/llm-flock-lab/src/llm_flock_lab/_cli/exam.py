@@ -49,7 +49,8 @@ def exam(
     Inspect asks them, and keeps its logs in a folder: `inspect view --log-dir runs/exam` shows every conversation.
     """
     from llm_flock.llm import Budget, parse_settings
-    from llm_flock_lab._exam.leaderboard import publish, read_log, read_rows
+    from llm_flock_lab._exam.leaderboard import publish
+    from llm_flock_lab._exam.rows import read_log, read_rows
     from llm_flock_lab._exam.splits import paper
 
     paper(split or "public", seed, sections, limit)  # refuses what is not allowed

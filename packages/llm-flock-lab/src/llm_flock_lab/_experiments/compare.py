@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import InputError
+from llm_flock.metrics import ROUNDING
 from llm_flock.printable import csv_cell
 from llm_flock.record import check_new
 from llm_flock.runtime import load_config
@@ -20,9 +21,6 @@ from llm_flock_lab._experiments.executors import Display, Session, fly_in_pool
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
 from llm_flock_lab._experiments.statistics import Estimate, interval, mean_interval, median, number, wilson
 from llm_flock_lab._experiments.trial import TrialResult
-
-TOLERANCE = 1e-6
-"""Robots nearer than the safe distance by more than this are a violation [units]."""
 
 FIGURES = (
     "formed",
@@ -65,7 +63,7 @@ class Comparison:
     rounds: float | None  # median of rounds_to_formed over the formed trials
     ratio: float | None  # median of rounds_to_formed / lower_bound_rounds over these, a bound of 0 counted as 1
     min_separation: float | None  # in any trial, along segments too [units]; None for teams of one
-    violations: int  # trials with a separation below safe_distance - `TOLERANCE`
+    violations: int  # trials with a separation below safe_distance - `metrics.ROUNDING`
     unsafe_starts: int  # trials with a start nearer than safe_distance
     min_separation_after_start: float | None  # these pairs counted once they had come apart
     calls: Estimate | None  # a robot and trial: mean with Student's 95 % interval; None if all broke off
@@ -153,7 +151,7 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Comparison:
     flown = [(s["rounds_to_formed"] or 0, s["lower_bound_rounds"] or 0) for s in known if s["formed"]]
     separations = [s["min_separation"] for s in known if s["min_separation"] is not None]
     later = [s["min_separation_after_start"] for s in known if s["min_separation_after_start"] is not None]
-    limit = cell.config.mission.safe_distance - TOLERANCE
+    limit = cell.config.mission.safe_distance - ROUNDING
     waypoints = Counter[str]()
     for summary in known:
         waypoints.update(summary["waypoints"])

@@ -19,7 +19,7 @@ from llm_flock.arrays import Point, Vector
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
 from llm_flock.llm import PACKAGED, model_digests, parse_model, parse_models, waits
-from llm_flock.mission import Mission, start_volume
+from llm_flock.mission import Mission
 from llm_flock.runtime import RunConfig, load_points
 
 
@@ -162,7 +162,7 @@ def fitted_arena(
     ideal = formations.ideal_points(shape, team.places or n_robots, team.center, team.spacing, points)
     room = 0.0 if ideal is None else formations.circumradius(ideal, team.center) + team.spacing
     low, high = _grown(team, center, room)
-    needed = start_volume(n_robots, team.dim, team.safe_distance)
+    needed = team.start_volume(n_robots)
     if float(np.prod(high - low)) < needed:
         # A thousandth more, so that rounding cannot make it too small again.
         low, high = _grown(team, center, 1.001 * math.pow(needed, 1 / team.dim) / 2)

@@ -86,6 +86,8 @@ TRIALS: tuple[Column, ...] = (
     _count("rounds_to_separate", "first round at whose end these had come apart; null if they never did", "rounds"),
     _number("min_separation_after_start", "as min_separation, these pairs counted from when they came apart", "units"),
     _number("min_clearance", "smallest distance of a robot's centre to an obstacle; null without obstacles", "units"),
+    _count("steps_over_limit", "steps longer than max_step, which bodies flew up to there"),
+    _number("center_distance", "distance of the robots' mean position from the mission's centre at the end", "units"),
     _number("safe_distance", "smallest distance allowed", "units"),
     _number("spacing", "distance of neighbours in the formation", "units"),
     _count("plans_in_use", "different plans at the end"),
@@ -143,9 +145,8 @@ def read_tables(folder: Path) -> tuple[pl.DataFrame, pl.DataFrame]:
     try:
         return _trials_frame(trials), _rounds_frame(trials)
     except (pl.exceptions.PolarsError, LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise RecordError(
-            f"{folder}: not all trials have the fields of one ({type(error).__name__}: {error})"
-        ) from None
+        says = f"not all trials have the fields of one ({type(error).__name__}: {error})"
+        raise RecordError(f"{folder}: {says}") from None
 
 
 def read_trials(folder: Path) -> pl.DataFrame:

@@ -14,10 +14,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from llm_flock.errors import FlockError, InputError
-from llm_flock.metrics import segment_separation
+from llm_flock.metrics import ROUNDING, segment_separation
 from llm_flock.record import Cause, ChatLine, RunRecord, read_record
 from llm_flock.runtime import RECORD_NAME, RunConfig, run
-from llm_flock_lab._experiments.compare import TOLERANCE
 from llm_flock_lab._experiments.store import TRIALS, is_inside, read_trial
 from llm_flock_lab._report.results import OUTCOMES, Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
@@ -102,7 +101,7 @@ def find_causes(record: RunRecord) -> list[Cause]:
 
 def _crash(record: RunRecord) -> Cause | None:
     """The first round in which two robots came nearer than the safe distance while they moved."""
-    safe, places = float(record.mission.mission["safe_distance"]) - TOLERANCE, record.positions
+    safe, places = float(record.mission.mission["safe_distance"]) - ROUNDING, record.positions
     for number, after in enumerate(places):
         before = places[max(0, number - 1)]
         if segment_separation(before, after) >= safe:

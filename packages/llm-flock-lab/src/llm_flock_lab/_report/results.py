@@ -15,10 +15,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from llm_flock.errors import InputError, RecordError
+from llm_flock.metrics import ROUNDING
 from llm_flock.protocol import PRESET_RULES
 from llm_flock.record import protocol_text
 from llm_flock_lab._experiments import tables
-from llm_flock_lab._experiments.compare import TOLERANCE
 from llm_flock_lab._experiments.store import is_inside, read_json
 from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
 
@@ -75,7 +75,7 @@ class TrialRow:
     @property
     def too_near(self) -> bool:
         separation, safe = self.figures["min_separation"], self.figures["safe_distance"]
-        return separation is not None and safe is not None and separation < safe - TOLERANCE
+        return separation is not None and safe is not None and separation < safe - ROUNDING
 
     @property
     def ratio(self) -> float | None:

@@ -24,25 +24,15 @@ STATE, FACTORS = "state.pt", "factors.npz"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingOptions:
-    """How to train.
+    """How to train."""
 
-    Attributes:
-        steps: optimizer steps in all.
-        rate: learning rate of AdamW before it decays.
-        descent: share of the steps, the last ones, over which the rate falls to zero.
-        warm_up: steps over which it rises.
-        tokens: size of all batches of a step, about.
-        together: batches of a step, of different kinds of questions; all have the same weight.
-        keep_s: time between two checkpoints [s].
-    """
-
-    steps: int = 3000
-    rate: float = 2e-3
-    descent: float = 0.3
-    warm_up: int = 20
-    tokens: int = 600
-    together: int = 2
-    keep_s: float = 120.0
+    steps: int = 3000  #: Optimizer steps in all.
+    rate: float = 2e-3  #: Learning rate of AdamW before it decays.
+    descent: float = 0.3  #: Share of the steps, the last ones, over which the rate falls to zero.
+    warm_up: int = 20  #: Steps over which it rises.
+    tokens: int = 600  #: Size of all batches of a step, about.
+    together: int = 2  #: Batches of a step, of different kinds of questions; all have the same weight.
+    keep_s: float = 120.0  #: Time between two checkpoints [s].
     seed: int = 0
 
     def rate_at(self, step: int) -> float:

@@ -55,7 +55,10 @@ SWARM = "llm_flock_swarm._network.config:SwarmConfig"
 SHOWN = ("shape", "n_robots", "model", "base_url", "swarm", "listen", "connect", "keys")
 """Fields that the help of each command lists."""
 
-NOT_IN_SWARMS = ("kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds")
+NOT_IN_SWARMS = (
+    *("kill", "join", "kill_random", "join_random", "changes"),
+    *("noise", "velocity", "rounds", "relay", "collision_check"),
+)
 """Fields of runs that swarms of processes do not support."""
 
 BODIES_ELSEWHERE = (*NOT_IN_SWARMS, "ros_poses", "ros_pose_topic")

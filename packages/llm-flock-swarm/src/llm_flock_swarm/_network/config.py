@@ -88,6 +88,10 @@ class SwarmConfig(RunConfig):
         for field in ("kill", "join", "kill_random", "join_random", "changes", "noise"):
             if getattr(trial, field):
                 raise InputError(field, getattr(trial, field), says="cannot be used in a swarm of processes")
+        protocol = self.protocol
+        if protocol.relay or protocol.collision_check != "none":
+            says = "cannot be used in a swarm of processes: it needs all robots in one"
+            raise InputError("protocol", protocol.protocol, says=says)
         if self.mission.velocity is not None:
             says = "cannot be used in a swarm of processes: rounds are not in step"
             raise InputError("velocity", self.mission.velocity, says=says)

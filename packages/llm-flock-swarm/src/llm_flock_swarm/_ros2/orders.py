@@ -92,16 +92,16 @@ class MissionGiver:
         observer = self._observer
         try:
             observer.mission.change(**fields)
-            takers = sorted(observer.robots, key=lambda robot: -observer.heard_s[robot])[:TAKERS]
-            if not takers:
-                raise MessageError("nobody", "no robot of the swarm is there")
-            for report in observer.reports.values():
-                if self._signed is None or self._signed(MissionStamp(*report.mission), report.order):
-                    self._clock.witness(report.mission[0])
-            now = self._config.model_copy(update={"mission": observer.mission})
-            order = pack(mission_order(now, dict(fields), self._clock.next()))
-        except (InputError, TypeError, ValueError, RecursionError) as error:
+        except (InputError, RecursionError) as error:
             raise MessageError("bad_mission", str(error)) from None
+        takers = sorted(observer.robots, key=lambda robot: -observer.heard_s[robot])[:TAKERS]
+        if not takers:
+            raise MessageError("nobody", "no robot of the swarm is there")
+        for report in observer.reports.values():
+            if self._signed is None or self._signed(MissionStamp(*report.mission), report.order):
+                self._clock.witness(report.mission[0])
+        now = self._config.model_copy(update={"mission": observer.mission})
+        order = pack(mission_order(now, dict(fields), self._clock.next()))
         for robot in takers:
             self._link.publish("mission", robot, order)
         return takers

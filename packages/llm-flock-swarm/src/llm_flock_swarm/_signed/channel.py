@@ -58,7 +58,7 @@ class SignedChannel(Channel):
 
     @property
     def rejected(self) -> Counter[str]:
-        return self._evidence.refused
+        return self._evidence.rejected
 
     def open(self, payload: bytes, sender: int | None) -> Inbound:
         """Unwrap, decode and verify; more reasons are `impostor`, `forged_origin`, `many_plans` and `uncertified`."""
@@ -105,7 +105,7 @@ class SignedChannel(Channel):
         try:
             self._equivocations.hear(message.mission, proofs)
         except MessageError as error:
-            self._evidence.refused[error.reason] += 1
+            self._evidence.rejected[error.reason] += 1
             return False
         if message.provenance is not None and message.plan_digest is not None:
             self._equivocations.note(message.provenance, message.plan_digest, proofs.origin or b"")

@@ -47,7 +47,7 @@ class Evidence:
     """Signatures about the slots of the plan in force and of earlier ones; `liars` robots may lie together."""
 
     def __init__(self, robot: int, authenticator: Authenticator, liars: int = LIARS) -> None:
-        self.refused: Counter[str] = Counter()
+        self.rejected: Counter[str] = Counter()
         self._checks = Checks(authenticator, liars)
         self._turn = 0
         self._robot = robot
@@ -109,7 +109,7 @@ class Evidence:
                 self._hear_cause(cause, table)
             offer = self._hear_offer(message, proofs, len(table))
         except Uncertified:
-            self.refused["uncertified"] += 1
+            self.rejected["uncertified"] += 1
         self._hear_last(proofs, len(table))
         claims = None if message.claims is None else claims_in(tuple(entries))
         return msgspec.structs.replace(message, claims=claims, offer=offer)
@@ -143,7 +143,7 @@ class Evidence:
             self._certify(slot, entry, certificate, len(table))
             if certificate.number > most_claims(len(table)):
                 # Its owner may be honest, and have been driven from place to place by liars.
-                self.refused["many_claims"] += 1
+                self.rejected["many_claims"] += 1
                 return UNSAID
         if owner < 0:
             self._hear_freed(slot, entry, certificate.grant, table)

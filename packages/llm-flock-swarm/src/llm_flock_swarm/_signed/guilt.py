@@ -39,7 +39,7 @@ def guilt(
     verifier: Verifier,
     liars: int = LIARS,
 ) -> str | None:
-    """Why no honest robot sends this message, as a reason for refusals (docs/reference/wire.md); None if one could.
+    """Why no honest robot sends this message, as a reason to reject it (docs/reference/wire.md); None if one could.
 
     `sender` has signed the payload as a whole. Plans are checked for these missions only. A message of another version
     proves nothing, nor do more claims than count: liars can drive an honest robot from place to place.
@@ -55,8 +55,8 @@ def guilt(
     except MessageError as error:
         return None if error.reason == "version" else error.reason
     channel.hold([inbound.message])
-    if evidence.refused:
-        return next(iter(evidence.refused))
+    if evidence.rejected:
+        return next(iter(evidence.rejected))
     message, proofs = inbound.message, inbound.message.proofs
     assert isinstance(proofs, Proofs), "a signed channel leaves them there"
     asked = next((m for m in missions if m.digest == message.mission.digest), None)
@@ -89,4 +89,4 @@ def _forgery(message: Message, proofs: Proofs, evidence: Evidence) -> str | None
         evidence.signed_by(word.witness, restless_statement(about, word.robot), word.signature)
         for word in proofs.restless
     )
-    return None if words and not evidence.refused["uncertified"] else "uncertified"
+    return None if words and not evidence.rejected["uncertified"] else "uncertified"

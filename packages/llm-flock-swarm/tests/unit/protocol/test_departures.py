@@ -269,9 +269,9 @@ def test_outdated_cause_is_checked_and_must_outbid_a_claim() -> None:
     assert hears() and evidence._page.departures.causes == (cause,)
     assert not hears(slot=len(table)) and not hears(version=1) and not hears(bid=-99.0)
     assert not hears(number=10**6), "it may count"
-    assert not evidence.refused["uncertified"]
+    assert not evidence.rejected["uncertified"]
     assert not hears(signature=b"x" * 64) and not hears(bid=1.0)
-    assert evidence.refused["uncertified"] == 2
+    assert evidence.rejected["uncertified"] == 2
     evidence._page.departures._causes = {(slot, 0): cause}
     before = len(evidence._checks._good)
     evidence.admit(message, proofs, table)

@@ -86,7 +86,7 @@ def test_exchanges_count_only_where_one_partner_is_surely_honest(tolerated: int)
     team.comm_round(said_by=[gang.message(5, gang.exchange(5, 6, 0, 1))])
     counts = tolerated == 1
     assert (team.owners(0)[:2] == ((1, 6), (1, 5))) is counts
-    assert all(evidence_of(agent).refused["uncertified"] == (not counts) for agent in team.agents)
+    assert all(evidence_of(agent).rejected["uncertified"] == (not counts) for agent in team.agents)
     team.end()
 
 

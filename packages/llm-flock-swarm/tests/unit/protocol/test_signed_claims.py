@@ -266,7 +266,7 @@ def test_a_plan_that_comes_back_is_another_one() -> None:
         return liar.says({slot: (entry, Certificate(number=90, signature=signature))})
 
     def refused() -> int:
-        return sum(evidence_of(agent).refused["uncertified"] for agent in team.agents)
+        return sum(evidence_of(agent).rejected["uncertified"] for agent in team.agents)
 
     owners, refusals = team.owners(0), refused()
     team.fly(1, lambda: [replayed(before)])

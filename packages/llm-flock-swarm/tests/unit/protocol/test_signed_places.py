@@ -115,7 +115,7 @@ def test_false_witness_statements_do_not_count(team: SignedTeam, liar: Liar) -> 
     team.comm_round()
     first, second = evidence_of(team.agents[0]), evidence_of(team.agents[1])
     assert first._page.words._said == {}
-    assert first.refused["uncertified"] == 1
+    assert first.rejected["uncertified"] == 1
     assert [list(words) for words in second._page.words._said.values()] == [[team.liar]]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from llm_flock.cli import RecordPath, note_broken, note_replaced, record_file, say
+from llm_flock.cli import RecordPath, note_broken, note_replaced, say
 from llm_flock.errors import InputError
 from llm_flock.extras import require
 
@@ -26,12 +26,11 @@ def figure(
     require("figures", "figure")
     from llm_flock.record import read_record
 
-    paths = [record_file(path) for path in records]
-    runs = [read_record(path) for path in paths]
+    runs = [read_record(path) for path in records]
     from llm_flock_view._figures import figures
 
     kind = kind or ("snapshots" if len(runs) == 1 else "comparison")
-    target = out or paths[0].with_name(f"{kind}.png")
+    target = out or runs[0].path.with_name(f"{kind}.png")
     if kind == "snapshots":
         if len(runs) != 1:
             raise InputError("records", len(runs), "one record for snapshots")
@@ -63,13 +62,12 @@ def animate(
     require("figures", "animate")
     from llm_flock.record import read_record
 
-    path = record_file(record)
-    both = [path.with_name("animation.gif")] + ([path.with_name("animation.mp4")] if shutil.which("ffmpeg") else [])
-    found = read_record(path)
+    found = read_record(record)
+    names = ("animation.gif", "animation.mp4") if shutil.which("ffmpeg") else ("animation.gif",)
     note_broken([found])
     from llm_flock_view._figures.animation import animate as draw
 
-    for target in [out] if out else both:
+    for target in [out] if out else map(found.path.with_name, names):
         note_replaced(target)
         draw(found, target, fps=fps)
         say(target)

@@ -17,16 +17,11 @@ from llm_flock.record import RunRecord, formed_in, protocol_text, work_text
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Animation:
-    """A run as an animated picture. A notebook shows it below its cell.
-
-    Attributes:
-        gif: the picture in the format GIF.
-        fps: frames per second.
-    """
+    """A run as an animated picture. A notebook shows it below its cell."""
 
     record: RunRecord
-    fps: int
-    gif: bytes = field(repr=False)
+    fps: int  #: Frames per second.
+    gif: bytes = field(repr=False)  #: The picture in the format GIF.
 
     def save(self, path: str | Path) -> None:
         """Write the animation; the file's ending decides: .gif, .mp4 or .webm.

@@ -21,7 +21,7 @@ from matplotlib.textpath import TextPath
 
 from llm_flock.record import ASLEEP, DEAD
 from llm_flock_view._figures.labels import size_of
-from llm_flock_view._figures.panel import TIMES, Panel, close_pairs
+from llm_flock_view._figures.panel import TIMES, Panel
 from llm_flock_view._figures.style import DANGER, FAINT, INK, NOT_BEGUN, QUIET, WITHOUT_PLAN, PlanLook
 
 Entry: TypeAlias = Line2D | Patch | PathCollection
@@ -65,8 +65,7 @@ def _entries(panel: Panel, rounds: Sequence[int]) -> list[Entry | None]:
     phases = {phase for state in states for phase in state.phases}
     look = looks[0] if looks else WITHOUT_PLAN
     goals = any(goal is not None for state in states for goal in state.goals)
-    safe = float(mission["safe_distance"])
-    near = any(len(close_pairs(record.positions[k], safe)) for k in rounds)
+    near = any(len(panel.close_pairs(record.positions[k])) for k in rounds)
     hidden = {one for k in rounds for one in panel.crowded(k)}
     number = ", with its number" if panel.labelled else ""
     ring: dict[str, Any] = {"marker": "o", "mfc": "none"}

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from llm_flock import graph
 from llm_flock.arrays import Points
+from llm_flock.metrics import ROUNDING
 from llm_flock.record import ASLEEP, DEAD, SILENT, RunRecord, State
 from llm_flock_view._figures.crowd import spots, spread
 from llm_flock_view._figures.labels import Outlines, Rectangle, beside, box_at, size_of
@@ -52,9 +53,6 @@ INSET = 0.24
 
 TIMES = "\u00d7"
 
-ROUNDING = 1e-6
-"""A pair that is nearer than the safe distance by less than this keeps it [units]; as in the viewer."""
-
 Box = tuple[float, float, float, float]
 """Left, right, bottom, top [units]."""
 
@@ -68,6 +66,7 @@ class Panel:
         self.window = view(record) if window is None else window
         n = record.positions.shape[1]
         self._scale = width / (self.window[1] - self.window[0])
+        self._safe = float(record.mission.mission["safe_distance"])
         spacing = float(record.mission.mission["spacing"]) * self._scale
         self._disc = max(3.5, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
@@ -76,13 +75,17 @@ class Panel:
         self._path = record.positions[:, :, :2]
         self._offsets: dict[int, tuple[float, float] | None] = {}
 
+    def close_pairs(self, positions: NDArray[np.float64]) -> NDArray[np.intp]:
+        """Pairs nearer than the safe distance in all dimensions, shape (k, 2)."""
+        return np.argwhere(np.triu(graph.distances(positions) < self._safe - ROUNDING, 1))
+
     def crowded(self, round_number: int) -> set[bool]:
         """Whether robots hide one another in a round: True for crowds with a pair too near, False for others."""
         if not self.labelled:
             return set()
-        positions, safe = self.record.positions[round_number], float(self.record.mission.mission["safe_distance"])
+        positions = self.record.positions[round_number]
         _, crowds = spread(positions[:, :2] * self._scale, self._disc / 2)
-        return {bool(close_pairs(positions[one.members], safe).size) for one in crowds}
+        return {bool(self.close_pairs(positions[one.members]).size) for one in crowds}
 
     def frame(self, axes: Axes) -> None:
         """Prepare the axes: this panel's window, the arena's walls, and the obstacles."""
@@ -140,13 +143,13 @@ class Panel:
         """The places of discs [units], and the numbers of crowds [points], red where robots are too near in space."""
         if not self.labelled:
             return places, ()
-        points, safe = 72.0 / _dpi(axes), float(self.record.mission.mission["safe_distance"])
+        points = 72.0 / _dpi(axes)
         at, crowds = spread(points * np.asarray(axes.transData.transform(places)), self._disc / 2)
         drawn = np.asarray(axes.transData.inverted().transform(at / points))
         size = (2.0 * self._font, 1.4 * self._font)
         counts: list[Rectangle] = []
         for members, _, spot in spots(at, crowds, self._disc / 2, size, self._bounds(axes)):
-            colour = DANGER if close_pairs(positions[members], safe).size else QUIET
+            colour = DANGER if self.close_pairs(positions[members]).size else QUIET
             ties = np.stack([places[members], drawn[members]], axis=1)
             axes.add_collection(LineCollection(list(ties), colors=colour, linewidths=0.8, zorder=3.4))
             if spot is None:
@@ -160,8 +163,7 @@ class Panel:
 
     def _too_close(self, axes: Axes, positions: NDArray[np.float64], drawn: NDArray[np.float64]) -> None:
         """Pairs nearer than the safe distance, in all dimensions, in red."""
-        safe = float(self.record.mission.mission["safe_distance"])
-        pairs = close_pairs(positions, safe)
+        pairs = self.close_pairs(positions)
         if not len(pairs):
             return
         axes.add_collection(LineCollection(list(drawn[pairs]), colors=DANGER, linewidths=1.4, zorder=3.5))
@@ -321,11 +323,6 @@ class Panel:
             linestyle=[look.rim for look in looks],
             zorder=above,
         )
-
-
-def close_pairs(positions: NDArray[np.float64], safe: float) -> NDArray[np.intp]:
-    """Pairs nearer than the safe distance in all dimensions, shape (k, 2)."""
-    return np.argwhere(np.triu(graph.distances(positions) < safe - ROUNDING, 1))
 
 
 def _edges(corners: Sequence[Sequence[float]]) -> NDArray[np.float64]:

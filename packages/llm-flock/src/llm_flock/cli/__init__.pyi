@@ -4,7 +4,6 @@ from ._display import RecordPath as RecordPath
 from ._display import live_line as live_line
 from ._display import note_broken as note_broken
 from ._display import note_replaced as note_replaced
-from ._display import record_file as record_file
 from ._display import summary_table as summary_table
 from ._expected import budget_text as budget_text
 from ._expected import cost_text as cost_text

@@ -18,12 +18,11 @@ from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
-from llm_flock.record import RECORD_NAME
 from llm_flock.record._words import formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord
-    from llm_flock.runtime._result import Summary
+    from llm_flock.runtime._result import RunResult, Summary
     from llm_flock.runtime._trial import TrialProgress
 
 
@@ -72,8 +71,9 @@ def live_line(
     return opened(), show
 
 
-def summary_table(summary: Summary, safe_distance: float) -> Table:
+def summary_table(result: RunResult) -> Table:
     """The result of a run as a table."""
+    summary, safe = result.summary, result.mission.safe_distance
     simulated = " (simulated language models)" if summary.simulated else ""
     title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
@@ -86,7 +86,7 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         ("plans in use", str(summary.plans_in_use)),
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
-        ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe_distance:g})"),
+        ("smallest separation", _separation_text(summary.min_separation, safe)),
         ("work", escape(work_text(summary.to_dict())) or "none"),
         ("model calls", f"{summary.model_calls} ({summary.calls_rejected} rejected, {summary.calls_failed} failed)"),
         ("tokens", f"{summary.tokens_input:,} in, {summary.tokens_output:,} out"),
@@ -98,10 +98,13 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
         + (f" (given in round {m.round})" if m.round else "")
         for m in summary.missions
     ]
+    off_center = summary.center_distance is not None and summary.center_distance > safe / 10
     special = [
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
+        ("steps over the limit", f"[bold red]{summary.steps_over_limit}[/]" if summary.steps_over_limit else ""),
+        ("off the centre", f"[bold red]by {summary.center_distance:.3f}[/]" if off_center else ""),
         ("empty places", str(summary.gaps or "")),
         ("spare robots", str(summary.spares or "")),
         ("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())),
@@ -111,6 +114,14 @@ def summary_table(summary: Summary, safe_distance: float) -> Table:
     for name, value in rows + [row for row in special if row[1]]:
         table.add_row(name, value)
     return table
+
+
+def _separation_text(smallest: float | None, safe_distance: float) -> str:
+    from llm_flock.metrics import ROUNDING  # late: takes longer to import than many commands take
+
+    if smallest is not None and smallest < safe_distance - ROUNDING:
+        return f"[bold red]{smallest:.3f}, below the safe distance {safe_distance:g}[/]"
+    return _number(smallest, "{:.3f}") + f" (safe distance {safe_distance:g})"
 
 
 def _formed_text(summary: Summary) -> str:
@@ -222,11 +233,6 @@ def show_conversation(record: RunRecord, robot: int | None, round_number: int | 
         faults = f" · faults: {one_line(', '.join(entry.faults))}" if entry.faults else ""
         tokens = f"{entry.usage.input} tokens in, {entry.usage.output} out"
         console.print(Text(f"{one_line(verdict(entry), 20_000)} · {tokens} · {entry.latency_s:.3f} s{faults}"))
-
-
-def record_file(path: Path) -> Path:
-    """The record, also if its folder is given."""
-    return path / RECORD_NAME if path.is_dir() else path
 
 
 @extended("inspections")

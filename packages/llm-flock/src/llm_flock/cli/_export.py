@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from llm_flock import plugins
-from llm_flock.cli._display import note_broken, record_file
+from llm_flock.cli._display import note_broken
 from llm_flock.cli._extensions import Extension, chosen, extended
 from llm_flock.cli._terminal import say
 from llm_flock.errors import FieldError, InputError
@@ -33,6 +33,8 @@ def export(
 
     Without a format, PATH is a directory of results, whose tables go to trials.csv and rounds.csv.
     """
+    from llm_flock.record._stream import record_file
+
     formats = [extension for extension in extensions if extension.flags]
     on = chosen(formats)
     record = None if path is None else record_file(path)

@@ -83,7 +83,7 @@ def run(
     if json_output:
         say(json.dumps(result.summary.to_dict(), allow_nan=False))
     else:
-        Screen().show(summary_table(result.summary, settings.mission.safe_distance))
+        Screen().show(summary_table(result))
     if result.summary.stopped in ("no_answers", "no_plan"):
         say(f"error: {no_success(result.summary, settings.protocol.fallback)}", error=True)
         raise typer.Exit(EXIT_FAILED)

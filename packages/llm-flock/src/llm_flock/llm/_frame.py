@@ -67,16 +67,11 @@ class PromptFrame:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FramedQuestion(Generic[Q]):
-    """A question in the world and in the frame of its prompt.
-
-    Attributes:
-        framed: the question in the frame of the prompt; the same question if that is the world.
-        frame: the frame of the prompt, None for the world.
-    """
+    """A question in the world and in the frame of its prompt."""
 
     question: Q
-    framed: Q
-    frame: PromptFrame | None = None
+    framed: Q  #: The question in the frame of the prompt; the same question if that is the world.
+    frame: PromptFrame | None = None  #: The frame of the prompt, None for the world.
 
     def to_world(self, answer: A) -> A:
         """An answer in the world. If the model repeats the goal, the waypoint is exactly the goal."""

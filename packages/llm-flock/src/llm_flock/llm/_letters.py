@@ -37,17 +37,12 @@ _LETTER = re.compile(rf"\s*([{''.join(get_args(Letter))}])\b")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LetterWay:
-    """One way to go.
-
-    Attributes:
-        waypoint: where it ends [units; frame of the question].
-        progress: how much nearer the goal its end is [step limits].
-        gap: smallest distance on the way to anything, as a multiple of the allowed distance; infinite if there is none.
-    """
+    """One way to go."""
 
     letter: Letter
-    waypoint: Point
-    progress: float
+    waypoint: Point  #: Where it ends [units; frame of the question].
+    progress: float  #: How much nearer the goal its end is [step limits].
+    #: Smallest distance on the way to anything, as a multiple of the allowed distance; infinite if there is none.
     gap: float
 
     @property

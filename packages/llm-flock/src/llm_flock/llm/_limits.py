@@ -124,32 +124,20 @@ class CallGate(Protocol):
 
 @dataclass(slots=True)
 class CallLane:
-    """One run's access to the gate and the models that it shares with other runs.
+    """One run's access to the gate and the models that it shares with other runs."""
 
-    Attributes:
-        gate: admits calls of this run and others; None admits all.
-        pool: makes the models; without it, the run makes its own.
-        cut: whether the gate turned away a call of this run.
-    """
-
-    gate: CallGate | None = None
-    pool: ModelPool | None = None
-    cut: bool = False
+    gate: CallGate | None = None  #: Admits calls of this run and others; None admits all.
+    pool: ModelPool | None = None  #: Makes the models; without it, the run makes its own.
+    cut: bool = False  #: Whether the gate turned away a call of this run.
 
 
 @dataclass(slots=True, kw_only=True)
 class CallLimits:
-    """Limits that all models of one run share. Build one for each run, in the thread of its event loop.
+    """Limits that all models of one run share. Build one for each run, in the thread of its event loop."""
 
-    Attributes:
-        rng: chance for the jitter of waits.
-        max_concurrent: calls under way at once; `slots` holds as many.
-        timeout_s: longest attempt, without the queue [s].
-    """
-
-    rng: np.random.Generator
-    max_concurrent: int = 256
-    timeout_s: float = 120.0
+    rng: np.random.Generator  #: Chance for the jitter of waits.
+    max_concurrent: int = 256  #: Calls under way at once; `slots` holds as many.
+    timeout_s: float = 120.0  #: Longest attempt, without the queue [s].
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     meter: BudgetMeter = field(default_factory=BudgetMeter)
     lane: CallLane = field(default_factory=CallLane)

@@ -18,7 +18,7 @@ from llm_flock.llm._answers import read_plan, read_waypoints
 from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
 from llm_flock.llm._letters import read_way, ways_of
 from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
-from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.llm._thoughts import quote, whole_answer
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
@@ -119,9 +119,8 @@ class LanguagePlanner:
         frame: FrameName = "world",
     ) -> None:
         if frame == "own" and history != 0:
-            raise InputError(
-                "frame", frame, "world while history is kept, because with own each question has a different frame"
-            )
+            allowed = "world while history is kept, because with own each question has a different frame"
+            raise InputError("frame", frame, allowed)
         self._robot = robot
         self._model = model
         self._prompts = prompts
@@ -163,6 +162,8 @@ class LanguagePlanner:
             return StepAnswer(waypoint=waypoint, path=tuple(path))
 
         text = self._prompts.step(asked.framed)
+        if question.objection:
+            text += f"\n\n{NOT_FLOWN} {question.objection}"
         return await self._converse(_Exchange("step", asked, text, form, read, self._check_step))
 
     async def _choose(self, question: StepQuestion) -> StepAnswer | NoAnswer:
@@ -199,8 +200,6 @@ class LanguagePlanner:
         reason, last_waypoint = "", None
         attempts = 1 if question.probe else 1 + self._max_retries
         for _ in range(attempts):
-            call = replace(call, attempt=self._attempt)
-            self._attempt += 1
             try:
                 outcome = await self._ask(call, exchange)
             except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
@@ -212,7 +211,7 @@ class LanguagePlanner:
             if isinstance(outcome.answer, StepAnswer):
                 last_waypoint = outcome.answer.waypoint
             retry = ChatMessage("user", self._prompts.retry(reason, exchange.asked.framed))
-            call = replace(call, messages=(*call.messages, outcome.message, retry))
+            call = replace(call, attempt=self._attempt, messages=(*call.messages, outcome.message, retry))
         story = f"no usable answer in {attempts} {'try' if attempts == 1 else 'tries'}; the last: {reason}"
         logger.info("robot %d, round %d, %s: %s", self._robot, call.round, call.kind, story)
         return NoAnswer(cause="answer", reason=story, waypoint=last_waypoint)
@@ -239,7 +238,7 @@ class LanguagePlanner:
 
     async def _ask(self, call: Call, exchange: _Exchange[Q, A]) -> _Outcome[A]:
         """Make one attempt: ask, read, check and report; ModelError without a reply."""
-        asked, start = exchange.asked, time.perf_counter()
+        self._attempt, asked, start = call.attempt + 1, exchange.asked, time.perf_counter()
         try:
             reply = await self._model.ask(call)
         except ModelError as error:

@@ -95,24 +95,16 @@ class AnswerForm:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """One question to a model.
-
-    Attributes:
-        attempt: 0, then 1, 2, ... after rejected answers.
-        probe: whether this question only tests if a model has recovered from unusable answers.
-        messages: the whole conversation that the model sees.
-        schema: JSON schema of the answer, None for answers as text.
-        form: form of the answer. The messages state it too, so `request_hash` leaves it out.
-    """
+    """One question to a model."""
 
     robot: int
     round: int
     kind: Kind
-    attempt: int
-    messages: tuple[ChatMessage, ...]
-    schema: Mapping[str, Any] | None = None
-    form: AnswerForm | None = None
-    probe: bool = False
+    attempt: int  #: 0, then 1, 2, ... after rejected answers.
+    messages: tuple[ChatMessage, ...]  #: The whole conversation that the model sees.
+    schema: Mapping[str, Any] | None = None  #: JSON schema of the answer, None for answers as text.
+    form: AnswerForm | None = None  #: Form of the answer. The messages state it too, so `request_hash` leaves it out.
+    probe: bool = False  #: Whether this question only tests if a model has recovered from unusable answers.
 
     @property
     def request_hash(self) -> str:
@@ -123,28 +115,20 @@ class Call:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Reply:
-    """An answer of a model.
-
-    Attributes:
-        text: the answer as written, without finished thoughts.
-        model: `provider:model` that answered.
-        cost_usd: price of this call [US dollars], None where no price is known.
-        latency_s: from the first attempt to the answer, waits for retries included [s].
-        faults: kinds of the transport faults that were retried before this answer, in order.
-        finish_reason: the reason why the model stopped (`stop`, `length`, ...), None if the provider gives none.
-        thought: whether it wrote thoughts, which are not part of the text, before the answer or instead of one.
-    """
+    """An answer of a model."""
 
     __pydantic_config__ = CHECKED
 
-    text: str
-    model: str
+    text: str  #: The answer as written, without finished thoughts.
+    model: str  #: `provider:model` that answered.
     settings: Mapping[str, Any] = field(default_factory=dict[str, Any])
     usage: Usage = Usage()
-    cost_usd: Amount | None = None
-    latency_s: Amount = 0.0
-    faults: tuple[str, ...] = ()
+    cost_usd: Amount | None = None  #: Price of this call [US dollars], None where no price is known.
+    latency_s: Amount = 0.0  #: From the first attempt to the answer, waits for retries included [s].
+    faults: tuple[str, ...] = ()  #: Kinds of the transport faults that were retried before this answer, in order.
+    #: The reason why the model stopped (`stop`, `length`, ...), None if the provider gives none.
     finish_reason: str | None = None
+    #: Whether it wrote thoughts, which are not part of the text, before the answer or instead of one.
     thought: bool = False
 
 
@@ -171,23 +155,16 @@ class Answers(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """One call and its outcome: a line of a cassette and of a record's `/llm` channel.
-
-    Attributes:
-        reply: without an answer, only the model, the faults and the duration.
-        parsed: the accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as
-            `"path"`), None when rejected.
-        rejected: the reason for a rejection, as sent back to the model.
-        clipped: the reason why a step is only flown clipped.
-        error: kind and detail of the ModelError, None with an answer.
-    """
+    """One call and its outcome: a line of a cassette and of a record's `/llm` channel."""
 
     call: Call
-    reply: Reply
+    reply: Reply  #: Without an answer, only the model, the faults and the duration.
+    #: The accepted value (`{"plan": [...], "slot": 0}` or `{"waypoint": [...]}`, with the rest of a path as `"path"`),
+    #: None when rejected.
     parsed: Mapping[str, Any] | None = None
-    rejected: str | None = None
-    clipped: str | None = None
-    error: tuple[str, str] | None = None
+    rejected: str | None = None  #: The reason for a rejection, as sent back to the model.
+    clipped: str | None = None  #: The reason why a step is only flown clipped.
+    error: tuple[str, str] | None = None  #: Kind and detail of the ModelError, None with an answer.
 
     @classmethod
     def failed(cls, call: Call, error: ModelError, name: str, latency_s: float = 0.0) -> Attempt:

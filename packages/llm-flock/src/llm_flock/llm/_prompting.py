@@ -79,27 +79,23 @@ VARIABLES: Mapping[str, frozenset[str]] = {
 """The templates, and the variables that each may use."""
 
 
+NOT_FLOWN = "Your last answer is not flown."
+"""Begins what is added to the question for a step when it is asked again in the same round."""
+
+
 def _decimals(asked: PlanQuestion | StepQuestion) -> int:
     return position_decimals(asked.mission.max_step)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptSet:
-    """Four templates, compiled and checked.
+    """Four templates, compiled and checked."""
 
-    Attributes:
-        json: whether they ask for a JSON object instead of the paper's text forms.
-        reasons: whether they ask for a reason before the answer.
-        letters: whether they ask for a letter instead of a position, and for no plan.
-        wish: the operator's wish about the steps, empty without one.
-        templates: each with the variables that it may use.
-    """
-
-    json: bool
-    reasons: bool = True
-    letters: bool = False
-    wish: str = ""
-    templates: Mapping[str, tuple[jinja2.Template, frozenset[str]]]
+    json: bool  #: Whether they ask for a JSON object instead of the paper's text forms.
+    reasons: bool = True  #: Whether they ask for a reason before the answer.
+    letters: bool = False  #: Whether they ask for a letter instead of a position, and for no plan.
+    wish: str = ""  #: The operator's wish about the steps, empty without one.
+    templates: Mapping[str, tuple[jinja2.Template, frozenset[str]]]  #: Each with the variables that it may use.
 
     @classmethod
     def load(cls, prompts: str | Path = "full", *, json: bool = False, wish: str = "") -> Self:

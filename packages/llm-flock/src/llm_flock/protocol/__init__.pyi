@@ -3,6 +3,7 @@ from ._agreement.assignment import AssignmentInput as AssignmentInput
 from ._agreement.assignment import AssignmentRule as AssignmentRule
 from ._agreement.assignment import Claim as Claim
 from ._agreement.assignment import NearestAssignment as NearestAssignment
+from ._agreement.assignment import NearestFreeAssignment as NearestFreeAssignment
 from ._agreement.assignment import Occupancy as Occupancy
 from ._agreement.auction import LAST_EXCHANGED as LAST_EXCHANGED
 from ._agreement.auction import AuctionAssignment as AuctionAssignment

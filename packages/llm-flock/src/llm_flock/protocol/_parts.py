@@ -24,7 +24,6 @@ from llm_flock.protocol._agreement.assignment import AssignmentRule, Claim, Inde
 from llm_flock.protocol._agreement.consensus import ConsensusRule, NoConsensus
 from llm_flock.protocol._messages.channel import Channel
 from llm_flock.protocol._motion.leg import Leg
-from llm_flock.protocol._path_length import next_stop
 from llm_flock.protocol._verification.steps import Verdict
 
 if TYPE_CHECKING:
@@ -139,13 +138,9 @@ class Membership:
     def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
         """The next intermediate target on the way to the claimed place, None to fly straight there. Call once a round.
 
-        This part approaches a far place along the formation, where neighbours are. Also returns the claim, which may
-        have changed on the way, and notes.
+        Also returns the claim, which may have changed on the way, and notes.
         """
-        assert now.plan is not None and now.claim.slot is not None, "a robot without a place has no way to it"
-        mission = now.mission
-        target = next_stop(now.position, now.plan, now.claim.slot, mission.center, mission.spacing, now.ways)
-        return target, now.claim, []
+        return None, now.claim, []
 
     def seek(self, now: Situation) -> Point | None:
         """The point at which a robot, lost or without plan, looks for others; None to wait. Call once a round."""

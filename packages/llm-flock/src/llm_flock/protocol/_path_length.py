@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from llm_flock import graph
-from llm_flock.arrays import Pairwise, Point, Points, Vector
+from llm_flock.arrays import Pairwise, Point, Points, Vector, between
 from llm_flock.plan import Plan
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def next_stop(
         return None
     place = plan.points[stop]
     inwards = min(1.0, BESIDE * spacing / max(math.dist(place, center), spacing))
-    return tuple(x + inwards * (c - x) for x, c in zip(place, center, strict=True))
+    return between(place, center, inwards)
 
 
 @lru_cache(maxsize=4096)

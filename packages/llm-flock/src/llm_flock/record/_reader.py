@@ -32,7 +32,7 @@ from llm_flock.record._schema import (
     State,
     SummaryMessage,
 )
-from llm_flock.record._stream import ROS_BAG, RawMessage, RecordStream
+from llm_flock.record._stream import ROS_BAG, RawMessage, RecordStream, record_file
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
@@ -181,15 +181,6 @@ def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:
     """Every whole message of a record in the order of writing. Ends without error at the end of a killed run."""
     yield from _open(record_file(path)).messages()
-
-
-def record_file(path: str | Path) -> Path:
-    """The file of a record, given by its own name or its folder's. RecordError for an invalid path."""
-    try:
-        given = Path(path).expanduser()
-    except (TypeError, RuntimeError):
-        raise RecordError(f"{path!r}: a record is given by the path of its file or folder") from None
-    return given / RECORD_NAME if given.is_dir() else given
 
 
 def read_record(path: str | Path) -> RunRecord:

@@ -18,7 +18,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from pydantic import ValidationError
 
 from llm_flock.errors import FlockError, RecordError
-from llm_flock.record import MAGIC
+from llm_flock.record import MAGIC, RECORD_NAME
 from llm_flock.record._schema import (
     CHANNELS,
     FORMAT_VERSION,
@@ -41,6 +41,15 @@ _NO_MCAP = (ArithmeticError, AssertionError, LookupError, RuntimeError, ValueErr
 
 MAX_UNPACKED, RATIO = 16 << 20, 50
 """Chunks of a record unpack to at most the first [bytes], plus the second times the size of the file."""
+
+
+def record_file(path: str | Path) -> Path:
+    """The file of a record, given by its own name or its folder's. RecordError for an invalid path."""
+    try:
+        given = Path(path).expanduser()
+    except (TypeError, RuntimeError):
+        raise RecordError(f"{path!r}: a record is given by the path of its file or folder") from None
+    return given / RECORD_NAME if given.is_dir() else given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -45,57 +45,38 @@ class DriverCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Equipment:
-    """A driver's knowledge of its robot from connecting; None if unknown.
+    """A driver's knowledge of its robot from connecting; None if unknown."""
 
-    Attributes:
-        controller: name of the controller that makes the robot follow its set-point.
-        estimator: name of the estimator of its position.
-        lag_s: how far the robot is behind a moving set-point with that controller [s]: distance over speed.
-        max_speed_m_s: above this speed of a set-point the controller falls behind without bound [m/s].
-        complaints: reasons why it cannot fly until they are removed.
-        unwatched: values that the robot does not report.
-    """
-
-    controller: str | None = None
-    estimator: str | None = None
+    controller: str | None = None  #: Name of the controller that makes the robot follow its set-point.
+    estimator: str | None = None  #: Name of the estimator of its position.
+    #: How far the robot is behind a moving set-point with that controller [s]: distance over speed.
     lag_s: float | None = None
+    #: Above this speed of a set-point the controller falls behind without bound [m/s].
     max_speed_m_s: float | None = None
-    complaints: tuple[str, ...] = ()
-    unwatched: tuple[str, ...] = ()
+    complaints: tuple[str, ...] = ()  #: Reasons why it cannot fly until they are removed.
+    unwatched: tuple[str, ...] = ()  #: Values that the robot does not report.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RobotState:
-    """The newest state of a robot that its driver knows.
+    """The newest state of a robot that its driver knows."""
 
-    Attributes:
-        position: the estimate that the robot itself flies by [m].
-        stamp_s: arrival of that estimate, on this process's `time.monotonic`; stands still when estimates stop coming.
-        battery_v: [V]; None if the robot does not report it.
-        link: share of packets acknowledged, in [0, 1]; None if the link does not report it.
-        link_lost: the driver gave the link up and sends no more commands; stays True until `connect`.
-        heard_s: arrival of the last packet of any kind, on the same clock; None if unknown.
-        armed: motors may turn.
-        flying: in the air, as far as the driver knows.
-        settled: the robot's estimator has converged.
-        taken_over: why the robot no longer obeys: a pilot or a failsafe flies it, and the driver does not interfere.
-            None as long as it obeys; stays set until `connect`.
-        fault: why it cannot fly now, such as "locked: restart it"; None if it can, or if that is unknown.
-        equipment: the driver's knowledge from connecting.
-    """
-
-    position: Position
+    position: Position  #: The estimate that the robot itself flies by [m].
+    #: Arrival of that estimate, on this process's `time.monotonic`; stands still when estimates stop coming.
     stamp_s: float
-    battery_v: float | None = None
-    link: float | None = None
-    link_lost: bool = False
-    heard_s: float | None = None
-    armed: bool = False
-    flying: bool = False
-    settled: bool = True
+    battery_v: float | None = None  #: [V]; None if the robot does not report it.
+    link: float | None = None  #: Share of packets acknowledged, in [0, 1]; None if the link does not report it.
+    link_lost: bool = False  #: The driver gave the link up and sends no more commands; stays True until `connect`.
+    heard_s: float | None = None  #: Arrival of the last packet of any kind, on the same clock; None if unknown.
+    armed: bool = False  #: Motors may turn.
+    flying: bool = False  #: In the air, as far as the driver knows.
+    settled: bool = True  #: The robot's estimator has converged.
+    #: Why the robot no longer obeys: a pilot or a failsafe flies it, and the driver does not interfere. None as long as
+    #: it obeys; stays set until `connect`.
     taken_over: str | None = None
+    #: Why it cannot fly now, such as "locked: restart it"; None if it can, or if that is unknown.
     fault: str | None = None
-    equipment: Equipment = Equipment()
+    equipment: Equipment = Equipment()  #: The driver's knowledge from connecting.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,17 +158,11 @@ class SelfChecked(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MotionLimits:
-    """Limits that a driver never exceeds.
+    """Limits that a driver never exceeds."""
 
-    Attributes:
-        low: lowest corner of the geofence box [m].
-        high: highest corner of it [m].
-        max_speed_m_s: highest speed anywhere on a segment [m/s], the peak in its middle included.
-    """
-
-    low: Position = (-100.0, -100.0, -1.0)
-    high: Position = (100.0, 100.0, 100.0)
-    max_speed_m_s: float = 2.0
+    low: Position = (-100.0, -100.0, -1.0)  #: Lowest corner of the geofence box [m].
+    high: Position = (100.0, 100.0, 100.0)  #: Highest corner of it [m].
+    max_speed_m_s: float = 2.0  #: Highest speed anywhere on a segment [m/s], the peak in its middle included.
 
     def __post_init__(self) -> None:
         if any(low > high for low, high in zip(self.low, self.high, strict=True)):

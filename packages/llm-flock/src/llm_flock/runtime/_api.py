@@ -18,7 +18,7 @@ from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol._agreement.assignment import AssignmentRule
-from llm_flock.protocol._agreement.consensus import ConsensusRule
+from llm_flock.protocol._agreement.consensus import ConsensusRule, Ties
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record._schema import NullWriter, RecordSink
 from llm_flock.runtime._config import RECORD_NAME, RunConfig, warn_of_mission
@@ -101,9 +101,12 @@ class Parameters(TypedDict, total=False):
     points: Sequence[Row] | None
     obstacles: Sequence[Obstacle | Mapping[str, Any]]
     # The protocol.
-    protocol: Literal["flock", "paper", "baseline"]
+    protocol: Literal["flock", "paper", "paper-literal", "released", "baseline"]
     consensus: str | ConsensusRule | None
     assignment: str | AssignmentRule | None
+    ties: Ties | None
+    relay: bool | None
+    collision_check: str | None
     shield: bool | None
     verify: bool | None
     fallback: Fallback | None
@@ -233,7 +236,7 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         config = RunConfig.build(base, model=choice or None, **names, **plain_fields)
         rules = objects  # the configuration has the names, old ones under their current form
     protocol = config.protocol
-    consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""))
+    consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""), protocol.ties or "keep")
     assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""))
 
     # Build every part first, which rejects invalid values; then open files, and fly.

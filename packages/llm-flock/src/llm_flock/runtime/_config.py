@@ -20,6 +20,7 @@ from llm_flock.links import LinkFaults
 from llm_flock.llm._port import FrameName
 from llm_flock.metrics import deadline
 from llm_flock.mission import Mission
+from llm_flock.protocol._agreement.consensus import Ties
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, Rules, assignment_rule, consensus_rule
@@ -61,7 +62,7 @@ def metres(default: float, description: str) -> Any:
 class ProtocolConfig(ConfigSection):
     """Rules by which the robots agree on one plan and on distinct places."""
 
-    protocol: Literal["flock", "paper", "baseline"] = Field(
+    protocol: Literal["flock", "paper", "paper-literal", "released", "baseline"] = Field(
         default="flock", description="Preset for the rules, checks and fallback"
     )
     consensus: str | None = Field(
@@ -70,6 +71,19 @@ class ProtocolConfig(ConfigSection):
     assignment: str | None = Field(
         default=None,
         description="Goal assignment: index, nearest, nearest-free, auction, or package.module:Class [preset's]",
+    )
+    ties: Ties | None = Field(
+        default=None,
+        description="If the most influential neighbour is only as influential, with influence: keep the own plan, or "
+        "adopt that of a neighbour of lowest-id [keep]",
+    )
+    relay: bool | None = Field(
+        default=None, description="Pass broadcasts on to all robots that others can reach [preset's]"
+    )
+    collision_check: str | None = Field(
+        default=None,
+        description="Check of all steps of a round in one place before they are flown: none, or central, which "
+        "llm-flock-lab brings [preset's]",
     )
     shield: bool | None = Field(default=None, description="Buffered Voronoi safety shield [preset's]")
     verify: bool | None = Field(
@@ -105,7 +119,7 @@ class ProtocolConfig(ConfigSection):
 
     def rules(self) -> Rules:
         """The consensus and assignment rules by these names. InputError for an unknown one."""
-        return consensus_rule(self.consensus or ""), assignment_rule(self.assignment or "")
+        return consensus_rule(self.consensus or "", self.ties or "keep"), assignment_rule(self.assignment or "")
 
 
 class ModelConfig(ConfigSection):

@@ -27,7 +27,7 @@ def finish_trial(trial: Trial, record: str | None, flight: FlightFigures | None 
         config=trial.config,
         summary=summary,
         positions=np.array(trial.journal.positions),
-        errors=np.array([np.nan if e is None else e[0] for e in trial.journal.errors]),
+        errors=np.array([np.nan if e is None else e.mean for e in trial.journal.errors]),
         plans=tuple(a.plan for a in trial.roster.agents),
         slots=tuple(a.claim.slot for a in trial.roster.agents),
         trace=None if trial.journal.trace is None else tuple(trial.journal.trace),
@@ -67,8 +67,8 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         and not journal.waypoints[Origin.GEOMETRY.value],
         rounds_to_formed=episode.rounds_to_formed,
         lower_bound_rounds=episode.bound,
-        procrustes_mean=None if error is None else error[0],
-        procrustes_mean_squared=None if error is None else error[1],
+        procrustes_mean=None if error is None else error.mean,
+        procrustes_mean_squared=None if error is None else error.mean_squared,
         min_separation=finite(journal.min_separation),
         start_violations=journal.start.start_violations,
         rounds_to_separate=journal.start.separated_at,
@@ -89,6 +89,8 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         latency_mean_s=journal.latency_s / journal.calls if journal.calls else None,
         waypoints=waypoints,
         waypoint_shares=waypoint_shares(waypoints),
+        steps_over_limit=journal.steps_over_limit,
+        center_distance=_center_distance(trial),
         plan_robot=None if origin is None else origin.proposer,
         plan_by=by,
         breakers_opened=tuple(sorted(journal.breakers_opened)),
@@ -113,6 +115,15 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         spares=None if plan is None else slots.count(None),
         flight=flight,
     )
+
+
+def _center_distance(trial: Trial) -> float | None:
+    agents = trial.roster.agents
+    placed = [robot for robot in trial.roster.awake if agents[robot].claim.slot is not None]
+    if not placed:
+        return None
+    center = trial.journal.episode.mission.at(trial.round).center
+    return float(np.linalg.norm(trial.journal.positions[-1][placed].mean(axis=0) - center))
 
 
 def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:

@@ -148,9 +148,10 @@ class Journal:
         self.min_clearance = float("inf")
         self.start = metrics.StartSeparation(mission.safe_distance)
         self.positions: list[Points] = []
-        self.errors: list[tuple[float, float] | None] = []
+        self.errors: list[metrics.ShapeError | None] = []
         self.episodes: list[Episode] = []
         self.robot_rounds = 0
+        self.steps_over_limit = 0
         self.rejected_before: Counter[str] = Counter()
         self.row: MetricsRow | None = None
         self.silent_rounds = 0
@@ -160,7 +161,6 @@ class Journal:
         self.breakers_opened: set[int] = set()
         self._known_plans: set[str] = set()
         self._attempts: list[Attempt] = []
-        self._previous: Points | None = None
 
     @property
     def episode(self) -> Episode:
@@ -270,8 +270,7 @@ class Journal:
         if len(robots) > places:  # a shape can only be compared with as many robots as it has places
             robots = [robot for robot in robots if roster.agents[robot].claim.slot is not None]
         if len(robots) == places:
-            shape = self.episode.error(self.positions[-1][robots])
-            self.errors[-1] = None if shape is None else (shape.mean, shape.mean_squared)
+            self.errors[-1] = self.episode.error(self.positions[-1][robots])
 
     def _measure(self, round_number: int, positions: Points, team: Bodies, roster: Roster, traffic: Traffic) -> None:
         separation, on_segment = self._measure_separation(round_number, positions)
@@ -294,7 +293,7 @@ class Journal:
         fits = not self._replans or plan is None or episode.fits(plan, len(agents))
         to_goals = [distance for distance, slot in zip(distances, slots, strict=True) if slot is not None]
         if error is not None or episode.mission.ideal is None or not to_goals:
-            residual = None if error is None else error[0]
+            residual = None if error is None else error.mean
         else:  # with gaps, the shape is measured by the places that are filled
             residual = sum(to_goals) / len(to_goals)
         episode.tracker.update(
@@ -307,8 +306,8 @@ class Journal:
         )
         self.row = MetricsRow(
             round=round_number,
-            procrustes_mean=None if error is None else error[0],
-            procrustes_mean_squared=None if error is None else error[1],
+            procrustes_mean=None if error is None else error.mean,
+            procrustes_mean_squared=None if error is None else error.mean_squared,
             min_separation=finite(separation),
             segment_separation=finite(on_segment),
             plans_in_use=metrics.plans_in_use(plan_ids),
@@ -326,14 +325,13 @@ class Journal:
 
     def _measure_separation(self, round_number: int, positions: Points) -> tuple[float, float | None]:
         """Smallest distance of two robots now, and while they moved here (None at the start) [units]."""
-        before = positions if self._previous is None else self._previous
+        before = self.positions[-1] if self.positions else positions
         separation = metrics.min_separation(positions)
-        on_segment = None if self._previous is None else metrics.segment_separation(before, positions)
+        on_segment = metrics.segment_separation(before, positions) if self.positions else None
         if self.mission.obstacles:
             for start, end in zip(before.tolist(), positions.tolist(), strict=True):
                 clearance = segment_clearance(tuple(start), tuple(end), self.mission.obstacles)
                 self.min_clearance = min(self.min_clearance, clearance)
-        self._previous = positions
         self.positions.append(positions)
         closest = separation if on_segment is None else min(separation, on_segment)
         self.min_separation = min(self.min_separation, closest)

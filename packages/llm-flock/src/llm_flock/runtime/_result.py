@@ -69,119 +69,79 @@ class Summary:
 
     With several missions, `formed`, `rounds_to_formed` and `lower_bound_rounds` are about the last one, and count from
     when it was given. Robots that are not awake count for separation only.
-
-    Attributes:
-        shape: the mission's shape.
-        n_robots: team size N.
-        seed: seed of the run.
-        consensus: rule that chose the plan.
-        assignment: rule that chose the slots.
-        shield: whether the safety shield was on.
-        models: the language models, each once.
-        simulated: whether any of them was a simulated stand-in.
-        stopped: why the run ended: formed, rounds, budget, no_plan (no robot has a plan, and all models were refused
-            until they are no longer asked), no_answers (the same, or three rounds on end without circuit breakers, and
-            every model call failed), interrupted or failed.
-        reason: the commonest or last failure as text, if the run ended by no_plan, no_answers or failed.
-        rounds: motion rounds flown.
-        formed: one plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at
-            most 0.1 spacing, held for 3 rounds. Unless `rounds` was given, the run ends 3 * lower_bound_rounds + 20
-            rounds after the last mission was given, or a robot died or joined.
-        formed_by_models: formed, with the plan of a model, without any waypoint of geometry, and with no circuit
-            breaker ever open.
-        rounds_to_formed: the first of those 3 rounds; None if it never came.
-        lower_bound_rounds: bottleneck assignment distance from the start to the agreed plan, in steps of max_step,
-            less the 0.05 spacing at which a robot counts as at its goal, rounded up; None without one plan.
-        procrustes_mean: mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
-        procrustes_mean_squared: mean squared distance [units^2] (paper, appendix C).
-        min_separation: smallest distance of any two robots over the whole run, along the segments too [units].
-        start_violations: pairs that were nearer than the safe distance at the start (min_separation has them too).
-        rounds_to_separate: first round at whose end each of these had come apart; 0 without any, None if it never came.
-        min_separation_after_start: as min_separation, each of these pairs counted from when it had come apart [units].
-        min_clearance: smallest distance of a robot's centre to an obstacle, along the segments too, negative inside
-            [units]; None without obstacles.
-        plans_in_use: different plans at the end.
-        distinct_goals: different goals at the end.
-        robots_without_plan: robots that never got a plan.
-        model_calls: answered or failed calls, retries of rejected answers included.
-        calls_rejected: answers that could not be used.
-        calls_failed: calls that got no answer.
-        faults: transport faults met on the way, by kind, retried ones included.
-        tokens: tokens in and out.
-        tokens_input: tokens in.
-        tokens_output: tokens out.
-        tokens_cached: the part of tokens_input that the provider had in its cache.
-        cost_usd: cost where the price of every call is known, else None [US dollars].
-        latency_mean_s: mean duration of a call, waits included [s]; None without calls.
-        waypoints: waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
-        waypoint_shares: the same as shares of all.
-        plan_robot: robot that proposed the plan in force at the end; None without one plan.
-        plan_by: who made that plan: a model, by its name, or `geometry`.
-        breakers_opened: robots whose circuit breaker was open at any time, so that geometry answered for their model.
-        messages_sent: broadcasts.
-        bytes_per_robot_round: bytes broadcast per robot and round.
-        messages_rejected: messages rejected on receipt, by reason.
-        wall_s: duration of the run [s].
-        record: path of the record, None with the record off.
-        killed: robots that died, and in which round: `3@12`.
-        joined: robots that joined late or again, in the same form.
-        missions: every mission of the run, the first one first.
-        gaps: slots of the plan that no robot owns at the end; None without one plan.
-        spares: robots awake at the end without a slot; None without one plan.
-        flight: the figures of a flight; None in simulation.
     """
 
-    shape: str
-    n_robots: int
-    seed: int
-    consensus: str
-    assignment: str
-    shield: bool
-    models: tuple[str, ...]
-    simulated: bool
+    shape: str  #: The mission's shape.
+    n_robots: int  #: Team size N.
+    seed: int  #: Seed of the run.
+    consensus: str  #: Rule that chose the plan.
+    assignment: str  #: Rule that chose the slots.
+    shield: bool  #: Whether the safety shield was on.
+    models: tuple[str, ...]  #: The language models, each once.
+    simulated: bool  #: Whether any of them was a simulated stand-in.
+    #: Why the run ended: formed, rounds, budget, no_plan (no robot has a plan, and all models were refused until they
+    #: are no longer asked), no_answers (the same, or three rounds on end without circuit breakers, and every model call
+    #: failed), interrupted or failed.
     stopped: str
-    reason: str | None
-    rounds: int
+    reason: str | None  #: The commonest or last failure as text, if the run ended by no_plan, no_answers or failed.
+    rounds: int  #: Motion rounds flown.
+    #: One plan, distinct goals, every robot within 0.05 spacing of its goal, residual to the ideal shape at most 0.1
+    #: spacing, held for 3 rounds. Unless `rounds` was given, the run ends 3 * lower_bound_rounds + 20 rounds after the
+    #: last mission was given, or a robot died or joined.
     formed: bool
+    #: Formed, with the plan of a model, without any waypoint of geometry, and with no circuit breaker ever open.
     formed_by_models: bool
-    rounds_to_formed: int | None
+    rounds_to_formed: int | None  #: The first of those 3 rounds; None if it never came.
+    #: Bottleneck assignment distance from the start to the agreed plan, in steps of max_step, less the 0.05 spacing at
+    #: which a robot counts as at its goal, rounded up; None without one plan.
     lower_bound_rounds: int | None
+    #: Mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
     procrustes_mean: float | None
-    procrustes_mean_squared: float | None
+    procrustes_mean_squared: float | None  #: Mean squared distance [units^2] (paper, appendix C).
+    #: Smallest distance of any two robots over the whole run, along the segments too [units].
     min_separation: float | None
-    start_violations: int
+    start_violations: int  #: Pairs that were nearer than the safe distance at the start (min_separation has them too).
+    #: First round at whose end each of these had come apart; 0 without any, None if it never came.
     rounds_to_separate: int | None
+    #: As min_separation, each of these pairs counted from when it had come apart [units].
     min_separation_after_start: float | None
+    #: Smallest distance of a robot's centre to an obstacle, along the segments too, negative inside [units]; None
+    #: without obstacles.
     min_clearance: float | None
-    plans_in_use: int
-    distinct_goals: int
-    robots_without_plan: int
-    model_calls: int
-    calls_rejected: int
-    calls_failed: int
-    faults: dict[str, int]
-    tokens: int
-    tokens_input: int
-    tokens_output: int
-    tokens_cached: int
-    cost_usd: float | None
-    latency_mean_s: float | None
-    waypoints: dict[str, int]
-    waypoint_shares: dict[str, float]
-    plan_robot: int | None
-    plan_by: str | None
+    plans_in_use: int  #: Different plans at the end.
+    distinct_goals: int  #: Different goals at the end.
+    robots_without_plan: int  #: Robots that never got a plan.
+    model_calls: int  #: Answered or failed calls, retries of rejected answers included.
+    calls_rejected: int  #: Answers that could not be used.
+    calls_failed: int  #: Calls that got no answer.
+    faults: dict[str, int]  #: Transport faults met on the way, by kind, retried ones included.
+    tokens: int  #: Tokens in and out.
+    tokens_input: int  #: Tokens in.
+    tokens_output: int  #: Tokens out.
+    tokens_cached: int  #: The part of tokens_input that the provider had in its cache.
+    cost_usd: float | None  #: Cost where the price of every call is known, else None [US dollars].
+    latency_mean_s: float | None  #: Mean duration of a call, waits included [s]; None without calls.
+    waypoints: dict[str, int]  #: Waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
+    waypoint_shares: dict[str, float]  #: The same as shares of all.
+    steps_over_limit: int  #: Steps that were longer than max_step, which bodies flew up to there.
+    #: Distance of the mean position of robots with a place from the mission's centre [units], which the error does not
+    #: see; None without such robots.
+    center_distance: float | None
+    plan_robot: int | None  #: Robot that proposed the plan in force at the end; None without one plan.
+    plan_by: str | None  #: Who made that plan: a model, by its name, or `geometry`.
+    #: Robots whose circuit breaker was open at any time, so that geometry answered for their model.
     breakers_opened: tuple[int, ...]
-    messages_sent: int
-    bytes_per_robot_round: float
-    messages_rejected: dict[str, int]
-    wall_s: float
-    record: str | None
-    killed: tuple[str, ...] = ()
-    joined: tuple[str, ...] = ()
-    missions: tuple[MissionOutcome, ...] = ()
-    gaps: int | None = None
-    spares: int | None = None
-    flight: FlightFigures | None = None
+    messages_sent: int  #: Broadcasts.
+    bytes_per_robot_round: float  #: Bytes broadcast per robot and round.
+    messages_rejected: dict[str, int]  #: Messages rejected on receipt, by reason.
+    wall_s: float  #: Duration of the run [s].
+    record: str | None  #: Path of the record, None with the record off.
+    killed: tuple[str, ...] = ()  #: Robots that died, and in which round: `3@12`.
+    joined: tuple[str, ...] = ()  #: Robots that joined late or again, in the same form.
+    missions: tuple[MissionOutcome, ...] = ()  #: Every mission of the run, the first one first.
+    gaps: int | None = None  #: Slots of the plan that no robot owns at the end; None without one plan.
+    spares: int | None = None  #: Robots awake at the end without a slot; None without one plan.
+    flight: FlightFigures | None = None  #: The figures of a flight; None in simulation.
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -192,29 +152,22 @@ class Summary:
 class RunResult:
     """One finished trial.
 
-    Attributes:
-        mission: the mission.
-        config: everything that defined the run.
-        summary: its figures.
-        positions: true positions, shape (rounds + 1, n, d) [units; world frame]; row 0 is the start.
-        errors: mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal
-            shape, and in teams over 300 while not all were at their goals.
-        plans: each robot's plan at the end.
-        slots: each robot's slot in its plan.
-        trace: missions, plans, states and figures of every round; None if the run did not keep them.
-        unrepeatable: sentences on parts of the run that the configuration alone cannot repeat.
-
     A notebook shows it as a picture and a table.
     """
 
-    mission: Mission
-    config: RunConfig
-    summary: Summary
+    mission: Mission  #: The mission.
+    config: RunConfig  #: Everything that defined the run.
+    summary: Summary  #: Its figures.
+    #: True positions, shape (rounds + 1, n, d) [units; world frame]; row 0 is the start.
     positions: NDArray[np.float64] = field(repr=False)
+    #: Mean Procrustes error after each round, shape (rounds + 1,) [units]; NaN without an ideal shape, and in teams
+    #: over 300 while not all were at their goals.
     errors: NDArray[np.float64] = field(repr=False)
-    plans: tuple[Plan | None, ...] = field(repr=False)
-    slots: tuple[int | None, ...] = field(repr=False)
+    plans: tuple[Plan | None, ...] = field(repr=False)  #: Each robot's plan at the end.
+    slots: tuple[int | None, ...] = field(repr=False)  #: Each robot's slot in its plan.
+    #: Missions, plans, states and figures of every round; None if the run did not keep them.
     trace: tuple[Entry, ...] | None = field(default=None, repr=False)
+    #: Sentences on parts of the run that the configuration alone cannot repeat.
     unrepeatable: tuple[str, ...] = field(default=(), repr=False)
 
     @property

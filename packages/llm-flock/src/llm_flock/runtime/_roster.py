@@ -98,3 +98,12 @@ class Roster:
         if robot in self._silent:
             return ()
         return tuple(other for other in team.readings.in_radio_range[robot] if other not in self._silent)
+
+    def reaches(self, team: Bodies, robot: int) -> tuple[int, ...]:
+        """Awake robots to whom others can pass a robot's broadcasts on: its connected component without itself."""
+        reached, frontier = {robot}, [robot]
+        while frontier:
+            new = set(self.hears(team, frontier.pop())) - reached
+            reached |= new
+            frontier += new
+        return tuple(sorted(reached - {robot}))

@@ -14,7 +14,13 @@ from llm_flock.protocol._agreement.assignment import (
     NearestAssignment,
     NearestFreeAssignment,
 )
-from llm_flock.protocol._agreement.consensus import ConsensusRule, InfluenceConsensus, NoConsensus, ProvenanceConsensus
+from llm_flock.protocol._agreement.consensus import (
+    ConsensusRule,
+    InfluenceConsensus,
+    NoConsensus,
+    ProvenanceConsensus,
+    Ties,
+)
 
 Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
 """The two rules of an agent."""
@@ -36,18 +42,25 @@ ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
 
 _CHECKED = {"verify": True, "comm_rounds": 5, "fallback": "breaker"}
 _BARE = {"verify": False, "comm_rounds": 1, "fallback": "hold"}
+_RELEASED = {"relay": True, "collision_check": "central"}
 
 PRESETS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
-        name: dict(zip(("consensus", "assignment", "shield"), rules, strict=True))
+        name: {"ties": "keep", "relay": False, "collision_check": "none"}
+        | dict(zip(("consensus", "assignment", "shield"), rules, strict=True))
         | (_CHECKED if name == "flock" else _BARE)
+        | (_RELEASED if name == "released" else {})
         for name, rules in PRESET_RULES.items()
     }
 )
 
 
-def consensus_rule(name: str | ConsensusRule) -> ConsensusRule:
+def consensus_rule(name: str | ConsensusRule, ties: Ties = "keep") -> ConsensusRule:
     """The consensus rule of this name, or this object itself. InputError if it is no such rule."""
+    if name == "influence":
+        return InfluenceConsensus(ties=ties)
+    if ties != "keep":
+        raise InputError("ties", ties, f"'keep' with consensus = {name!r}")
     return _rule("consensus", name, CONSENSUS, ("choose",))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from llm_flock import events
 from llm_flock.arrays import Points
+from llm_flock.errors import InputError, unknown
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
@@ -29,6 +30,9 @@ from llm_flock.runtime._schedule import Stream, stream
 from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
+
+STEP_TOLERANCE = 1e-3
+"""Share of the step limit that a step may be longer by: waypoints are rounded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,6 +111,7 @@ class Trial:
         self._on_round = on_round
         self._steer = steer
         self._moves: dict[int, MoveTo] = {}
+        self._check = collision_check(config.protocol.collision_check or "none")
         self.began = time.perf_counter()
 
     @property
@@ -215,7 +220,9 @@ class Trial:
         self.journal.flush_attempts()
         self.take_plans(plans)
         asking = self.step_questions()
-        steps = await _all({robot: self.planners[robot].step(asked) for robot, asked in asking.items()})
+        steps = await self.ask_steps(asking)
+        if self._check is not None:
+            steps = await self._check(self, asking, steps)
         self.journal.flush_attempts()
         moves = self.take_steps(steps)
         for robot, move in moves.items():
@@ -254,10 +261,11 @@ class Trial:
     def _exchange(self, comm_round: int) -> None:
         """One communication round: all robots broadcast, then all receive, then all decide on the same snapshot."""
         awake, listening = self.roster.awake, set(self.roster.awake)
+        receivers = self.roster.reaches if self.config.protocol.relay else self.roster.hears
         for robot in awake:
             for effect in self._send(robot, events.CommRoundBegan(), comm_round):
                 if isinstance(effect, Broadcast):
-                    self.transport.broadcast(effect.payload, self.roster.hears(self.bodies, robot))
+                    self.transport.broadcast(effect.payload, receivers(self.bodies, robot))
         for robot, payload in self.transport.deliver():
             if robot in listening:  # a message may arrive after its receiver has died
                 self._send(robot, events.Received(payload), comm_round)
@@ -276,6 +284,10 @@ class Trial:
                     self._moves[robot] = effect
         return asking
 
+    async def ask_steps(self, asking: Mapping[int, StepQuestion]) -> dict[int, StepAnswer | NoAnswer]:
+        """Put each robot's question to its planner, all at once."""
+        return await _all({robot: self.planners[robot].step(asked) for robot, asked in asking.items()})
+
     def take_steps(self, answers: Mapping[int, StepAnswer | NoAnswer]) -> dict[int, MoveTo]:
         """Give the robots that asked their answers; returns the move of each robot that is awake."""
         for robot, answer in answers.items():
@@ -285,10 +297,18 @@ class Trial:
         return dict(sorted(self._moves.items()))
 
     def displacements(self, moves: Mapping[int, MoveTo]) -> Points:
-        """The displacement of each body from its believed position, shape (n, d) [units]; zero for silent robots."""
+        """The displacement of each body from its believed position, shape (n, d) [units]; zero for silent robots.
+
+        No body flies farther in a round than `max_step`: a longer step ends there, in its direction, and is counted.
+        """
         displacements: Points = np.zeros_like(self.bodies.positions)
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
+        longest = self.config.mission.max_step
+        lengths = np.linalg.norm(displacements, axis=1)
+        over = lengths > longest * (1 + STEP_TOLERANCE)
+        displacements[over] *= longest / lengths[over, None]
+        self.journal.steps_over_limit += int(over.sum())
         return displacements
 
     def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:
@@ -334,6 +354,26 @@ async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     return {robot: task.result() for robot, task in tasks.items()}
+
+
+CollisionCheck: TypeAlias = Callable[
+    [Trial, Mapping[int, StepQuestion], Mapping[int, StepAnswer | NoAnswer]],
+    Awaitable[dict[int, StepAnswer | NoAnswer]],
+]
+"""Sees all questions and answers of a round before they are flown, and returns the answers to fly."""
+
+
+def collision_check(name: str) -> CollisionCheck | None:
+    """The check of this name, which a plug-in brings; None for `none`. InputError if there is no such check."""
+    if name == "none":
+        return None
+    from llm_flock import plugins
+
+    if name not in plugins.entries("collision_checks"):
+        raise InputError(
+            "collision_check", name, says=unknown("check", name, ("none", *plugins.entries("collision_checks")))
+        )
+    return plugins.load("collision_checks", name)
 
 
 Steer: TypeAlias = Callable[[Trial], Awaitable[None]]

@@ -38,7 +38,14 @@ def holds(plan: Plan | None, degree: int, proposer: int = 0) -> Standing:
 
 
 @pytest.mark.parametrize(
-    "rule", [NoConsensus(), InfluenceConsensus(), InfluenceConsensus(tie="highest"), ProvenanceConsensus()]
+    "rule",
+    [
+        NoConsensus(),
+        InfluenceConsensus(),
+        InfluenceConsensus(tie="highest"),
+        InfluenceConsensus(ties="lowest-id"),
+        ProvenanceConsensus(),
+    ],
 )
 def test_rules_keep_the_contract(rule: ConsensusRule) -> None:
     check_consensus_rule(rule)
@@ -66,6 +73,13 @@ def test_influence_tie_between_neighbours_goes_as_configured() -> None:
     heard = [says(1, 2, B), says(2, 2, A)]
     assert InfluenceConsensus().choose(holds(None, 0), heard) == heard[0]
     assert InfluenceConsensus(tie="highest").choose(holds(None, 0), heard) == heard[1]
+
+
+def test_a_tie_of_influence_may_go_to_the_lower_id() -> None:
+    rule = InfluenceConsensus(ties="lowest-id")
+    own = Standing(robot=2, plan=A, provenance=origin(2, 2), degree=2)
+    assert rule.choose(own, [says(1, 2, B)]) == says(1, 2, B)
+    assert rule.choose(own, [says(3, 2, B)]) is None
 
 
 def test_influence_never_resolves_a_tie_of_all() -> None:

@@ -126,11 +126,21 @@ def test_two_robots_take_the_same_goal() -> None:
     upright = Plan.of(THREE.ideal or ())
     top = max(range(3), key=lambda a: upright.points[a][1])
     plans = [turned(THREE, 1)[0], upright, turned(THREE, 2)[1]]
-    paper = DrivenTeam(THREE, "paper", plans)
+    paper = DrivenTeam(THREE, "paper-literal", plans)
     paper.begin(apart)
     settle(paper)
     assert paper.plans == [upright] * 3
     assert paper.slots[0] == paper.slots[2] == top
+
+    shared = DrivenTeam(THREE, "paper", plans)
+    shared.begin(apart)
+    settle(shared)
+    assert shared.slots[0] == shared.slots[2], "out of range of each other"
+    shared.end()
+    shared.begin([(43.0, 75.0), (50.0, 68.0), (57.0, 75.0)])
+    settle(shared)
+    assert shared.plans == [upright] * 3
+    assert one_plan_and_distinct_places(shared), "the higher id yields"
 
     flock = DrivenTeam(THREE, "flock", plans)
     flock.begin(apart)

@@ -86,12 +86,6 @@ def test_newest_heartbeat_tells_the_state_of_its_robot() -> None:
         hearer.begin_round(number, NOBODY, NO_PLAN | CANNOT_FLY)
         hearer.hear([counts(teller.beats), counts((4, 0, 0))])
         assert hearer.without_plan == ({0} if state & NO_PLAN else NOBODY), "its own state is not told"
-        assert hearer.cannot_fly == ({0} if state & CANNOT_FLY else NOBODY)
-    teller.begin_round(5, NOBODY, CANNOT_FLY)
-    hearer.hear([counts(teller.beats)])
-    for number in range(5, 9):
-        hearer.begin_round(number, NOBODY)
-    assert hearer.silent == {0} and not hearer.cannot_fly, "who is silent is not known to be alive"
 
 
 def test_a_restarted_robot_keeps_the_state_of_now() -> None:

@@ -284,8 +284,9 @@ def test_uncertainty_widens_ways_round_obstacles_and_bodies() -> None:
     off = [NARROW[1].nearest(corner)[0].distance for corner in corners]
     assert off[0] < SAFE / 2 * 1.5 and off[1] - off[0] > noise * 3.0
     assert leg_to(MISSION, here, goal, noise=noise).stop == goal
-    right = ShieldedSafety(0, mission, noise)._right
-    assert right.apart == pytest.approx(SAFE + 2 * noise * 3.0) and ShieldedSafety(0, mission, 0.0)._right.apart == SAFE
+    for error, margin in ((noise, 2 * noise * 3.0), (0.0, 0.0)):
+        right = ShieldedSafety(0, mission, error)._right_of_way
+        assert right.passing_distance == pytest.approx(SAFE + margin)
 
 
 @pytest.mark.no_cover

@@ -18,7 +18,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._answer_forms import REASONING
 from llm_flock.llm._port import Call, CallSettings, Reply, Usage
-from llm_flock.llm._simulated.profiles import FAILURES, Profile
+from llm_flock.llm._simulated.profiles import FAILURES, HABITS, Profile
 from llm_flock.llm._simulated.prompt_reader import (
     PLAN_MARK,
     STEP_MARK,
@@ -34,13 +34,14 @@ from llm_flock.llm._simulated.prompt_reader import (
     read_ways,
     sensible_decimals,
 )
+from llm_flock.metrics import segment_separation
 from llm_flock.mission import ORIENTATIONS
 from llm_flock.protocol._geometry import turned
 
 CHARS_PER_TOKEN = 4
 """For an estimate of the tokens."""
 
-ADDED_LATER = 4
+ADDED_LATER = 7
 """Number of the last `FAILURES` that were added after the first results were published."""
 
 CHANCE_WITHIN = 10.0
@@ -135,6 +136,8 @@ class SimulatedModel:
 
     def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str], still: Sequence[Point]) -> str:
         angle_rad, points = self._rng.uniform(0.0, 2 * math.pi), formation(task)
+        if "canonical" in failures:
+            angle_rad = 0.0
         for k in range(ORIENTATIONS if task.obstacles or still else 1):
             points = turned(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
             if is_clear(points, task, still):
@@ -146,7 +149,10 @@ class SimulatedModel:
         index, cut = robot % task.n_places, False
         if "random" in failures:
             points = task.center + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, points.shape) * task.spacing
+        if failures & {"random", "any"}:
             index = int(self._rng.integers(task.n_places))
+        elif "first" in failures:
+            index = 0
         rows: list[list[float]] = points.round(sensible_decimals(task.spacing)).tolist()
         if "malformed" in failures:
             match int(self._rng.integers(5)):
@@ -163,7 +169,7 @@ class SimulatedModel:
         reason = (
             f"The shape is {task.shape[:200]}. I put its {task.n_places} places around the centre, "
             f"{task.spacing:g} apart, turn it by {math.degrees(angle_rad):.0f} degrees, "
-            f"and take the place with my own number."
+            f"and take {'the place with my own number' if index == robot % task.n_places else f'place {index}'}."
         )
         if as_json:
             answer = json.dumps({REASONING: reason, "plan": rows, "my_plan": index})
@@ -192,8 +198,10 @@ class SimulatedModel:
             there = here + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, here.shape) * prompt.task.max_step
             waypoint_row: list[float] = there.round(prompt.decimals).tolist()
             return repr(waypoint_row), "I go somewhere.", True
-        if failures - {"careful"}:
+        if failures - HABITS:
             return self._faulty_step(prompt, failures)
+        if prompt.objection:
+            return _around(prompt), "My way is not free, so I leave it to the others.", True
         if "careful" in failures and (aside := _aside(prompt)) is not None:
             return aside
         if math.dist(prompt.position, prompt.goal) <= prompt.reach:
@@ -256,6 +264,24 @@ def _aside(prompt: StepPrompt) -> tuple[str, str, bool] | None:
             if math.dist(there, goal) < way - half and keeps_away(there):
                 return repr(list(there)), "Another robot is in my way, so I step aside or shorter.", False
     return prompt.rounded(here), "Others are in my way on all sides, so I wait.", True
+
+
+def _around(prompt: StepPrompt) -> str:
+    """The step that keeps away from the ways in an objection and ends nearest to the goal; none leaves the place."""
+    here, margin, ways = prompt.position, *prompt.objected()
+    reach = min(prompt.reach, max(math.dist(here, prompt.goal), margin))
+    ends = [here, *[prompt.goal for _ in range(math.dist(here, prompt.goal) <= prompt.reach)]]
+    for k in range(36):
+        for share in SHARES:
+            aside = (share * reach * math.cos(k * math.tau / 36), share * reach * math.sin(k * math.tau / 36))
+            ends.append(tuple(x + d for x, d in zip(here, (*aside, 0.0), strict=False)))
+    free = [end for end in ends if all(_closest(here, end, *way) >= margin for way in ways)]
+    return prompt.rounded(min(free or [here], key=lambda end: math.dist(end, prompt.goal)))
+
+
+def _closest(here: Point, there: Point, start: Point, end: Point) -> float:
+    """Smallest distance of two that leave and arrive together on straight ways, from just after the start [units]."""
+    return segment_separation((here, start), (there, end))
 
 
 def _tokens(chars: int) -> int:

@@ -20,8 +20,14 @@ PROFILES: Mapping[str, str] = {
     "overlong": "steps: towards the goal, but three times the limit while that is farther than one step",
     "careful": "no answer is wrong: it also keeps away from the robots that the prompt names, in steps and plans",
     "random": "all answers: numbers by chance, in the form that was asked for",
+    "canonical": "no answer is wrong: plans are not turned, as one model's at temperature 0; a rate leaves slips",
+    "first": "no answer is wrong: takes the first place of its plan, as the paper's example does (line 344)",
+    "any": "no answer is wrong: takes a place of its plan by chance",
 }
-"""Every profile, and its failure."""
+"""Every profile, and its failure or habit."""
+
+HABITS = frozenset({"careful", "canonical", "first", "any"})
+"""Profiles without wrong answers, which do not change how a step is made, or only where others are near."""
 
 FAILURES = tuple(name for name in PROFILES if name != "ideal")
 """The failures, in the order in which they are drawn."""

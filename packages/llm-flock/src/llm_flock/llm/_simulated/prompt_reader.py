@@ -13,7 +13,7 @@ import numpy as np
 from llm_flock import shapes as formations
 from llm_flock.arrays import Point, Points
 from llm_flock.errors import InputError
-from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
@@ -40,6 +40,8 @@ _JSON_MARK = "JSON object"
 _POSITION = re.compile(rf"{STEP_MARK}(.*)")
 _NEIGHBORS = re.compile(r"^Robots near you, moving as well: (.*)", re.MULTILINE)
 _GOAL = re.compile(r"^Your goal, .*?: (.*)", re.MULTILINE)
+_MARGIN = re.compile("nearer than ([0-9.]+)")
+_ROW = re.compile(r"\[[^\[\]]+\]")
 _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 
 
@@ -71,6 +73,12 @@ class StepPrompt:
     neighbors: str
     horizon: int
     json: bool
+    objection: str
+
+    def objected(self) -> tuple[float, list[tuple[Point, Point]]]:
+        """Read the distance that was not kept, and the ways of the robots that it was not kept to."""
+        points = [numbers(row) for row in _ROW.findall(self.objection)][2:]
+        return float(_first_group(_MARGIN, self.objection)), [*zip(points[::2], points[1::2], strict=True)]
 
     def seen(self) -> list[Point]:
         """Read the positions of the other robots."""
@@ -178,6 +186,7 @@ def read_step(text: str, task: Task) -> StepPrompt:
         neighbors=_first_group(_NEIGHBORS, text),
         horizon=int(_first_group(_HORIZON, text) or 1),
         json=_JSON_MARK in text,
+        objection=text.partition(NOT_FLOWN)[2],
     )
 
 

@@ -6,7 +6,9 @@ from collections.abc import Mapping
 
 PRESET_RULES: Mapping[str, tuple[str, str, bool]] = {
     "flock": ("provenance", "auction", True),
-    "paper": ("influence", "nearest", False),
+    "paper": ("influence", "nearest-free", False),
+    "paper-literal": ("influence", "nearest", False),
+    "released": ("leader", "shared-table", False),
     "baseline": ("none", "index", False),
 }
 """The protocols by name: rules of consensus and of assignment, and whether the shield is on."""

@@ -118,7 +118,7 @@ class IndexAssignment:
 
 @dataclass(frozen=True, slots=True)
 class NearestAssignment:
-    """The paper's rule, literally (lines 136-139 and 155-157).
+    """The paper's pseudocode, literally (lines 154-156).
 
     On adoption the set of available goals is reset to the whole plan, the nearest is taken, and the set is not used
     again. No other robot learns of it, so two robots may take the same goal. A robot's own plan keeps the index that
@@ -138,7 +138,7 @@ class NearestAssignment:
 
 @dataclass(frozen=True, slots=True)
 class NearestFreeAssignment:
-    """The paper's evident intention: claims are broadcast, and a goal claimed by a neighbour on the same plan is taken.
+    """The paper's text (line 135): claims are broadcast, and a goal claimed by a neighbour on the same plan is taken.
 
     Two robots may still claim one goal in the same communication round, or meet later; then the higher id yields to the
     lower and takes the nearest goal that no neighbour claims. A robot knows its neighbours' claims only, so distinct

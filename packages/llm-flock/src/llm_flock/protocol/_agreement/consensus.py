@@ -14,6 +14,7 @@ from llm_flock.plan import Plan
 
 PlanKey: TypeAlias = tuple[int, str, int, int, int, int, int, int, str]
 TieBreak: TypeAlias = Literal["lowest", "highest"]
+Ties: TypeAlias = Literal["keep", "lowest-id"]
 
 
 class Standing(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,15 +61,18 @@ class InfluenceConsensus:
     """The paper's Algorithm 1, literally (lines 133 and 149-158).
 
     Of all neighbours heard, k has the highest influence; its plan is adopted if I_k > I_i strictly and P_k differs from
-    P_i. The paper does not say which of several equally influential neighbours is k; `tie` does.
+    P_i. The paper does not say which of several equally influential neighbours is k; `tie` does. With `ties` of
+    `lowest-id`, which the paper does not have, a robot also adopts the plan of an equally influential k of lower id.
     """
 
     tie: TieBreak = "lowest"
+    ties: Ties = "keep"
     name: str = "influence"
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
         """Adopt the plan of the most influential neighbour if it outranks this robot."""
-        return adopt(own.degree, own.plan, heard, lowest=self.tie == "lowest")
+        yields_to = own.robot if self.ties == "lowest-id" else 0
+        return adopt(own.degree, own.plan, heard, lowest=self.tie == "lowest", yields_to=yields_to)
 
 
 def plan_key(plan: Plan, origin: Provenance, plan_class: int) -> PlanKey:

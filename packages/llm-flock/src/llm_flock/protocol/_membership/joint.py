@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import scipy
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, between
 from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
@@ -164,7 +164,7 @@ def _round_point(point: Point) -> Point:
 def _towards(here: Point, goal: Point, longest: float) -> Point:
     away = math.dist(here, goal)
     share = 1.0 if away <= longest else longest / away
-    return _round_point(tuple(x + share * (y - x) for x, y in zip(here, goal, strict=True)))
+    return _round_point(between(here, goal, share))
 
 
 @lru_cache(maxsize=64)

@@ -62,15 +62,7 @@ class Liveness:
     @property
     def without_plan(self) -> frozenset[int]:
         """Other robots that followed no plan when they were last heard of."""
-        return self._in_state(NO_PLAN)
-
-    @property
-    def cannot_fly(self) -> frozenset[int]:
-        """Other robots that are alive and were flown by geometry when they were last heard of."""
-        return self._in_state(CANNOT_FLY) - self.silent
-
-    def _in_state(self, state: int) -> frozenset[int]:
-        matches = (self._beats >= PER_BEAT) & (self._beats & state != 0)
+        matches = (self._beats >= PER_BEAT) & (self._beats & NO_PLAN != 0)
         return frozenset(np.flatnonzero(matches).tolist()) - {self._robot}
 
     def begin_round(self, round_number: int, near: frozenset[int], state: int = 0) -> None:

@@ -64,14 +64,14 @@ class Way(msgspec.Struct, frozen=True, kw_only=True):
 class RightOfWay:
     """The ways that a robot asks for, and those that it gives. Call `count` once in each round, then other methods.
 
-    `apart` is the distance at which bodies pass each other, by default the safe distance [units]. `waited` counts
-    rounds without progress since the robot was at its goal, or had none.
+    Bodies pass each other at `passing_distance`, by default the safe distance [units]. `waited` counts rounds
+    without progress since the robot was at its goal, or had none.
     """
 
-    def __init__(self, robot: int, limits: Mission, apart: float | None = None) -> None:
+    def __init__(self, robot: int, limits: Mission, passing_distance: float | None = None) -> None:
         self.course: Course | None = None
         self._robot, self._limits = robot, limits
-        self.apart = limits.safe_distance if apart is None else apart
+        self.passing_distance = limits.safe_distance if passing_distance is None else passing_distance
         self._period: int | None = None
         self._counts = True
         self.waited = self._kept = self._idle = 0
@@ -118,7 +118,7 @@ class RightOfWay:
         for j, course in courses.items():
             if j not in sensed or (theirs := rank(j, course.level, course.of)) <= own:
                 continue
-            width = self.apart * min(WIDEST, WIDTH + WIDER * course.level)
+            width = self.passing_distance * min(WIDEST, WIDTH + WIDER * course.level)
             line = np.array([sensed[j], *course.path])
             asked.append(Way(rank=theirs, robot=j, line=line, width=width))
         heeded = [way for way in asked if self._heeds(way.robot)]
@@ -179,7 +179,7 @@ class RightOfWay:
         return None
 
     def _nearest_refuge(self, here: Point, goal: Point, ways: Sequence[Way], others: Points) -> Point | None:
-        limits, margin = self._limits, 0.05 * self.apart  # a refuge is farther from a way than it has to be
+        limits, margin = self._limits, 0.05 * self.passing_distance  # a refuge is farther from a way than it has to be
         too_near_cost = 6.0  # for each unit of distance that another body lacks
         spots = np.array(here) + limits.max_step * _around(len(here))
         low, high = np.array(limits.arena)
@@ -194,7 +194,7 @@ class RightOfWay:
             to, on = (np.linalg.norm(spots - np.array(end), axis=1) for end in (here, goal))
         else:
             to, on = (roadmap.lengths_to(spots, end) for end in (here, goal))
-        crowd = np.maximum(0.0, self.apart - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
+        crowd = np.maximum(0.0, self.passing_distance - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
         cost = 2.0 * to + on + too_near_cost * crowd
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
             spot = tuple(spots[k].tolist())
@@ -208,7 +208,7 @@ class RightOfWay:
         start, end = np.array(here), np.array(stop)
         for way in ways:
             comes = way.line[:1]
-            room = min(float(np.linalg.norm(start - comes[0])), self.apart)
+            room = min(float(np.linalg.norm(start - comes[0])), self.passing_distance)
             if float(_distances(comes, start, end)[0]) < room - 1e-6:
                 return False
         return True

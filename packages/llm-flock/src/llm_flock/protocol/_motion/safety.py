@@ -8,7 +8,7 @@ from functools import partial
 from itertools import combinations
 
 from llm_flock import shield
-from llm_flock.arrays import Point, moved
+from llm_flock.arrays import Point, between, moved
 from llm_flock.events import Note, Origin
 from llm_flock.message import MAX_STOPS, Course
 from llm_flock.mission import Mission
@@ -25,38 +25,39 @@ class ShieldedSafety(Safety):
     `noise_bound` is the largest error of a believed position [units].
     """
 
-    def __init__(self, robot: int, limits: Mission, noise_bound: float, apart: float | None = None) -> None:
+    def __init__(self, robot: int, limits: Mission, noise_bound: float, passing_distance: float | None = None) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
         # With uncertain positions the sides of cells move inwards: bodies need more room to pass each other.
         margin = 2.0 * noise_bound * (1.0 + 4.0 * STEP * limits.max_step / limits.safe_distance)
-        self._right = RightOfWay(robot, limits, (limits.safe_distance if apart is None else apart) + margin)
+        passing_distance = limits.safe_distance if passing_distance is None else passing_distance
+        self._right_of_way = RightOfWay(robot, limits, passing_distance + margin)
         self._gave_way: int | None = None
         self._asked = False
 
     @property
     def course(self) -> Course | None:
         """The way that this robot asks others to leave free; None if nothing is in its way."""
-        return self._right.course
+        return self._right_of_way.course
 
     def begin_mission(self) -> None:
         """Begin another mission: heed all requests for a way again."""
-        self._right.begin_mission()
+        self._right_of_way.begin_mission()
 
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint: holds the position, unless another is too near or has to pass."""
         here = scene.position
-        self._right.count(here, 0.0, 0.0, scene.period)
+        self._right_of_way.count(here, 0.0, 0.0, scene.period)
         separating = self._separate(scene)
         if separating is not None:
             return separating
-        ways = self._right.ways(scene.sensed, scene.courses)
+        ways = self._right_of_way.ways(scene.sensed, scene.courses)
         pressing = [way for way in ways if way.covers(here)]
         aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
 
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
         """The safe waypoint for `wish` [units; world frame]. The leg's goal is reached within `tolerance` [units]."""
-        right, here, within = self._right, scene.position, tolerance + self._noise_bound
+        right, here, within = self._right_of_way, scene.position, tolerance + self._noise_bound
         right.count(leg.goal, leg.left, within, scene.period)
         separating = self._separate(scene)
         if separating is not None:
@@ -95,18 +96,18 @@ class ShieldedSafety(Safety):
     ) -> SafeStep | None:
         """A step out of the ways that this robot is in (`pressing`), None if it has nowhere to go."""
         here = scene.position
-        refuge = self._right.refuge(here, goal, ways, pressing, scene.others)
+        refuge = self._right_of_way.refuge(here, goal, ways, pressing, scene.others)
         if refuge is None:
             return None
         path = self._path(here, self._next_stop(here, refuge, still), refuge, still)
-        self._right.pass_on(path, pressing[0])
+        self._right_of_way.pass_on(path, pressing[0])
         to = self._project(here, _towards(here, path[0], self._limits.max_step), scene.others)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(pressing[0]))
 
     def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
         """The largest part of a step that leads into no other robot's way."""
         here = scene.position
-        tried = (self._project(here, _between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
+        tried = (self._project(here, between(here, wish, share), scene.others) for share in (0.75, 0.5, 0.25, 0.125))
         to = next((safe for safe in tried if outside(ways, here, safe)), here)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(ways[0]))
 
@@ -117,12 +118,12 @@ class ShieldedSafety(Safety):
 
     def _is_blocked(self, scene: Observation, stop: Point, safe: Point) -> bool:
         """Whether bodies cost the robot over half of the gain that planner and obstacles would allow."""
-        here, others, apart = scene.position, scene.others, self._right.apart
+        here, others, passing = scene.position, scene.others, self._right_of_way.passing_distance
         straight, far = _towards(here, stop, self._limits.max_step), math.dist(here, stop)
         alone = far - math.dist(self._project(here, straight, ()), stop)
-        if apart > self._limits.safe_distance:
-            safe = self._project(here, safe, others, apart)
-        gained = max(far - math.dist(to, stop) for to in (safe, self._project(here, straight, others, apart)))
+        if passing > self._limits.safe_distance:
+            safe = self._project(here, safe, others, passing)
+        gained = max(far - math.dist(to, stop) for to in (safe, self._project(here, straight, others, passing)))
         return gained < 0.5 * alone
 
     def _path(self, here: Point, stop: Point, goal: Point, still: Sequence[Point]) -> list[Point]:
@@ -144,7 +145,7 @@ class ShieldedSafety(Safety):
         roadmap = map_of(self._limits, here, (), self._noise_bound)
         if roadmap is None or safe == wish or roadmap.straight(safe, stop):
             return safe
-        for shorter in (_between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
+        for shorter in (between(here, wish, share) for share in (0.5, 0.25, 0.125, 0.0625)):
             if roadmap.straight(shorter, stop) and self._project(here, shorter, scene.others) == shorter:
                 return shorter
         return safe
@@ -171,13 +172,13 @@ class ShieldedSafety(Safety):
         crowd = _crowd({self._robot: position, **near}, limit)
         if not crowd:
             return None
-        apart = shield.spread_coincident(self._robot, position, sensed)
-        members = [apart.get(j, position) for j in sorted(crowd)]
+        spread = shield.spread_coincident(self._robot, position, sensed)
+        members = [spread.get(j, position) for j in sorted(crowd)]
         middle = tuple(sum(axis) / len(members) for axis in zip(*members, strict=True))
         away = math.dist(position, middle)
         share = limits.max_step / away if away > 0.0 else 0.0
-        wish = tuple(x + share * (x - c) for x, c in zip(position, middle, strict=True))
-        flown = self._project(position, wish, tuple(apart.values()))
+        wish = between(position, middle, -share)
+        flown = self._project(position, wish, tuple(spread.values()))
         nearest = min(math.dist(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
         return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
@@ -186,14 +187,7 @@ class ShieldedSafety(Safety):
 def _towards(here: Point, there: Point, longest: float) -> Point:
     """A point at most this far on the way to another [units]."""
     far = math.dist(here, there)
-    if far <= longest:
-        return there
-    return moved(here, tuple(y - x for x, y in zip(here, there, strict=True)), longest / far)
-
-
-def _between(here: Point, there: Point, share: float) -> Point:
-    """The point at this share of the way to another [units]."""
-    return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
+    return there if far <= longest else between(here, there, longest / far)
 
 
 def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, between
 from llm_flock.obstacles import nearest_on_segment
 from llm_flock.planner import StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
@@ -145,8 +145,7 @@ def towards(here: Point, target: Point, longest: float) -> Point:
     far = math.dist(here, target)
     if far <= longest:
         return target
-    share = longest * (1 - 1e-12) / far
-    return tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
+    return between(here, target, longest * (1 - 1e-12) / far)
 
 
 def _clip(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point | None:
@@ -171,7 +170,7 @@ def blocked(question: StepQuestion) -> bool:
     mission, here, goal = question.mission, question.position, question.goal
     distance = math.dist(here, goal)
     share = min(1.0, mission.max_step / distance) if distance else 0.0
-    end = tuple(x + share * (g - x) for x, g in zip(here, goal, strict=True))
+    end = between(here, goal, share)
     limit = mission.safe_distance + ROUNDING * mission.spacing
     return any(math.dist(nearest_on_segment(other, here, end), other) < limit for other in question.neighbors)
 
