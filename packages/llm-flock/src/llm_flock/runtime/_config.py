@@ -281,7 +281,8 @@ class RunConfig(ConfigSection):
         config = checked(cls, data)
         models = parse_models(config.model.model, config.mission.n_robots)
         free = [config.model.model] * all(parse_model(name).kind in ("simulated", "geometry") for name in models)
-        known = {"model": free, "prompts": PACKAGED, "consensus": CONSENSUS, "assignment": ASSIGNMENT}
+        known: dict[str, Any] = {"model": free, "prompts": PACKAGED, "consensus": CONSENSUS, "assignment": ASSIGNMENT}
+        known["collision_check"] = [preset["collision_check"] for preset in PRESETS.values()]
         out: dict[str, set[str]] = {}
         for name in cls.model_fields:
             section: BaseModel = getattr(config, name)
