@@ -50,8 +50,7 @@ async def _limit_size(response: httpx2.Response) -> None:
 def new_http_client() -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
 
-    It rejects compressed responses, which can unpack to gigabytes, and takes no key along a redirect, nor through a
-    proxy to this machine.
+    Compressed responses, which can unpack to gigabytes, are refused; keys follow no redirect, no proxy to this host.
     """
     return httpx2.AsyncClient(
         follow_redirects=False,
