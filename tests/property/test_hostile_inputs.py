@@ -230,7 +230,6 @@ def test_the_wire_is_taken_or_rejected(part: int) -> None:
                 tried(take, MessageError, InputError)
 
 
-@pytest.mark.xfail(reason="the wire allows numbers that rows of a record refuse", strict=False)
 @parts
 def test_no_report_ends_an_observer(part: int, here: Path) -> None:
     """Every report that is taken is in the record, which can be read; a plain state of the world comes between."""
@@ -256,7 +255,7 @@ def test_no_report_ends_an_observer(part: int, here: Path) -> None:
                 seen.world(world)
                 state = pack(world)[:1] + msgspec.msgpack.encode(hostile.struct(WorldState, plain))
                 tried(lambda seen=seen, it=state: seen.world(unpack(WorldState, it)), MessageError)
-                seen.check(50.0 + k)
+                seen.check()
         assert read_record(path).rounds >= 0
         path.unlink()
 
@@ -316,8 +315,7 @@ def test_a_configuration_is_taken_or_rejected(kind: Any, part: int, here: Path) 
             path.write_bytes(damaged(toml(data).encode("utf-8", "surrogatepass"), rng))
             taken += tried(lambda path=path: dry_run(kind, path), InputError) is None
             if issubclass(kind, RunConfig):
-                stored = getattr(kind, "stored", kind.build)
-                tried(lambda data=data, stored=stored: stored(data), InputError)
+                tried(lambda data=data: kind.stored(data), InputError)
     assert taken
 
 

@@ -346,7 +346,7 @@ def test_a_stored_trial_runs_no_rule_of_another_package(tmp_path: Path) -> None:
     config = trial("circle", 10, "paper", 1).config
     config = config | {"model": {"model": "simulated:ideal"}, "protocol": config["protocol"] | {"consensus": "this:x"}}
     (failure,) = gallery(Results.read(_one(tmp_path, config=config)), 1)
-    assert "names rules of other packages" in failure.source
+    assert "its configuration names files, code or addresses (consensus)" in failure.source
 
 
 def test_a_page_neither_turns_text_around_nor_hides_it(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
     notes = tmp_path / "notes.txt"
     notes.write_text("mine", encoding="utf-8")
     for line in (("data", str(notes), "--count", "1"), ("export", str(tmp_path), str(notes))):
-        with pytest.raises(InputError, match=r"notes\.txt.* a file that is not there yet: none is overwritten"):
+        with pytest.raises(InputError, match=r"notes\.txt.* a place where nothing is: nothing is ever overwritten"):
             call(*line)
     assert notes.read_text(encoding="utf-8") == "mine"
     with pytest.raises(InputError, match="a place that can be written to"):

@@ -77,7 +77,7 @@ def test_no_bag_is_overwritten_and_nothing_is_left_half_written(
 ) -> None:
     record = make_record(tmp_path / "run.mcap", n=3, rounds=2)
     (tmp_path / "bag").mkdir()
-    with pytest.raises(InputError, match="no bag is ever overwritten"):
+    with pytest.raises(InputError, match="nothing is ever overwritten"):
         write_bag(record, tmp_path / "bag")
 
     def fails(*_: object) -> None:

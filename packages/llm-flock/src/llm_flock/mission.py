@@ -9,7 +9,7 @@ from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Self, cast
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
@@ -17,7 +17,7 @@ from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS,
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.printable import hidden
-from llm_flock.validation import input_error
+from llm_flock.validation import checked
 
 if TYPE_CHECKING:
     from llm_flock.roadmap import Roadmap  # imported where it is used: few missions have obstacles
@@ -397,7 +397,4 @@ def build_mission(**fields: Any) -> Mission:
     Raises:
         InputError: a field is invalid; names the first such field, its value, and what is allowed.
     """
-    try:
-        return Mission(**fields)
-    except ValidationError as error:
-        raise input_error(error, Mission) from None
+    return checked(Mission, fields)

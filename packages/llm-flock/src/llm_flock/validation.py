@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, cast, get_args, get_origin
+from typing import Any, TypeVar, cast, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from llm_flock.errors import FieldError, InputError, unknown
+
+Model = TypeVar("Model", bound=BaseModel)
 
 _EXPECTED: Mapping[str, str] = {
     "greater_than": "more than {gt}",
@@ -39,6 +41,14 @@ _EXPECTED: Mapping[str, str] = {
     "model_attributes_type": "a table",
 }
 """The expected value by pydantic's type of error. Other types keep pydantic's text."""
+
+
+def checked(model: type[Model], values: object, within: str = "") -> Model:
+    """A model of these values; raises as `input_error` says."""
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise input_error(error, model, within) from None
 
 
 def input_error(error: ValidationError, model: type[BaseModel], within: str = "") -> InputError:

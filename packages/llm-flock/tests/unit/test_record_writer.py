@@ -174,7 +174,7 @@ def test_fields_that_differ_between_equal_runs_are_declared() -> None:
 def test_an_existing_file_is_not_touched(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_text("precious")
-    with pytest.raises(InputError, match=r"out = .*run\.mcap.* a place without a record"):
+    with pytest.raises(InputError, match=r"out = .*run\.mcap.* a place where nothing is"):
         RecordWriter(path)
     assert path.read_text() == "precious"
 

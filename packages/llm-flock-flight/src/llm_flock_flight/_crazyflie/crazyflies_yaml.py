@@ -10,11 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from llm_flock.errors import InputError
 from llm_flock.extras import require
-from llm_flock.validation import input_error
+from llm_flock.validation import checked
 
 FILEVERSION = 3
 
@@ -76,10 +76,7 @@ def parse_crazyflies(content: object) -> tuple[YamlDrone, ...]:
         if not isinstance(kind, str) or kind not in kinds:
             raise InputError(f"robots.{name}.type", kind, f"one of robot_types: {', '.join(kinds) or 'there is none'}")
         merged = _merge(_merge(shared, _table(f"robot_types.{kind}", kinds[kind])), own)
-        try:
-            drones.append(YamlDrone.model_validate({**merged, "name": name}))
-        except ValidationError as error:
-            raise input_error(error, YamlDrone, within=f"robots.{name}") from None
+        drones.append(checked(YamlDrone, {**merged, "name": name}, f"robots.{name}"))
     if not drones:
         raise InputError("robots", list(robots), "at least one that is enabled")
     return tuple(drones)

@@ -101,6 +101,7 @@ class FlockModel(ModelAPI):
         self.limits = CallLimits(rng=np.random.default_rng(0))
         self._urls = parse_base_urls(base_url, (model_name,))
         self._pool = ModelPool()
+        self._typed = False  # a log of Inspect may name an address, too
         self._name = name
         self._source = source_of(name.provider) if name.kind == "plugin" else None
         self._own = OwnModel.load(model_name) if name.kind == "own" else None
@@ -124,11 +125,12 @@ class FlockModel(ModelAPI):
     def prepare(self, settings: CallSettings, budget: Budget, *, max_concurrent: int, timeout_s: float) -> None:
         """Check that the model can be asked with these settings, and set its limits. Call before the first question."""
         check_priced(budget.max_cost_usd, (self.model_name,), self._urls)
+        self._typed = True
         if self._source is not None:
             max_concurrent = min(max_concurrent, self._source.at_once)
         if self.kind in ("plugin", "provider", "simulated"):
             rng = np.random.default_rng(0)
-            self._pool.model(self.model_name, rng=rng, settings=settings, base_urls=self._urls)
+            self._pool.model(self.model_name, rng=rng, settings=settings, base_urls=self._urls, typed=True)
         self.limits = CallLimits(
             rng=np.random.default_rng(0),
             max_concurrent=max_concurrent,
@@ -152,7 +154,7 @@ class FlockModel(ModelAPI):
         # The answers to a question must not depend on which others were asked before it.
         rng = np.random.default_rng([0, round_, robot])
         # A wait that is too long belongs to the limits, so the connection's own is longer.
-        options: Any = {"base_urls": self._urls, "timeout_s": 2 * self.limits.timeout_s}
+        options: Any = {"base_urls": self._urls, "timeout_s": 2 * self.limits.timeout_s, "typed": self._typed}
         return Limited(self._pool.model(self.model_name, rng=rng, settings=settings, **options), self.limits)
 
     async def generate(self, input: Any, tools: Any, tool_choice: Any, config: Any) -> Any:

@@ -9,7 +9,7 @@ from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock_lab._exam.questions import SECTIONS
 from llm_flock_lab._exam.rows import Row, Share, read_rows
-from llm_flock_lab._experiments.store import write_whole
+from llm_flock_lab._experiments.store import is_inside, write_whole
 
 PAGE = "index.md"
 
@@ -22,12 +22,8 @@ def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:
     page = folder / PAGE
     if not rows and not folder.is_dir():
         raise InputError("page", str(folder), "a folder that is there, with the rows of a leaderboard")
-    if page.exists() and MARK not in page.read_text(encoding="utf-8", errors="replace"):
+    if page.exists() and not (is_inside(page, folder) and MARK in page.read_text(encoding="utf-8", errors="replace")):
         raise InputError("page", str(folder), says=f"its {PAGE} was not written by this command, and is left alone")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError("page", str(folder), f"a folder that can be written to ({error.strerror})") from None
     known = {row.file_name: row for row in read_rows(folder)}
     new: dict[str, Row] = {}
     for row in rows:

@@ -11,12 +11,14 @@ from typing import Annotated, Any, NamedTuple
 
 import msgspec
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from llm_flock.errors import InputError
+from llm_flock.errors import FlockError, InputError
+from llm_flock.validation import checked
 from llm_flock_lab._exam.ask import Outcome
 from llm_flock_lab._exam.questions import SECTIONS
 from llm_flock_lab._experiments.statistics import CONFIDENCE, RESAMPLES, bootstrap_interval, wilson
+from llm_flock_lab._experiments.store import read_json
 
 # Six decimals, so that files do not differ by the last digit of a machine.
 Number = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False), AfterValidator(lambda number: round(number, 6))]
@@ -184,11 +186,7 @@ def read_rows(folder: Path) -> list[Row]:
     rows: list[Row] = []
     for path in sorted(folder.glob("*.json")):
         try:
-            rows.append(Row.model_validate_json(path.read_bytes()))
-        except OSError as error:
-            raise InputError("page", str(path), f"a file that can be read ({error.strerror})") from None
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"])) or "file"
-            raise InputError("page", str(path), f"a row of the leaderboard ({where}: {first['msg']})") from None
+            rows.append(checked(Row, read_json(path, dict[str, Any], "a table")))
+        except FlockError as error:
+            raise InputError("page", str(path), f"a row of the leaderboard ({error})") from None
     return rows

@@ -15,6 +15,7 @@ from typing import Any
 from llm_flock.errors import InputError
 from llm_flock.metrics import ROUNDING
 from llm_flock.printable import csv_cell
+from llm_flock.record import check_new
 from llm_flock.runtime import load_config
 from llm_flock_lab._experiments.executors import Display, Session, fly_in_pool
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
@@ -235,14 +236,8 @@ def _notes(row: Comparison) -> Iterator[str]:
 @contextmanager
 def trial_file(path: Path) -> Generator[OnResult]:
     """A new CSV file; yields what adds a trial's line, and hands it to the system. Broken trials have no figures."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("x", newline="", encoding="utf-8")
-    except OSError as error:
-        if path.exists():
-            raise InputError("out", str(path), "a file that is not there yet: none is overwritten") from None
-        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
-    with file:
+    check_new(path)
+    with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("protocol", "shape", "n_robots", "seed", *FIGURES, "waypoints", "error"))
 

@@ -20,8 +20,7 @@ from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.errors import FieldError, InputError
 from llm_flock.llm import PACKAGED, model_digests, parse_model, parse_models, waits
 from llm_flock.mission import Mission
-from llm_flock.runtime import RunConfig, points_file
-from llm_flock.shapes import load_points
+from llm_flock.runtime import RunConfig, load_points
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -148,8 +147,8 @@ def arena_of(load: Callable[..., RunConfig], fields: Mapping[str, Any]) -> tuple
     # A single robot without a shape fits everywhere, so the other settings can be read before the arena fits.
     alone = {"shape": "text:anything", "n_robots": 1, "kill": "", "join": "", "kill_random": 0, "join_random": 0}
     team = load(**{**fields, **alone, "changes": ()}).mission
-    points = load_points(points_file(shape), "shape") if shape.startswith("points:") else None
-    return fitted_arena(team, shape if points is None else "points", n_robots, points)
+    load_points(resolved := {"points": None, **fields})
+    return fitted_arena(team, resolved["shape"], n_robots, resolved["points"])
 
 
 def fitted_arena(

@@ -85,8 +85,15 @@ class SpendingLog:
             self._written = spent
 
 
-def read_json(path: Path, kind: type[T], what: str) -> T:
-    """The content of a JSON file; errors name the expected kind."""
+def is_inside(path: Path, folder: Path) -> bool:
+    """Whether a path is a file in a folder that may come from anywhere: no link that leads out, and no pipe."""
+    return path.resolve().is_relative_to(folder.resolve()) and path.is_file()
+
+
+def read_json(path: Path, kind: type[T], what: str, folder: Path | None = None) -> T:
+    """The content of a JSON file in `folder`, by default its own; errors name the expected kind."""
+    if not is_inside(path, folder or path.parent):
+        raise RecordError(f"{path}: not a file of this folder")
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:
@@ -101,19 +108,23 @@ def trial_files(folder: Path) -> Iterator[Path]:
 
 
 def read_trial(path: Path) -> TrialResult:
-    found = read_json(path, TrialResult, "a trial")
+    """A finished trial. It may come from anywhere: its configuration is for `RunConfig.stored` only."""
+    found = read_json(path, TrialResult, "a trial", path.parent.parent)
     if found.id != path.stem:  # names of figures and records are made of it
         raise RecordError(f"{path}: the trial of another file, {found.id}")
     if found.format != FORMAT:
         raise RecordError(f"{path}: format {found.format}; this release reads format {FORMAT}")
+    if found.record not in (None, f"{RECORDS}/{found.id}.mcap"):
+        raise RecordError(f"{path}: its record is another file, {found.record}")
     return found
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file so that it holds all of `data` or, after a crash, what it held before."""
+    """Write a file so that it holds all of `data` or, after a crash, what it held before. Missing folders are made."""
     # A unique name, because other processes may write the same file at the same time.
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex[:12]}.partial")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with partial.open("wb") as file:
             file.write(data)
             file.flush()

@@ -11,14 +11,14 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, cast
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from llm_flock import plugins
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.llm import PROVIDERS, parse_profile
 from llm_flock.mission import Mission
 from llm_flock.runtime import OUTPUT_TOKENS, PROFILE, RunConfig, build_config, read_toml
-from llm_flock.validation import input_error
+from llm_flock.validation import checked
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock_lab._experiments.trial import KeepRecords
 
@@ -127,12 +127,11 @@ def load_sweep(
             data["budget"] = {**cast("dict[str, Any]", table), **given}
         if seeds is not None and isinstance(table := data.get("sweep"), dict):
             data["sweep"] = {**cast("dict[str, Any]", table), "seeds": seeds}
-        file = SweepFile.model_validate(data)
-    except ValidationError as error:
-        found = input_error(error, SweepFile)
+        file = checked(SweepFile, data)
+    except InputError as found:
         if found.field in given:  # in the words of the command line, which has a --max-cost for each trial too
             raise InputError(found.field.replace("max_", "budget_"), found.value, says=found.says) from None
-        raise found from None
+        raise
     for name in file.providers:
         if name not in (known := (*PROVIDERS, *plugins.entries("models"), "simulated")):
             raise FieldError("providers", name, says=unknown(f"provider [providers.{name}]", name, known))
@@ -222,7 +221,9 @@ def _cell(file: SweepFile, overrides: Mapping[str, Any], point: Mapping[str, _Po
         if refused in fields or any(refused in table for table in file.run.values()):
             where = "seeds are in [sweep], and results have their own directory"
             raise FieldError(refused, says=f"field {refused!r} cannot be set in a sweep: {where}")
-    load = partial(build_config, file.run)
+    axis = {"base_url"} & (fields.keys() - overrides.keys())  # the file's word, not the operator's
+    model = {**file.run.get("model", {}), **{name: fields.pop(name) for name in axis}}
+    load = partial(build_config, {**file.run, "model": model})
     with naming_team("grid.team", point["team"].label) if "team" in point else nullcontext():
         if file.sweep.fit_arena and "arena" not in fields:
             team = {"shape": Mission().shape, "n_robots": Mission().n_robots, **file.run.get("mission", {}), **fields}

@@ -12,11 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import polars as pl
-from pydantic import AliasPath, BaseModel, Field, ValidationError
+from pydantic import AliasPath, BaseModel, Field
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.events import Origin
 from llm_flock.printable import csv_cell
+from llm_flock.validation import checked
 from llm_flock_lab._experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock_lab._experiments.store import read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.trial import TrialResult
@@ -170,15 +171,12 @@ def build_tables(folder: Path) -> None:
 def export_csv(folder: Path, out: Path) -> list[Path]:
     """Write `trials.csv` and `rounds.csv`; results come from anywhere, so every text is a `csv_cell`."""
     frames = dict(zip(("trials.csv", "rounds.csv"), read_tables(folder), strict=True))
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for name, frame in frames.items():
-            with (out / name).open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file, lineterminator="\n").writerow(map(csv_cell, frame.columns))
-                texts = pl.col(pl.String).map_elements(csv_cell, pl.String)
-                frame.with_columns(texts).write_csv(file, include_header=False)
-    except OSError as error:
-        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
+    for name, frame in frames.items():
+        head = io.StringIO()
+        csv.writer(head, lineterminator="\n").writerow(map(csv_cell, frame.columns))
+        texts = pl.col(pl.String).map_elements(csv_cell, pl.String)
+        body = frame.with_columns(texts).write_csv(include_header=False)
+        write_whole(out / name, (head.getvalue() + body).encode())
     return [out / name for name in frames]
 
 
@@ -195,11 +193,9 @@ def load_all(folder: Path) -> list[TrialResult]:
     trials = [read_trial(path) for path in list(trial_files(folder))]
     for trial in trials:
         try:
-            _TrialFields.model_validate(trial.config)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            where = ".".join(map(str, first["loc"]))
-            raise RecordError(f"{folder}: trial {trial.id} is not valid (config.{where}: {first['msg']})") from None
+            checked(_TrialFields, trial.config)
+        except InputError as error:
+            raise RecordError(f"{folder}: trial {trial.id} is not valid ({error})") from None
     return sorted(trials, key=lambda t: (_natural(t.cell), t.config["trial"]["seed"], t.id))
 
 

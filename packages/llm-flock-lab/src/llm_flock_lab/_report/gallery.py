@@ -14,12 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from llm_flock.errors import FlockError, InputError
-from llm_flock.llm import PACKAGED, parse_model
 from llm_flock.metrics import ROUNDING, segment_separation
 from llm_flock.record import Cause, ChatLine, RunRecord, read_record
-from llm_flock.runtime import ASSIGNMENT, CONSENSUS, RECORD_NAME, RunConfig, run
-from llm_flock_lab._experiments.grid import models_of
-from llm_flock_lab._experiments.store import TRIALS, read_trial
+from llm_flock.runtime import RECORD_NAME, RunConfig, run
+from llm_flock_lab._experiments.store import TRIALS, is_inside, read_trial
 from llm_flock_lab._report.results import OUTCOMES, Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
 
@@ -147,29 +145,19 @@ def _short(text: str) -> str:
     return f"{text[:half]}\n[... {len(text) - 2 * half:,} letters left out ...]\n{text[-half:]}"
 
 
-def _foreign(config: RunConfig) -> str | None:
-    """The effects of a stored configuration, which may come from anywhere, besides simulating; None without any."""
-    rules = {config.protocol.consensus, config.protocol.assignment}
-    if any(parse_model(name).kind not in ("simulated", "geometry") for name in models_of(config)):
-        return "its configuration names models that are not simulated"
-    if not rules <= {*CONSENSUS, *ASSIGNMENT}:
-        return "its configuration names rules of other packages"
-    own_prompts = config.model.prompts in (None, *PACKAGED)
-    return None if own_prompts and config.model.record_llm is None else "its configuration names other files"
-
-
 def _record(results: Results, trial: TrialRow, folder: Path | None) -> tuple[RunRecord | None, str]:
     """The kept record, or one of the trial flown again in `folder`; and a sentence about where it is from."""
     kept = trial.figures["record"]
-    if kept is not None and (results.folder / kept).exists():
-        return read_record(results.folder / kept), f"From its record, {kept}."
+    if kept is not None and is_inside(record := results.folder / kept, results.folder):
+        return read_record(record), f"From its record, {kept}."
     if not trial.figures["simulated"]:
         return None, "No record was kept (see --keep-records of llm-flock sweep), so there are no pictures."
     if folder is None or trial.cell.team.n_robots > 100:  # more robots would take minutes
         return None, "No record was kept, and the trial was not flown again."
-    config = RunConfig.build(read_trial(results.folder / TRIALS / f"{trial.id}.json").config)
-    if (foreign := _foreign(config)) is not None:
-        return None, f"No record was kept, and the trial was not flown again: {foreign}."
+    config, outside = RunConfig.stored(read_trial(results.folder / TRIALS / f"{trial.id}.json").config)
+    if outside:
+        why = f"its configuration names files, code or addresses ({', '.join(outside)})"
+        return None, f"No record was kept, and the trial was not flown again: {why}."
     config = config.model_copy(update={"trial": config.trial.model_copy(update={"out": str(folder)})})
     try:
         summary: Mapping[str, Any] = run(config=config, progress=False, trace=False).summary.to_dict()

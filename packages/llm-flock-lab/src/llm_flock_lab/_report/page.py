@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError
 from llm_flock.printable import printable
+from llm_flock_lab._experiments.store import write_whole
 from llm_flock_lab._report import sheets
 from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.findings import cell_lines, pair_lines, usual_reference
@@ -135,10 +136,7 @@ def write_report(
     }
     for name, template in (("report.html", "page.html.j2"), ("report.md", "page.md.j2")):
         text = _environment().get_template(template).render(page)
-        try:
-            (out / name).write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise InputError("out", str(out / name), f"a place that can be written to ({error.strerror})") from None
+        write_whole(out / name, text.encode())
         written.insert(0, out / name)
         on_step(name)
     return written

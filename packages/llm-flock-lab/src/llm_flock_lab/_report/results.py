@@ -19,7 +19,7 @@ from llm_flock.metrics import ROUNDING
 from llm_flock.protocol import PRESET_RULES
 from llm_flock.record import protocol_text
 from llm_flock_lab._experiments import tables
-from llm_flock_lab._experiments.store import read_json
+from llm_flock_lab._experiments.store import is_inside, read_json
 from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
 
 OUTCOMES: Mapping[str, str] = {
@@ -243,7 +243,8 @@ def as_number(text: str) -> float | None:
 def _title(folder: Path) -> tuple[str, str]:
     """Name of the sweep, and what it is about, from its file; the folder's name where there is no such file."""
     try:
-        found = cast("dict[str, Any]", tomllib.loads((folder / SWEEP_NAME).read_text(encoding="utf-8"))["sweep"])
+        text = path.read_text(encoding="utf-8") if is_inside(path := folder / SWEEP_NAME, folder) else ""
+        found = cast("dict[str, Any]", tomllib.loads(text)["sweep"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
         found = {}
     return str(found.get("name") or folder.resolve().name), str(found.get("about") or "")

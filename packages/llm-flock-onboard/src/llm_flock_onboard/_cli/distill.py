@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from dataclasses import asdict
 from itertools import chain
@@ -14,8 +13,8 @@ import typer
 from rich.table import Table
 
 from llm_flock.cli import Screen
-from llm_flock.errors import InputError
 from llm_flock.flags import PlainHelp
+from llm_flock.record import check_new
 
 MOST = 10_000_000
 """Most examples of one kind."""
@@ -42,7 +41,7 @@ def data(
     from llm_flock_onboard._distill.examples import motion_examples, plan_examples, write_examples
     from llm_flock_onboard._distill.wishes import Split
 
-    _check_new(out)
+    check_new(out)
     split: Split = "held-out" if held_out else "train"
     parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
     parts.append(choice_examples(seed, choices, split))
@@ -125,17 +124,7 @@ def export(
     from llm_flock_onboard._distill.adapter import MAX_BYTES, Adapter, write_gguf
     from llm_flock_onboard._distill.training import FACTORS
 
-    _check_new(out)
+    check_new(out)
     size = write_gguf(Adapter.load(training / FACTORS), out, name=f"llm-flock {out.stem}")
     note = "" if size <= MAX_BYTES else f", larger than the {MAX_BYTES / 1e6:g} MB limit of a packaged one"
     sys.stdout.write(f"{out}: {size / 1e6:.1f} MB{note}\n")
-
-
-def _check_new(out: Path) -> None:
-    """Refuse a file that is there: a recording or a model may have been named by mistake."""
-    if os.path.lexists(out):
-        raise InputError("out", str(out), "a file that is not there yet: none is overwritten")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None

@@ -58,7 +58,7 @@ def _judge(record: RunRecord, keys: Path) -> Judge | None:
 
     public = load_public_keys(keys)
     try:
-        config = SwarmConfig.model_validate(record.run.config)
+        config, _ = SwarmConfig.stored(record.run.config)
         return Judge(public.for_flight(config.network.swarm), config)
     except (FlockError, ValueError):
         return None

@@ -305,16 +305,12 @@ def export_bag(
 ) -> Iterator[Path]:
     """Write a record as a bag; gives the path of the bag."""
     require("ros2", "export --ros2bag")
-    from pydantic import ValidationError
 
     from llm_flock.runtime import Ros2Config
-    from llm_flock.validation import input_error
+    from llm_flock.validation import checked
     from llm_flock_swarm._ros2.bag import write_bag
 
-    try:
-        config = Ros2Config(unit_m=unit_m)
-    except ValidationError as error:
-        raise input_error(error, Ros2Config) from None
+    config = checked(Ros2Config, {"unit_m": unit_m})
     yield write_bag(needed(record), folder / BAG, config)
 
 

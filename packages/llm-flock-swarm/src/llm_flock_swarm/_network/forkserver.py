@@ -92,7 +92,7 @@ def _child(order: dict[str, Any]) -> int:
     os.dup2(null, 0)
     os.dup2(2, 1)
     log_to_stderr()
-    config = SwarmConfig.model_validate(order["config"])
+    config = SwarmConfig.build(order["config"], base_url=order["base_url"])
     kind = order["kind"]
     try:
         if kind == "world":

@@ -128,6 +128,7 @@ class Swarm:
         config = world_config(self.config) if kind == "world" else self.config
         self.pids.pop(name, None)
         order = {"name": name, "kind": kind, "config": config.model_dump(mode="json"), **more}
+        order["base_url"] = config.model.typed_url  # which its dump does not tell from a file's
         line.write(json.dumps(order).encode() + b"\n")
         await line.drain()
         await self.wait_until(lambda: name in self.pids)

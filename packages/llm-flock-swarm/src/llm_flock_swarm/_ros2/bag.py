@@ -6,16 +6,15 @@ models are left out.
 
 from __future__ import annotations
 
-import shutil
-import tempfile
 from collections import defaultdict
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, cast
 
-from llm_flock.errors import InputError, RecordError
+from llm_flock.errors import RecordError
 from llm_flock.extras import require
-from llm_flock.record import BodySample, Entry, MetricsRow, ProtocolEvent, RunRecord, read_record
+from llm_flock.record import BodySample, Entry, MetricsRow, ProtocolEvent, RunRecord, check_new, read_record
 from llm_flock.runtime import Ros2Config
 from llm_flock_swarm._ros2 import drawing
 from llm_flock_swarm._ros2.drawing import OK, MarkerDrawer
@@ -35,21 +34,14 @@ def write_bag(record: Path, out: Path, config: Ros2Config | None = None) -> Path
     require("ros2", "export --ros2bag")
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    if out.exists() or out.is_symlink():
-        raise InputError("out", str(out), "a folder that does not exist: no bag is ever overwritten")
+    check_new(out)
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    except OSError as error:
-        raise InputError("out", str(out), f"a place that can be written to ({error.strerror})") from None
-    try:
-        with Writer(folder / out.name, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
-            _BagWriter(writer, contents, config or Ros2Config()).write()
-        (folder / out.name).rename(out)
+        with TemporaryDirectory(prefix=f".{out.name}-", dir=out.parent) as folder:
+            with Writer(Path(folder) / out.name, version=VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
+                _BagWriter(writer, contents, config or Ros2Config()).write()
+            (Path(folder) / out.name).rename(out)
     except OSError as error:
         raise RecordError(f"{out}: cannot be written ({error.strerror})") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
     return out
 
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from pydantic import ValidationError
-
 from llm_flock.arrays import Point
-from llm_flock.errors import RecordError
-from llm_flock.mission import MISSION_FIELDS, input_error
+from llm_flock.errors import InputError, RecordError
+from llm_flock.mission import MISSION_FIELDS
 from llm_flock.record import BodySample, Entry, MissionInfo, PlanInfo, RunInfo, State
 from llm_flock.runtime import WorldConfig
+from llm_flock.validation import checked
 from llm_flock_swarm._ros2.drawing import Position, TeamView, ToWorld, scaled, view_of
 
 
@@ -20,11 +19,9 @@ def world_of(run: RunInfo, mission: MissionInfo, unit_m: float | None, dim: int)
     if "world" not in run.config or unit_m is not None:
         return scaled(unit_m or 1.0), unit_m or 1.0
     try:
-        world = WorldConfig.model_validate(run.config["world"])
-    except ValidationError as error:
-        raise RecordError(
-            f"the flight's place in the world cannot be read: {input_error(error, WorldConfig)}"
-        ) from None
+        world = checked(WorldConfig, run.config["world"])
+    except InputError as error:
+        raise RecordError(f"the flight's place in the world cannot be read: {error}") from None
     low, high = (tuple(corner) for corner in mission.mission["arena"])
     if not len(low) == len(high) == dim:
         raise RecordError(f"corners of an arena with {len(low)} and {len(high)} coordinates, not {dim}")

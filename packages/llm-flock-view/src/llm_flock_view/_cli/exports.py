@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from llm_flock.cli import needed
-from llm_flock.errors import InputError
 
 PAGE, LAYOUT, INDEXED, RERUN = "replay.html", "foxglove-layout.json", "foxglove.mcap", "run.rrd"
 """Names of the files."""
@@ -41,6 +40,7 @@ def export_foxglove(
 ) -> Iterator[Path]:
     """Write a record as Foxglove reads it, and a layout whose camera sees that record's arena."""
     from llm_flock.record import MissionInfo, RecordStream
+    from llm_flock_view._figures.style import whole_file
     from llm_flock_view._foxglove.file import write_file
     from llm_flock_view._foxglove.layout import layout_text
 
@@ -52,11 +52,8 @@ def export_foxglove(
         low, high = next(found).mission["arena"]
         arena = (tuple(low), tuple(high))
     target = folder / LAYOUT
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(layout_text(arena), encoding="utf-8")
-    except OSError as error:
-        raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
+    with whole_file(target) as part:
+        part.write_text(layout_text(arena), encoding="utf-8")
     yield target
 
 

@@ -78,15 +78,11 @@ def animate(record: RunRecord, path: Path, *, fps: int = FPS) -> None:
     ffmpeg = shutil.which("ffmpeg") if kind in CODECS else None
     if kind in CODECS and ffmpeg is None:
         raise InputError("out", str(path), f"a .gif file, or a {kind} file once ffmpeg is installed")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(path) as part:
-            if ffmpeg is None:
-                part.write_bytes(gif(record, fps))
-            else:
-                _write_video(record, path, part, fps, ffmpeg)
-    except OSError as error:
-        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    with whole_file(path) as part:
+        if ffmpeg is None:
+            part.write_bytes(gif(record, fps))
+        else:
+            _write_video(record, path, part, fps, ffmpeg)
 
 
 def last_frame(record: RunRecord) -> Image.Image:

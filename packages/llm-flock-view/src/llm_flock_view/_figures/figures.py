@@ -181,12 +181,8 @@ def save(figure: Figure, path: Path) -> None:
     formats = FigureCanvasAgg(figure).get_supported_filetypes()
     if path.suffix.lstrip(".").lower() not in formats:
         raise InputError("out", str(path), f"a file that ends in one of: {', '.join(sorted(formats))}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with house_style(), whole_file(path) as part:
-            figure.savefig(part, dpi=DPI, metadata=UNDATED.get(path.suffix.lower()))
-    except OSError as error:
-        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
+    with house_style(), whole_file(path) as part:
+        figure.savefig(part, dpi=DPI, metadata=UNDATED.get(path.suffix.lower()))
 
 
 def png(figure: Figure) -> bytes:

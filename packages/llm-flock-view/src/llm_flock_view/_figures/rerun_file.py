@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from llm_flock.errors import InputError
 from llm_flock.extras import require
 from llm_flock.printable import one_line
 from llm_flock.record import NO_PLAN, RunRecord
-from llm_flock_view._figures.style import heading, plan_looks
+from llm_flock_view._figures.style import heading, plan_looks, whole_file
 
 APPLICATION = "llm-flock"
 TIMELINE = "round"
@@ -35,20 +34,13 @@ def write_rerun(record: RunRecord, target: Path) -> None:
     """
     require("rerun", "export --rerun")
     rr: Any = import_module("rerun")  # too large to be installed for type checks
-    part = target.with_name(target.name + ".part")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(target) as part:
         part.touch()  # the SDK does not say why it cannot write
         stream = rr.RecordingStream(APPLICATION, recording_id=f"{record.run.seed}-{record.run.created_at}")
         stream.save(str(part), default_blueprint=_blueprint())
         _write(record, stream)
         stream.flush()
         stream.disconnect()
-        part.replace(target)
-    except OSError as error:
-        raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _write(record: RunRecord, stream: Any) -> None:

@@ -9,8 +9,10 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
+from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock.record import NO_PLAN, PALETTE, letters, protocol_text
 
@@ -169,10 +171,15 @@ def model_names(records: Sequence[RunRecord]) -> str:
 
 @contextmanager
 def whole_file(path: Path) -> Generator[Path]:
-    """A file beside `path`, with its ending, which takes its place at the end; nothing is left of half a one."""
-    part = path.with_name(f"{path.stem}.part{path.suffix}")
+    """A new file that takes the place of `path` at the end; nothing is left of half a one. Missing folders are made.
+
+    It lies in a new folder, so no link that was there leads elsewhere. InputError where nothing can be written.
+    """
     try:
-        yield part
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".", dir=path.parent) as folder:
+            part = Path(folder) / path.name
+            yield part
+            part.replace(path)
+    except OSError as error:
+        raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None

@@ -31,12 +31,8 @@ def write_file(record: Path, target: Path) -> int:
         raise RecordError(f"{record}: no such record")
     if target.exists() and target.samefile(record):
         raise InputError("out", str(target), "another place than the record itself")
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(target) as part:
-            return _write(record, part)
-    except OSError as error:
-        raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
+    with whole_file(target) as part:
+        return _write(record, part)
 
 
 def _write(record: Path, part: Path) -> int:

@@ -66,7 +66,7 @@ class Launcher:
         from llm_flock_view._viewer.steered_run import config_of
 
         chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
-        configs = [config_of(each, self.models) for each in chosen]
+        configs = [config_of(each, self.models, self.base_url) for each in chosen]
         flying = sum(not run.over for run in self.runs.values())
         if flying + len(configs) > MAX_RUNS:
             asked = f"{len(configs)} more than {flying}"
@@ -80,11 +80,8 @@ class Launcher:
         stamp = datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
         shape = re.sub(r"[^A-Za-z0-9]", "", mission.shape.split(":")[0])
         out = self.folder / f"{stamp}-{shape}-{mission.n_robots}-{protocol}"
-        model = config.model
-        if model.model in self.models:
-            model = model.model_copy(update={"base_url": self.base_url})
         trial = config.trial.model_copy(update={"out": str(out)})
-        config = config.model_copy(update={"model": model, "trial": trial})
+        config = config.model_copy(update={"trial": trial})
         title = f"{mission.shape} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
         recording = self.library.add(title, out / RECORD_NAME)
         run = self.runs[recording.key] = SteeredRun(config, recording, pace)

@@ -146,9 +146,6 @@ def _give(run: SteeredRun, order: str, asked: Mapping[str, Any]) -> str:
 def _mission_fields(given: object, *, spacing: bool) -> dict[str, Any]:
     allowed = ("shape", "center", "spacing") if spacing else ("shape", "center")
     fields = cast("dict[str, Any]", given) if isinstance(given, dict) else {}
-    from llm_flock.runtime import check_shape
-
-    check_shape(fields.get("shape"))
     found = {name: fields[name] for name in allowed if fields.get(name) not in (None, "")}
     _check_center(found.get("center"), space=True)
     if not found:

@@ -41,12 +41,8 @@ def write_page(record: Path, target: Path) -> int:
     if not run.ready:
         raise RecordError(f"{record}: the run ended before its start was recorded; there is nothing to show")
     text = page(run).encode()
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(target) as part:
-            part.write_bytes(text)
-    except OSError as error:
-        raise InputError("out", str(target), f"a place that can be written to ({error.strerror})") from None
+    with whole_file(target) as part:
+        part.write_bytes(text)
     return len(text)
 
 

@@ -19,7 +19,6 @@ from llm_flock.runtime import (
     TeamPlanners,
     Trial,
     build_config,
-    check_shape,
     run_async,
     stream,
 )
@@ -52,19 +51,20 @@ FIELDS: tuple[str, ...] = (
 """Fields that a page may set. Fields that name files, modules, addresses or folders belong to the command line."""
 
 
-def config_of(fields: Mapping[str, Any], models: Collection[str] = ()) -> RunConfig:
-    """The configuration of a run that a page asks for, checked as the command's; the operator allowed `models`."""
+def config_of(fields: Mapping[str, Any], models: Collection[str] = (), base_url: str | None = None) -> RunConfig:
+    """The configuration of a run that a page asks for, checked as the command's; the operator typed the rest."""
     given = {name: value for name, value in fields.items() if value not in (None, "")}
     for name in given:
         if name not in FIELDS:
             raise FieldError(name, given[name], says=unknown(f"field {name!r}", name, FIELDS))
-    check_shape(given.get("shape"))
+    if str(shape := given.get("shape")).startswith("points:"):
+        raise InputError("shape", shape, "a shape with a name; only the command line reads files")
     model = given.get("model")
     # A list of models by robot ("0=...,1=...") is not split here: it must be allowed as a whole.
     if model is not None and model not in models and not _free(str(model)):
         allowed = "simulated:PROFILE, geometry or a packaged model, or a model that `llm-flock view --model` named"
         raise InputError("model", model, allowed)
-    config = build_config({}, **given)
+    config = build_config({}, **given, base_url=base_url if model in models else None)
     if _free(config.model.model):
         # These raise now what would otherwise only be raised when the run begins.
         TeamPlanners(config)

@@ -11,6 +11,8 @@ from typing import Any
 import httpx2
 from pydantic_ai.models import Model
 
+from llm_flock.llm._providers import LOOPBACK
+
 MAX_ANSWER_BYTES = 2 << 20
 """Largest body of a response [bytes]: more than twice the longest answers of today's models. JSON can take sixty times
 as much memory."""
@@ -48,9 +50,11 @@ async def _limit_size(response: httpx2.Response) -> None:
 def new_http_client() -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
 
-    It rejects compressed responses, because a few kilobytes can unpack to gigabytes.
+    Compressed responses, which can unpack to gigabytes, are refused; keys follow no redirect, no proxy to this host.
     """
     return httpx2.AsyncClient(
+        follow_redirects=False,
+        mounts={f"all://{f'[{host}]' if ':' in host else host}": None for host in LOOPBACK},
         limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
         headers={"Accept-Encoding": "identity"},
         event_hooks={"response": [_limit_size]},

@@ -61,7 +61,7 @@ class MissionReader:
         """The mission that a text describes; errors as in `mission_call` and `draft_of`, and ModelError."""
         call = mission_call(text)
         async with ModelPool() as pool:
-            model = pool.model(self.model, rng=np.random.default_rng(0), base_urls=self._base_urls)
+            model = pool.model(self.model, rng=np.random.default_rng(0), base_urls=self._base_urls, typed=True)
             reply = await Limited(model, self._limits).ask(call)
         return draft_of(reply.text)
 

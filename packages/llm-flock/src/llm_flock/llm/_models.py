@@ -140,7 +140,7 @@ def check_priced(max_cost_usd: float | None, models: Iterable[str], base_urls: M
 
 
 class _NeverAsked:
-    """Replaces a provider's model where a configuration is only checked."""
+    """Replaces a provider's model, or the user's own, where a configuration is only checked."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -157,7 +157,7 @@ class ModelPool:
     """
 
     def __init__(self, *, environ: Mapping[str, str] | None = None, asks: bool = True) -> None:
-        self._asks = asks
+        self.asks = asks
         self._environ = os.environ if environ is None else environ
         self._models: dict[tuple[str, str, str, float], Model[Any]] = {}
         self._http: httpx2.AsyncClient | None = None
@@ -186,10 +186,11 @@ class ModelPool:
         settings: CallSettings | None = None,
         base_urls: Mapping[str, str] = MappingProxyType({}),
         timeout_s: float = 600.0,
+        typed: bool = False,
     ) -> LanguageModel:
         """The language model of one robot: a provider's, a simulated one, or a plug-in's.
 
-        Only simulated models use `rng`. `base_urls` replace the providers' own addresses (`parse_base_urls`).
+        Only simulated models use `rng`. `base_urls`, `typed` by the operator or not, replace the providers' addresses.
         `timeout_s` is the longest wait for a response, a second bound after that of `limits` [s].
 
         Raises:
@@ -200,16 +201,16 @@ class ModelPool:
             if name.provider not in self._hosts:
                 self._hosts[name.provider] = source_of(name.provider).host()
             return self._hosts[name.provider].model(name.text, settings)
+        if name.kind in ("provider", "own") and not self.asks:
+            return _NeverAsked(name.text)
         if name.kind not in ("simulated", "provider"):
             raise InputError("model", text, "no replay, geometry or class here")
-        if name.kind == "provider" and not self._asks:
-            return _NeverAsked(name.text)
         if name.kind == "simulated":
             from llm_flock.llm._simulated.model import SimulatedModel
             from llm_flock.llm._simulated.profiles import parse_profile
 
             return SimulatedModel(parse_profile(name.model), rng, settings)
-        hosted = self._hosted_model(name, base_urls, timeout_s)
+        hosted = self._hosted_model(name, base_urls, timeout_s, typed)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
         from llm_flock.llm._client import PydanticModel
 
@@ -220,14 +221,14 @@ class ModelPool:
             hosted, name=name.text, settings=settings, secrets=tuple(filter(None, keys)), priced=priced
         )
 
-    def _hosted_model(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float) -> Model[Any]:
+    def _hosted_model(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float, typed: bool) -> Model[Any]:
         info = name.info
-        key = self._environ.get(info.key_env, "").strip()
-        if not key and info.key_required and name.provider not in base_urls:
-            raise InputError("model", name.text, says=f"needs a key: export {info.key_env}=...")
         address = base_urls.get(name.provider, info.base_url)
         if address is None:
             raise InputError("base_url", None, f"an address for '{name.provider}', such as http://localhost:8000/v1")
+        key = info.key_for(address, self._environ, typed=typed)
+        if not key and info.key_required and name.provider not in base_urls:
+            raise InputError("model", name.text, says=f"needs a key: export {info.key_env}=...")
         from llm_flock.extras import require
 
         require("anthropic" if name.provider == "anthropic" else "openai", f"--model {name.text}")

@@ -19,6 +19,11 @@ if TYPE_CHECKING:
 MAX_URL_LENGTH = 2_000
 """Longest address of a provider [characters]."""
 
+SEND_KEY_TO = "LLM_FLOCK_SEND_KEY_TO"
+"""Environment variable with hosts, separated by commas, that files may have keys sent to."""
+
+LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
 ModelKind: TypeAlias = Literal["provider", "plugin", "simulated", "replay", "geometry", "own"]
 
 
@@ -34,6 +39,25 @@ class ProviderInfo:
     base_url: str | None
     example: str
     key_required: bool = False
+
+    def key_for(self, url: str, environ: Mapping[str, str], *, typed: bool) -> str:
+        """The key that goes to an address that `check_url` took; empty where none is set. InputError if it must not.
+
+        It goes to the provider's own host, this machine, hosts of `SEND_KEY_TO`, and where the operator `typed` it; but
+        to no other machine unencrypted.
+        """
+        key, parts = environ.get(self.key_env, "").strip(), urlsplit(url)
+        host = parts.hostname or ""
+        if not key or host in LOOPBACK:
+            return key
+        if parts.scheme != "https":
+            says = f"{self.key_env} would go to {host} in plain text: use https, or unset {self.key_env}"
+            raise InputError("base_url", url, says=says)
+        allowed = [name.strip() for name in environ.get(SEND_KEY_TO, "").lower().split(",")]
+        if not typed and host not in (urlsplit(self.base_url or "").hostname, *allowed):
+            says = f"to send {self.key_env} to {host}, type --base-url yourself or export {SEND_KEY_TO}={host}"
+            raise InputError("base_url", url, says=f"{says}; or unset {self.key_env}")
+        return key
 
 
 _OPENAI_URL = "https://api.openai.com/v1"

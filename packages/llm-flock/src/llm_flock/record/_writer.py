@@ -87,14 +87,14 @@ def both(*sinks: RecordSink | None) -> RecordSink | None:
 
 
 def check_new(path: Path) -> None:
-    """Check that a record can be written here. Call before the work that it is to hold; makes missing folders."""
+    """Check that a new file can be written here. Call before the work that it is to hold; makes missing folders."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         allowed = os.access(path.parent, os.W_OK | os.X_OK)
     except OSError as error:
         raise InputError("out", str(path), f"a place that can be written to ({error.strerror})") from None
     if os.path.lexists(path):
-        raise InputError("out", str(path), "a place without a record: none is ever overwritten")
+        raise InputError("out", str(path), "a place where nothing is: nothing is ever overwritten")
     if not allowed:
         raise InputError("out", str(path), "a place that can be written to (Permission denied)")
 

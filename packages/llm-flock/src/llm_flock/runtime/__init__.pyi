@@ -30,7 +30,6 @@ from ._mission_frame import Metres as Metres
 from ._mission_frame import MissionFrame as MissionFrame
 from ._mission_frame import WorldConfig as WorldConfig
 from ._orders import RunOrders as RunOrders
-from ._orders import check_shape as check_shape
 from ._planners import TeamPlanners as TeamPlanners
 from ._planners import check_planners as check_planners
 from ._result import FlightFigures as FlightFigures
@@ -49,7 +48,7 @@ from ._rules import ASSIGNMENT as ASSIGNMENT
 from ._rules import CONSENSUS as CONSENSUS
 from ._rules import PRESETS as PRESETS
 from ._schedule import Stream as Stream
-from ._schedule import points_file as points_file
+from ._schedule import load_points as load_points
 from ._schedule import stream as stream
 from ._trial import Trial as Trial
 from ._trial import TrialProgress as TrialProgress

@@ -6,12 +6,12 @@ import logging
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, cast
+from typing import Annotated, Any, Literal, Self, cast, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from llm_flock import graph
 from llm_flock.bounds import DEEPEST, MAX_INTEGER, TIME_OUT
@@ -23,9 +23,9 @@ from llm_flock.mission import Mission
 from llm_flock.protocol._agreement.consensus import Ties
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
-from llm_flock.runtime._rules import PRESETS, Rules, assignment_rule, consensus_rule
-from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points
-from llm_flock.validation import fields_of, input_error, unknown_section
+from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, Rules, assignment_rule, consensus_rule
+from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points, read_points
+from llm_flock.validation import checked, fields_of, unknown_section
 
 logger = logging.getLogger(__name__)
 
@@ -35,6 +35,9 @@ PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(
 
 _NO_NAME = re.compile("[\0\ud800-\udfff]")
 """What neither the names of files nor the texts of a record can hold."""
+
+_PLAIN = re.compile("shape|kill|join|history|wish|temperature|reasoning_effort|model_seed|swarm")
+"""Fields with free text that names no file, no code and no address."""
 
 
 class ConfigSection(BaseModel):
@@ -153,6 +156,16 @@ class ModelConfig(ConfigSection):
     reasoning_effort: PerRobot = Field(default=None, description="Reasoning effort (minimal .. max), for all or by id")
     model_seed: PerRobot = Field(default=None, description="Sampling seed sent to the provider, for all or by id")
     record_llm: str | None = Field(default=None, description="Record every model call in this file, for replay:FILE")
+    _typed: bool = PrivateAttr(default=False)
+
+    def vouch(self) -> None:
+        """Note that `base_url` is the operator's own word and no file's, so that his key may go there."""
+        self._typed = True
+
+    @property
+    def typed_url(self) -> str | None:
+        """`base_url` where the operator gave it; None where a file did."""
+        return self.base_url if self._typed else None
 
 
 class LimitConfig(ConfigSection):
@@ -223,7 +236,7 @@ class RunConfig(ConfigSection):
     def build(cls, base: Mapping[str, Any] | None = None, /, **overrides: Any) -> Self:
         """A configuration from nested sections, with overrides by field name (None means: not given).
 
-        `shape = "points:FILE"` is resolved here: the file's points become the mission's.
+        Only here `shape = "points:FILE"` is resolved, also in changes: the file's points become the mission's.
         """
         data: dict[str, Any] = {}
         check_values("config", base or {})
@@ -237,16 +250,45 @@ class RunConfig(ConfigSection):
         for field, value in overrides.items():
             if value is not None:
                 data.setdefault(cls.section_of(field), {})[field] = value
-        mission = data.get("mission", {})
+        trial, mission = data.get("trial", {}), data.get("mission", {})
+        if isinstance(changes := trial.get("changes"), list | tuple):
+            trial["changes"] = [read_points(change) for change in cast("Sequence[Any]", changes)]
         if load_points(mission):
             points = mission["points"]
             mission.setdefault("n_robots", len(points))
             if points and "center" not in mission and len(points[0]) != 2:
                 raise InputError("center", None, f"a centre with {len(points[0])} coordinates, as the points have")
-        try:
-            return cls(**data)
-        except ValidationError as error:
-            raise input_error(error, cls) from None
+        config = checked(cls, data)
+        if overrides.get("base_url") is not None:
+            config.model.vouch()
+        return config
+
+    @classmethod
+    def stored(cls, data: Mapping[str, Any]) -> tuple[Self, list[str]]:
+        """The configuration of a record or of results, and the fields left out. InputError if it is none.
+
+        It may come from anywhere, so it is data: texts that could name a file, code or an address keep their defaults.
+        It opens, imports and calls nothing, nor does a run of it.
+        """
+        from llm_flock.llm._models import parse_models
+        from llm_flock.llm._prompting import PACKAGED
+        from llm_flock.llm._providers import parse_model
+
+        check_values("config", data)
+        config = checked(cls, data)
+        models = parse_models(config.model.model, config.mission.n_robots)
+        free = [config.model.model] * all(parse_model(name).kind in ("simulated", "geometry") for name in models)
+        known: dict[str, Any] = {"model": free, "prompts": PACKAGED, "consensus": CONSENSUS, "assignment": ASSIGNMENT}
+        known["collision_check"] = [preset["collision_check"] for preset in PRESETS.values()]
+        out: dict[str, set[str]] = {}
+        for name in cls.model_fields:
+            section: BaseModel = getattr(config, name)
+            for field, info in type(section).model_fields.items():
+                value = getattr(section, field)
+                text = str in (info.annotation, *get_args(info.annotation)) and not _PLAIN.fullmatch(field)
+                if text and value not in (None, info.default, *known.get(field, ())):
+                    out.setdefault(name, set()).add(field)
+        return checked(cls, config.model_dump(exclude=out)), sorted(one for fields in out.values() for one in fields)
 
     @classmethod
     def load(cls, path: Path | None, **overrides: Any) -> Self:

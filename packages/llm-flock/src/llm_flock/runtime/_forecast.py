@@ -43,24 +43,22 @@ class Expected:
 
 
 def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
-    """The configuration with a free model that answers at once, and without budget and files.
+    """The configuration with a free model that answers at once, and without budget, files and the user's own code.
 
     A simulated model that does not wait stands for itself, one with the failures of `profile` for any other.
     """
-    model = config.model
-    names = parse_models(model.model, config.mission.n_robots)
-    if any(waits(name) or parse_model(name).kind == "replay" for name in names):
-        plain = {"model": f"simulated:{profile}", "base_url": None, "reasoning_effort": None}
-        # Stand-ins understand only the full prompts, so the tokens of brief ones are overestimated.
-        prompts = None if model.prompts == "brief" else model.prompts
-        plain |= {"temperature": None, "model_seed": None, "prompts": prompts, "frame": None}
-        model = model.model_copy(update=plain)
+    free, outside = RunConfig.stored(config.model_dump())
+    plain: dict[str, str | None] = {"prompts": config.model.prompts}
+    if "model" in outside or any(map(waits, parse_models(config.model.model, config.mission.n_robots))):
+        plain |= {"model": f"simulated:{profile}", "reasoning_effort": None}
+        plain |= {"temperature": None, "model_seed": None, "frame": None}
+        if config.model.prompts == "brief":  # stand-ins understand only the full ones, which take more tokens
+            plain["prompts"] = None
     parts = {
-        "model": model.model_copy(update={"record_llm": None}),
+        "model": free.model.model_copy(update=plain),
         "limits": config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None}),
-        "trial": config.trial.model_copy(update={"out": None}),
     }
-    return config.model_copy(update=parts)
+    return free.model_copy(update=parts)
 
 
 def rehearse(config: RunConfig, on_round: Callable[[TrialProgress], None] | None = None) -> Expected:

@@ -112,13 +112,14 @@ class TeamPlanners:
             if name.text not in self._replays:
                 self._replays[name.text] = ReplayModel(Path(name.model))
             return self._replays[name.text]
-        if name.kind == "own":
+        if name.kind == "own" and self._pool.asks:
             return Limited(self._own_model(robot, name.text), self._queue_of(name))
         model = self._pool.model(
             name.text,
             rng=stream(self._config.trial.seed, Stream.MODEL, robot),
             settings=self._settings[robot],
             base_urls=self._base_urls,
+            typed=self._config.model.typed_url is not None,
             timeout_s=2 * self._config.limits.timeout_s,
         )
         return Limited(model, self._queue_of(name))
@@ -245,7 +246,7 @@ def _check_plan(question: PlanQuestion, answer: PlanAnswer) -> str | None:
 def check_planners(config: RunConfig, *, asks: bool = True) -> None:
     """Raise the error of a run whose models cannot work. Call where no event loop runs.
 
-    If its models will not be asked (`asks`), providers need neither a key nor their library.
+    If its models will not be asked (`asks`), providers need neither a key nor their library, and no class is imported.
     """
     lane = None if asks else CallLane(pool=ModelPool(asks=False))
     asyncio.run(TeamPlanners(config, lane).close())

@@ -212,7 +212,6 @@ def _missions(
             if "since" in fields:
                 says = "cannot be given: a changed mission counts from the round of the change"
                 raise InputError("since", fields["since"], says=says)
-            load_points(fields)
             new = mission.at(when).change(**fields, since=when)
         except InputError as error:
             raise InputError("changes", value, says=str(error)) from error
@@ -224,12 +223,11 @@ def _missions(
     return missions
 
 
-def points_file(shape: str) -> Path:
-    """The file of a shape `points:FILE`."""
-    name = shape.partition(":")[2].strip()
-    if not name:
-        raise InputError("shape", shape, "points:FILE, with the name of a file")
-    return Path(name)
+def read_points(change: Any) -> Any:
+    """A change as it was given, with the points of a shape `points:FILE`."""
+    given: Any = change.model_dump() if isinstance(change, Change) else change
+    fields: Any = given.get("set") if hasattr(given, "get") else None
+    return {**given, "set": fields} if hasattr(fields, "get") and load_points(fields := {**fields}) else change
 
 
 def load_points(fields: dict[str, Any]) -> bool:
@@ -237,7 +235,9 @@ def load_points(fields: dict[str, Any]) -> bool:
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False
-    from llm_flock.shapes import load_points as read_points
+    from llm_flock.shapes import load_points as read_file
 
-    fields.update(shape="points", points=read_points(points_file(shape), "shape"))
+    if not (name := shape.partition(":")[2].strip()):
+        raise InputError("shape", shape, "points:FILE, with the name of a file")
+    fields.update(shape="points", points=read_file(Path(name), "shape"))
     return True
