@@ -230,7 +230,7 @@ async def fly_swarm(lie: str, liars: int, seed: int, keys: Path, hard: bool) -> 
                     # Their bodies are far away; heard is who seems near.
                     beacon = Beacon(stamp=time.time(), position=config.mission.center)
                     links[j].publish("say", j, pack(BeaconedMessage(beacon=beacon, message=payload)))
-                swarm.observer.check(time.time())
+                swarm.observer.check()
                 held = held + 1 if reported_in_place(swarm.observer, gang.honest, places) else 0
                 if held * config.network.gossip_s >= metrics.HELD_ROUNDS * config.network.step_s:
                     formed = round((time.monotonic() - began) / config.network.step_s)

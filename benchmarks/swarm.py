@@ -308,7 +308,7 @@ def _line(flight: Flight) -> str:
 
 def _summary(name: str, flights: list[Flight]) -> None:
     results = [flight.result for flight in flights]
-    formed = sum(result.formed for result in results)
+    formed = sum(bool(result.formed) for result in results)
     unsafe = sum(result.min_separation < SAFE for result in results)
     times = [result.mission_s for result in results if result.mission_s is not None]
     print(

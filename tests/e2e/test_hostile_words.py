@@ -56,7 +56,7 @@ class Hostile:
         """An event of every kind that the pages know, each with every detail that they name."""
         known = {"slot": 1, "from": 1, "before": 1, "wait": 1, "refusals": 1, "robot": 1}
         lists = {name: [WORDS] for name in ("proposed", "flown", "vacant", "slots", "missing")}
-        for kind in (*sorted({*events.told_kinds(), *events._TRACKS, *events._FLIGHT}), WORDS):
+        for kind in (*sorted({*events._SENTENCES, *events._PLAN_SENTENCES, *events._TRACKS, *events._FLIGHT}), WORDS):
             detail = {**dict.fromkeys(DETAILS, WORDS), **known, **lists, WORDS: WORDS}
             self.writer.write(ProtocolEvent(round=number, comm_round=0, robot=0, kind=kind, detail=detail))
 
