@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import functools
 import importlib
+import itertools
 import re
 import shlex
 import sys
@@ -248,3 +249,13 @@ def test_events_that_every_phase_takes_are_drawn_once() -> None:
     assert from_code.everywhere(edges) == ["Hear"]
     edges += [("a", "Stop", ["end"]), ("b", "Stop", ["end"])]
     assert from_code.final(edges, "Stop") == "end" and not from_code.final(edges, "Go")
+
+
+def test_each_promise_of_security_names_tests_that_exist() -> None:
+    text = (ROOT / "docs" / "reference" / "security.md").read_text(encoding="utf-8")
+    rows = [line for line in text.partition("| Promise |")[2].splitlines()[2:] if line.startswith("| ")]
+    promises = list(itertools.takewhile(lambda line: not line.startswith("| Input"), rows))
+    named = [re.findall(r"`([a-z/-]*tests/\w+/[\w/]+\.py)`", line) for line in promises]
+    assert len(promises) > 15 and all(named)
+    assert [path for paths in named for path in paths if not (ROOT / path).is_file()] == []
+    assert len(text.split()) <= 1_500

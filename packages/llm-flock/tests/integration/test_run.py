@@ -349,3 +349,10 @@ def test_team_flies_the_last_of_several_orders_in_a_round() -> None:
     figures = llm_flock.run(line, seed=2, changes=orders)
     assert figures.formed and [m.shape for m in figures.summary.missions] == ["line", "line", "square"]
     assert figures.summary.missions[-1].formed is not None and figures.summary.missions[1].formed is None
+
+
+def test_a_body_flies_no_farther_than_its_limit() -> None:
+    run = llm_flock.run(shape="triangle", n_robots=3, protocol="baseline", model="simulated:overlong", rounds=6, seed=1)
+    flown = np.linalg.norm(np.diff(run.positions, axis=0), axis=2)
+    assert flown.max() <= run.mission.max_step * (1 + 1e-9)
+    assert run.summary.steps_over_limit > 0

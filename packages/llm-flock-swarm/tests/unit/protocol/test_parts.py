@@ -76,17 +76,12 @@ def test_robot_without_team_proposes_once_and_never_seeks() -> None:
     assert not nobody.beats and not nobody.lost
 
 
-def test_a_far_place_is_approached_along_the_formation() -> None:
+def test_without_membership_a_far_place_is_flown_to_straight() -> None:
     line = Mission(shape="line", n_robots=9)
     plan = Plan.of(line.ideal or ())
     now, before = Situation(line), Claim(slot=8)
     now.plan, now.claim, now.position = plan, before, plan.points[0]
-    target, claim, notes = Membership().route(now)
-    assert target is not None and target not in plan.points and claim is before and not notes
-    now.mission = line.change(velocity=(1.0, 0.0))
-    assert Membership().route(now)[0] == target
-    now.claim = Claim(slot=0)
-    assert Membership().route(now)[0] is None
+    assert Membership().route(now) == (None, before, [])
 
 
 def test_an_unverified_answer_is_used_as_it_is() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, require
 from llm_flock.printable import one_line
-from llm_flock.record import RunRecord, formed_in, protocol_text, work_text
+from llm_flock.record import RunRecord, caveats, formed_in, protocol_text, work_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,6 +104,7 @@ def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
         ("distinct goals", str(last.distinct_goals)),
         ("mean error [units]", _number(last.procrustes_mean, "{:.3f}")),
         ("smallest separation [units]", _number(result.get("min_separation"), "{:.3f}")),
+        ("beware", "; ".join(caveats(result, record.mission.mission))),
         ("work", work_text(result)),
         ("model calls", f"{last.model_calls:,}"),
         ("tokens", f"{last.tokens:,}"),

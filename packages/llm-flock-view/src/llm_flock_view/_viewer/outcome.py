@@ -15,6 +15,7 @@ from llm_flock.record import (
     Diagnosis,
     RunHistory,
     begun,
+    caveats,
     counted,
     deaths_text,
     diagnose,
@@ -137,7 +138,8 @@ def _gaps(run: RunHistory) -> str:
 def _work(run: RunHistory) -> str:
     """The robots that died, and the share of models and geometry in the work."""
     work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
-    return " · ".join(part for part in (deaths_text(run), work) if part)
+    beware = caveats(run.result or {}, run.missions[0].mission) if run.missions else []
+    return " · ".join(part for part in (deaths_text(run), *beware, work) if part)
 
 
 def stop_text(run: RunHistory) -> str:

@@ -18,7 +18,7 @@ from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import one_line, printable
-from llm_flock.record._words import formed_in, rules_text, verdict, work_text
+from llm_flock.record._words import begun, caveats, formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord
@@ -86,7 +86,7 @@ def summary_table(result: RunResult) -> Table:
         ("plans in use", str(summary.plans_in_use)),
         ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
-        ("smallest separation", _separation_text(summary.min_separation, safe)),
+        ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe:g})"),
         ("work", escape(work_text(summary.to_dict())) or "none"),
         ("model calls", f"{summary.model_calls} ({summary.calls_rejected} rejected, {summary.calls_failed} failed)"),
         ("tokens", f"{summary.tokens_input:,} in, {summary.tokens_output:,} out"),
@@ -98,13 +98,12 @@ def summary_table(result: RunResult) -> Table:
         + (f" (given in round {m.round})" if m.round else "")
         for m in summary.missions
     ]
-    off_center = summary.center_distance is not None and summary.center_distance > safe / 10
+    beware = caveats(summary.to_dict(), result.mission.model_dump())
     special = [
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
-        ("steps over the limit", f"[bold red]{summary.steps_over_limit}[/]" if summary.steps_over_limit else ""),
-        ("off the centre", f"[bold red]by {summary.center_distance:.3f}[/]" if off_center else ""),
+        ("beware", "[bold red]" + "; ".join(beware) + "[/]" if beware else ""),
         ("empty places", str(summary.gaps or "")),
         ("spare robots", str(summary.spares or "")),
         ("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())),
@@ -114,14 +113,6 @@ def summary_table(result: RunResult) -> Table:
     for name, value in rows + [row for row in special if row[1]]:
         table.add_row(name, value)
     return table
-
-
-def _separation_text(smallest: float | None, safe_distance: float) -> str:
-    from llm_flock.metrics import ROUNDING  # late: takes longer to import than many commands take
-
-    if smallest is not None and smallest < safe_distance - ROUNDING:
-        return f"[bold red]{smallest:.3f}, below the safe distance {safe_distance:g}[/]"
-    return _number(smallest, "{:.3f}") + f" (safe distance {safe_distance:g})"
 
 
 def _formed_text(summary: Summary) -> str:
@@ -163,6 +154,8 @@ def show_overview(record: RunRecord) -> None:
         console.print(Text(one_line(sentence)))
     if record.result is not None and (work := work_text(record.result)):
         console.print(Text(one_line(work)))
+    for caveat in caveats(record.result or {}, mission):
+        console.print(Text(begun(caveat), style="bold red"))
     if why := record.diagnosis().why:
         console.print(Text(one_line(why)))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")

@@ -47,6 +47,7 @@ from ._words import MAX_PLACES as MAX_PLACES
 from ._words import NO_PLAN as NO_PLAN
 from ._words import PALETTE as PALETTE
 from ._words import begun as begun
+from ._words import caveats as caveats
 from ._words import counted as counted
 from ._words import formed_in as formed_in
 from ._words import letters as letters

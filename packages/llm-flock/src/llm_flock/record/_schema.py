@@ -125,6 +125,9 @@ class _ResultFields(BaseModel):
     plan_by: str | None = None
     waypoint_shares: dict[str, Finite] | None = None
     breakers_opened: list[Robot] | None = None
+    min_separation: Finite | None = None
+    steps_over_limit: Whole | None = None
+    center_distance: Finite | None = None
 
 
 def _with(known: type[BaseModel]) -> AfterValidator:

@@ -29,6 +29,8 @@ def protocol_text(config: Mapping[str, Any]) -> str:
     *usual, shield = PRESET_RULES[name]
     words = zip(("consensus", "assignment"), given, usual, strict=True)
     other = [f"{'no' if rule == 'none' else rule} {word}" for word, rule, own in words if rule and rule != own]
+    if fields.get("ties") == "lowest-id":
+        other.append("ties to the lowest id")
     if isinstance(fields.get("shield"), bool) and fields["shield"] != shield:
         other.append("no shield" if shield else "a shield")
     return f"{name} with {', '.join(other)}" if other else name
@@ -75,6 +77,19 @@ def work_text(result: Mapping[str, Any]) -> str:
     if opened:
         parts.append("circuit breakers opened for " + robots_text(opened))
     return " · ".join(parts)
+
+
+def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
+    """What the error of a run does not tell: bodies too near, steps that were cut short, a team beside its centre."""
+    separation, over, off = (result.get(key) for key in ("min_separation", "steps_over_limit", "center_distance"))
+    safe, found = mission["safe_distance"], list[str]()
+    if separation is not None and round(separation, 5) < safe:
+        found.append(f"robots came as near as {separation:.3f}, below the safe distance {safe:g}")
+    if over:
+        found.append(f"{counted(over, 'step')} over the limit ended there")
+    if off is not None and off > mission["spacing"] / 10:
+        found.append(f"the team is {off:.2f} beside the centre of its mission")
+    return found
 
 
 def robots_text(robots: Sequence[int]) -> str:
