@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from llm_flock.errors import BudgetExceeded, ModelError
+from llm_flock.errors import BudgetExceeded, ModelError, ReplayDrift
 from llm_flock.llm._limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy, Spent
 from llm_flock.llm._port import Call, ChatMessage, Reply, Usage
 
@@ -23,7 +23,7 @@ class Scripted:
 
     name = "m:x"
 
-    def __init__(self, *script: Reply | ModelError, delay_s: float = 0.0) -> None:
+    def __init__(self, *script: Reply | Exception, delay_s: float = 0.0) -> None:
         self.script = list(script)
         self.delay_s = delay_s
         self.asked = 0
@@ -39,7 +39,7 @@ class Scripted:
         finally:
             self.inside -= 1
         outcome = self.script.pop(0) if self.script else ANSWER
-        if isinstance(outcome, ModelError):
+        if isinstance(outcome, Exception):
             raise outcome
         return outcome
 
@@ -145,6 +145,16 @@ def test_garbage_responses_are_retried_only_for_some_seconds() -> None:
     mixed = ["garbage"] * 3 + ["server"] + ["garbage"] * 3
     (reply,) = outcomes(Scripted(*faults(*mixed)), limits())
     assert isinstance(reply, Reply) and reply.faults == tuple(mixed), "what comes between shows that it changes"
+
+
+def test_an_answer_that_a_client_cannot_take_is_a_fault() -> None:
+    model = Scripted(ValueError("Exceeds the limit of sk-secret"), ANSWER)
+    (reply,) = outcomes(model, limits())
+    assert isinstance(reply, Reply) and reply.faults == ("garbage",)
+    (error,) = outcomes(Scripted(*[ValueError("sk-secret")] * 8), limits())
+    assert isinstance(error, ModelError) and error.detail == "the answer ended in a ValueError"
+    (error,) = outcomes(Scripted(ReplayDrift("other words")), limits())
+    assert isinstance(error, ReplayDrift)
 
 
 def test_a_refusal_is_final() -> None:

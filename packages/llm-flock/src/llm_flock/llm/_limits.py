@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -10,11 +11,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from llm_flock.errors import BudgetExceeded, ModelError
+from llm_flock.errors import BudgetExceeded, FlockError, ModelError
 from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 
 if TYPE_CHECKING:
     from llm_flock.llm._models import ModelPool
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,6 +195,11 @@ class Limited:
                     outcome = error
                 except TimeoutError:
                     outcome = ModelError("timeout", f"no answer within {limits.timeout_s:g} s")
+                except FlockError:
+                    raise
+                except Exception as error:  # an answer that a client cannot take; its text may hold a key
+                    logger.debug("%s failed", self.name, exc_info=True)
+                    outcome = ModelError("garbage", f"the answer ended in a {type(error).__name__}")
                 finally:
                     if lane.gate is not None and ticket is not None:
                         used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
