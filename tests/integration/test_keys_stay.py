@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ def listening(location: str = "") -> Iterator[tuple[str, list[dict[str, str]]]]:
             self.rfile.read(int(self.headers["Content-Length"]))
             self.send_response(307 if location else 400)
             self.send_header("Location", f"{location}{self.path}")
+            self.send_header("Set-Cookie", "follows=me; Path=/")
             self.send_header("Content-Length", "0")
             self.end_headers()
 
@@ -56,3 +58,20 @@ def test_a_key_follows_no_redirect_and_no_proxy(provider: str, monkeypatch: pyte
         with pytest.raises(ModelError):
             asyncio.run(ask(redirecting))
     assert "sk-secret" in str(asked) and not got
+
+
+@pytest.mark.parametrize("provider", ["openai", "anthropic", "openai-compatible"])
+def test_no_cookie_and_no_variable_goes_to_a_server(provider: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def ask_twice(url: str) -> None:
+        async with ModelPool(environ={}) as pool:
+            for _ in range(2):
+                with pytest.raises(ModelError, match="refused"):
+                    await pool.model(f"{provider}:a", rng=np.random.default_rng(0), base_urls={provider: url}).ask(CALL)
+
+    for name in ("CUSTOM_HEADERS", "AUTH_TOKEN", "API_KEY", "ORG_ID", "PROJECT_ID", "ADMIN_KEY"):
+        for sdk in ("OPENAI", "ANTHROPIC"):
+            monkeypatch.setenv(f"{sdk}_{name}", "Authorization: sk-secret" if name == "CUSTOM_HEADERS" else "sk-secret")
+    with listening() as (url, got):
+        asyncio.run(ask_twice(url))
+    assert len(got) == 2 and "sk-secret" not in str(got) and "cookie" not in got[1]
+    assert os.environ["OPENAI_CUSTOM_HEADERS"] and os.environ["ANTHROPIC_ORG_ID"]

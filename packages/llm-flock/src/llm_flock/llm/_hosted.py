@@ -5,13 +5,16 @@ This module imports the SDKs, which takes most of a second: import it only where
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
+import os
+from collections.abc import AsyncIterator, Iterator
+from contextlib import contextmanager
+from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import Any
 
 import httpx2
 from pydantic_ai.models import Model
 
-from llm_flock.llm._providers import LOOPBACK
+from llm_flock.llm._providers import LOOPBACK, PROVIDERS
 
 MAX_ANSWER_BYTES = 2 << 20
 """Largest body of a response [bytes]: more than twice the longest answers of today's models. JSON can take sixty times
@@ -50,15 +53,28 @@ async def _limit_size(response: httpx2.Response) -> None:
 def new_http_client() -> httpx2.AsyncClient:
     """One client for all models, with connections for any number of calls at once.
 
-    Compressed responses, which can unpack to gigabytes, are refused; keys follow no redirect, no proxy to this host.
+    Compressed responses, which can unpack to gigabytes, are refused; keys follow no redirect, no proxy to this host. No
+    cookie is kept: another server would get it.
     """
     return httpx2.AsyncClient(
         follow_redirects=False,
         mounts={f"all://{f'[{host}]' if ':' in host else host}": None for host in LOOPBACK},
         limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
         headers={"Accept-Encoding": "identity"},
+        cookies=CookieJar(DefaultCookiePolicy(allowed_domains=[])),
         event_hooks={"response": [_limit_size]},
     )
+
+
+@contextmanager
+def _unseen(*kept: str) -> Iterator[None]:
+    """Hide the SDKs' variables, all but those `kept`: they would send some, as headers, to any address."""
+    mine = [name for name in os.environ if name.startswith(("OPENAI_", "ANTHROPIC_")) and name not in kept]
+    hidden = {name: os.environ.pop(name) for name in mine}
+    try:
+        yield
+    finally:
+        os.environ.update(hidden)
 
 
 def build_model(
@@ -80,8 +96,11 @@ def build_model(
 
         # The system message is the same for all questions of a team, so Anthropic can read it from its cache.
         settings = AnthropicModelSettings(anthropic_cache_instructions=True)
-        client = AsyncAnthropic(**options)
+        with _unseen():
+            client = AsyncAnthropic(**options)
         return AnthropicModel(model, provider=AnthropicProvider(anthropic_client=client), settings=settings)
     from llm_flock.llm._hosted_openai import build_openai_model
 
-    return build_openai_model(provider, model, options)
+    own = ("OPENAI_ORG_ID", "OPENAI_PROJECT_ID") if base_url == PROVIDERS["openai"].base_url else ()
+    with _unseen(*own):
+        return build_openai_model(provider, model, options)
