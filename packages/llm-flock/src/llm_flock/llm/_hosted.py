@@ -6,7 +6,7 @@ This module imports the SDKs, which takes most of a second: import it only where
 from __future__ import annotations
 
 import os
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Generator
 from contextlib import contextmanager
 from http.cookiejar import CookieJar, DefaultCookiePolicy
 from typing import Any
@@ -67,7 +67,7 @@ def new_http_client() -> httpx2.AsyncClient:
 
 
 @contextmanager
-def _unseen(*kept: str) -> Iterator[None]:
+def _unseen(*kept: str) -> Generator[None]:
     """Hide the SDKs' variables, all but those `kept`: they would send some, as headers, to any address."""
     mine = [name for name in os.environ if name.startswith(("OPENAI_", "ANTHROPIC_")) and name not in kept]
     hidden = {name: os.environ.pop(name) for name in mine}
