@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import uvicorn
 from starlette.applications import Starlette
 
+from llm_flock_view._viewer.connections import PatientConnection
 from llm_flock_view._viewer.guard import RequestGuard
 from llm_flock_view._viewer.launcher import Launcher
 from llm_flock_view._viewer.library import Library, load
@@ -67,7 +68,9 @@ def run_viewer(
     app = Starlette(routes=Routes(library, launcher, PageOrders(library, launcher, source)).routes())
     guarded = RequestGuard(app, address.token)
     # Pages open no WebSocket.
-    settings = uvicorn.Config(guarded, ws="none", log_level="error", access_log=False, timeout_graceful_shutdown=1)
+    settings = uvicorn.Config(
+        guarded, http=PatientConnection, ws="none", log_level="error", access_log=False, timeout_graceful_shutdown=1
+    )
     server = uvicorn.Server(settings)
     if source is not None:
         threading.Thread(target=source.watch, daemon=True).start()
