@@ -64,6 +64,7 @@ def test_each_field_has_a_flag_or_is_refused(name: str) -> None:
         "run": {"points"},
         "swarm": {
             *("points", "kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds"),
+            *("relay", "collision_check"),
             *("ros_poses", "ros_pose_topic"),
         },
         "fly": {

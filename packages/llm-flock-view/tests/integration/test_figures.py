@@ -61,7 +61,7 @@ def test_title_says_what_was_flown_and_that_it_was_simulated(record: RunRecord) 
     real = replace(record, run=record.run.model_copy(update={"simulated": False}))
     assert "simulated language models" not in words(figures.snapshots(real))
     assert "simulated language models" in model_names([real, record])
-    rules = {"protocol": {"protocol": "paper", "consensus": "influence", "assignment": "nearest", "shield": False}}
+    rules = {"protocol": {"protocol": "paper", "consensus": "influence", "assignment": "nearest-free", "shield": False}}
     ruled = replace(record, run=record.run.model_copy(update={"config": rules}))
     assert heading(ruled, 10).startswith("circle · 5 robots · protocol: paper · simulated:ideal")
     assert max(len(line) for line in heading(ruled, 3).splitlines()) <= 45

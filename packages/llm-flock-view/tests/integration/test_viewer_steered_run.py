@@ -125,7 +125,7 @@ def test_two_protocols_start_from_the_same_places(tmp_path: Path) -> None:
     until(lambda: all(flight.over and not flight.recording.open for flight in pair))
     one, other = (record_of(flight) for flight in pair)
     assert (one.positions[0] == other.positions[0]).all()
-    assert one.run.config["protocol"]["assignment"] == "nearest"
+    assert one.run.config["protocol"]["assignment"] == "nearest-free"
 
 
 def test_nothing_takes_off_that_the_command_line_refuses(tmp_path: Path) -> None:

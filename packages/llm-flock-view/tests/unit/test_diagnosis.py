@@ -78,7 +78,7 @@ def test_two_bad_models_are_both_named(tmp_path: Path) -> None:
 
 
 def test_good_models_leave_blame_on_rules_and_something_to_see(tmp_path: Path) -> None:
-    run = paper(tmp_path, "simulated:ideal", n_robots=10, model="simulated:ideal")
+    run = paper(tmp_path, "simulated:ideal", n_robots=10, model="simulated:ideal", protocol="paper-literal")
     found = outcome(run, over=True)
     assert found["why"].startswith("No robot is to blame: this protocol's rules (influence, nearest) did not bring ")
     assert found["robots"] == [] and found["interesting"]["why"] != "nothing stands out"

@@ -112,6 +112,8 @@ class Mission(BaseModel):
             raise InputError("center", list(self.center), f"a point inside the arena {list(low)} .. {list(high)}")
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
+        if (letter := hidden(self.shape)) is not None:
+            raise InputError("shape", self.shape, f"visible letters only, not {letter!a}")
         self._check_velocity()
         self._check_room()
         self.check_shape()
@@ -154,8 +156,6 @@ class Mission(BaseModel):
             InputError: the shape does not exist for this number of places, violates the safe distance, or does not
                 fit into the arena.
         """
-        if (letter := hidden(self.shape)) is not None:
-            raise InputError("shape", self.shape, f"visible letters only, not {letter!a}")
         if (self.points is not None) != (formations.shape_name(self.shape) == "points"):
             says = "given, although the shape is another; they belong to shape 'points'"
             if not self.points:

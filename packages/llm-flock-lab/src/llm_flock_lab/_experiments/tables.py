@@ -174,8 +174,9 @@ def export_csv(folder: Path, out: Path) -> list[Path]:
     for name, frame in frames.items():
         head = io.StringIO()
         csv.writer(head, lineterminator="\n").writerow(map(csv_cell, frame.columns))
-        texts = pl.col(pl.String).map_elements(csv_cell, pl.String)
-        body = frame.with_columns(texts).write_csv(include_header=False)
+        texts = frame.select(pl.col(pl.String))
+        plain = [pl.Series(one.name, [None if x is None else csv_cell(x) for x in one], pl.String) for one in texts]
+        body = frame.with_columns(plain).write_csv(include_header=False)
         write_whole(out / name, (head.getvalue() + body).encode())
     return [out / name for name in frames]
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from llm_flock import metrics
+from llm_flock.arrays import Vector
 from llm_flock.events import Origin
 from llm_flock.record._schema import SummaryMessage
 from llm_flock.runtime._journal import finite
@@ -118,12 +119,14 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
 
 
 def _center_distance(trial: Trial) -> float | None:
-    agents = trial.roster.agents
-    placed = [robot for robot in trial.roster.awake if agents[robot].claim.slot is not None]
-    if not placed:
-        return None
-    center = trial.journal.episode.mission.at(trial.round).center
-    return float(np.linalg.norm(trial.journal.positions[-1][placed].mean(axis=0) - center))
+    """The mean of the robots' offsets from their places, which other plans and dead robots do not shift."""
+    offsets: list[Vector] = []
+    for robot in trial.roster.awake:
+        agent = trial.roster.agents[robot]
+        if agent.plan is not None and agent.goal is not None:
+            plan_offset = agent.plan.array.mean(axis=0) - agent.mission.center
+            offsets.append(trial.journal.positions[-1][robot] - agent.goal + plan_offset)
+    return float(np.linalg.norm(np.mean(offsets, axis=0))) if offsets else None
 
 
 def _turns(by_round: Mapping[int, tuple[int, ...]], rounds: int) -> tuple[str, ...]:

@@ -124,8 +124,8 @@ class Summary:
     waypoints: dict[str, int]  #: Waypoints flown, by origin: model, clipped, shield, yield, geometry, hold.
     waypoint_shares: dict[str, float]  #: The same as shares of all.
     steps_over_limit: int  #: Steps that were longer than max_step, which bodies flew up to there.
-    #: Distance of the mean position of robots with a place from the mission's centre [units], which the error does not
-    #: see; None without such robots.
+    #: Distance of the team from the mission's centre [units], to which the error is blind: the mean of its robots'
+    #: offsets from their places, and of these places' plans from the centre. None without places.
     center_distance: float | None
     plan_robot: int | None  #: Robot that proposed the plan in force at the end; None without one plan.
     plan_by: str | None  #: Who made that plan: a model, by its name, or `geometry`.
