@@ -10,6 +10,7 @@ import pytest
 from llm_flock import plugins
 from llm_flock.errors import InputError
 from llm_flock_swarm import SwarmConfig
+from llm_flock_swarm._network.mission_orders import changed_mission, mission_order
 
 
 @pytest.mark.parametrize(
@@ -33,7 +34,16 @@ def test_record_of_a_swarm_cannot_repeat_code_of_the_user() -> None:
     assert not config.simulated and config.unrepeatable
 
 
-@pytest.mark.parametrize("fields", [{"protocol": "released"}, {"relay": True}, {"noise": 0.1}, {"kill": "1@3"}])
+@pytest.mark.parametrize(
+    "fields", [{"protocol": "released"}, {"relay": True}, {"noise": 0.1}, {"kill": "1@3"}, {"velocity": [1, 1]}]
+)
 def test_what_needs_all_robots_in_one_process_is_refused(fields: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="cannot be used in a swarm of processes"):
         SwarmConfig.build({}, **fields)
+
+
+def test_no_order_makes_a_swarm_of_processes_move() -> None:
+    config = SwarmConfig.build({}, shape="square", n_robots=4)
+    with pytest.raises(InputError, match=r"velocity.*cannot be used in a swarm of processes"):
+        mission_order(config, {"velocity": [1.0, 1.0]}, 1)
+    assert changed_mission(config.mission, {"shape": "line"}).shape == "line"

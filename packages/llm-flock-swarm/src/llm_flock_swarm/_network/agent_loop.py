@@ -29,6 +29,7 @@ from llm_flock.transport import Radio
 from llm_flock_swarm._network.accusations import Accuser
 from llm_flock_swarm._network.body_control import STILL, BodyControl
 from llm_flock_swarm._network.config import SwarmConfig
+from llm_flock_swarm._network.mission_orders import changed_mission
 from llm_flock_swarm._network.process import PeriodClock, phase_s
 from llm_flock_swarm._network.receiving import INTERNAL_ERROR, count_refusals
 from llm_flock_swarm._network.wire import MissionOrder, RobotReport
@@ -107,7 +108,7 @@ class AgentLoop:
     def take_order(self, order: MissionOrder) -> None:
         """Take another mission from the operator; one that is not allowed is only recorded."""
         try:
-            mission = self.agent.mission.change(**order.fields)
+            mission = changed_mission(self.agent.mission, order.fields)
         except (InputError, TypeError) as error:
             self._note("rejected_message", {"reason": "mission", "detail": str(error)})
             return

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from llm_flock.errors import InputError
 from llm_flock.llm import parse_model, parse_models, says_simulated
+from llm_flock.mission import Mission
 from llm_flock.runtime import ConfigSection, Ros2Config, RunConfig, is_endpoint, seconds
 from llm_flock_swarm._signed.certificates import LIARS
 
@@ -76,6 +77,13 @@ class NetworkConfig(ConfigSection):
         return text
 
 
+def check_still(mission: Mission) -> None:
+    """InputError for a formation that moves."""
+    if mission.velocity is not None:
+        says = "cannot be used in a swarm of processes: rounds are not in step"
+        raise InputError("velocity", mission.velocity, says=says)
+
+
 class SwarmConfig(RunConfig):
     """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
@@ -92,9 +100,7 @@ class SwarmConfig(RunConfig):
         if protocol.relay or protocol.collision_check != "none":
             says = "cannot be used in a swarm of processes: it needs all robots in one"
             raise InputError("protocol", protocol.protocol, says=says)
-        if self.mission.velocity is not None:
-            says = "cannot be used in a swarm of processes: rounds are not in step"
-            raise InputError("velocity", self.mission.velocity, says=says)
+        check_still(self.mission)
         liars, n = self.network.liars, self.mission.n_robots
         if liars > LIARS and 3 * liars >= n:
             raise InputError("liars", liars, f"at most {max(LIARS, (n - 1) // 3)} of {n} robots: fewer than a third")

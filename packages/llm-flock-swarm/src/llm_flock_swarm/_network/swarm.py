@@ -99,6 +99,7 @@ class Swarm:
         self.observer: Observer
         self.ready: set[str] = set()
         self._forkserver = forkserver
+        self._unheard = False  # whether nothing tells of starts and ends any more
         self._news = asyncio.Condition()
 
     async def listen(self) -> None:
@@ -116,6 +117,7 @@ class Swarm:
                 else:
                     self.ready.add(event["ready"])
                 self._news.notify_all()
+        self._unheard = True
 
     async def wait_until(self, condition: Callable[[], bool], longest_s: float = START_S) -> None:
         """Wait until starts or ends of processes make a condition true; `TimeoutError` if that takes too long."""
@@ -168,8 +170,8 @@ class Swarm:
             watching()
             if reasons:
                 return reasons[0]
-            if "world" in self.ended:
-                raise SwarmError("the world has ended")
+            if "world" in self.ended or self._unheard:
+                raise SwarmError("the fork server has ended" if self._unheard else "the world has ended")
             robots = {name for name in self.pids if name.startswith("robot-")}
             if robots and robots <= self.ended.keys():
                 return "ended"

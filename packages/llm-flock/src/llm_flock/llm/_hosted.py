@@ -14,6 +14,7 @@ from typing import Any
 import httpx2
 from pydantic_ai.models import Model
 
+from llm_flock.errors import InputError
 from llm_flock.llm._providers import LOOPBACK, PROVIDERS
 
 MAX_ANSWER_BYTES = 2 << 20
@@ -81,6 +82,10 @@ def build_model(
     provider: str, model: str, *, base_url: str, key: str, http: httpx2.AsyncClient, timeout_s: float
 ) -> Model[Any]:
     """The pydantic-ai model for a provider, without the SDKs' retries: they would hide faults from the record."""
+    try:
+        httpx2.URL(base_url)
+    except httpx2.InvalidURL as error:
+        raise InputError("base_url", base_url, f"an address of HTTP ({error})") from None
     options: dict[str, Any] = {
         "api_key": key or "no-key",  # OpenAI's SDK rejects an empty key; servers that need no key ignore it
         "base_url": base_url,
