@@ -30,6 +30,7 @@ HABITS = {
     "canonical, first": "simulated:canonical,first",
 }
 ROUNDS = 60
+FORMED, LOWER = "formed (per cent)", "lower than without consensus (units)"
 
 READINGS: dict[str, dict[str, Any]] = {
     "paper": {"protocol": "paper"},
@@ -88,16 +89,31 @@ def rows(trials: int, jobs: int) -> list[dict[str, str | int]]:
                             "robots": team[1],
                             "reading": reading,
                             "trials": trials,
-                            "formed (per cent)": text(wilson(sum(one.formed for one in results), trials), 100),
+                            FORMED: text(wilson(sum(one.formed for one in results), trials), 100),
                             "mean error (units)": text(mean_interval([one.error for one in results]), digits=2),
-                            "lower than without consensus (units)": ""
-                            if reading == "baseline"
-                            else text(mean_interval(lower), digits=2),
+                            LOWER: "" if reading == "baseline" else text(mean_interval(lower), digits=2),
                             "smallest separation (units)": f"{min(one.min_separation for one in results):.3f}",
                         }
                     )
                     print(*table[-1].values(), sep=" | ", flush=True)
     return table
+
+
+def pivot(table: list[dict[str, str | int]], figure: str) -> list[dict[str, str | int]]:
+    """One row for each habit and reading, one column for each team."""
+    found: dict[tuple[str, str], dict[str, str | int]] = {}
+    for row in table:
+        key = str(row["plans and first places"]), str(row["reading"])
+        line = found.setdefault(key, {"plans and first places": key[0], "reading": key[1]})
+        line[f"{row['shape']} {row['robots']}"] = row[figure]
+    return list(found.values())
+
+
+def write(path: Path, table: list[dict[str, str | int]]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, table[0])
+        writer.writeheader()
+        writer.writerows(table)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -107,10 +123,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args(arguments)
     table = rows(given.trials, given.jobs)
-    with given.out.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, table[0])
-        writer.writeheader()
-        writer.writerows(table)
+    write(given.out, table)
+    write(given.out.with_stem(f"{given.out.stem}-formed"), pivot(table, FORMED))
+    write(given.out.with_stem(f"{given.out.stem}-error"), pivot(table, LOWER))
 
 
 if __name__ == "__main__":

@@ -21,14 +21,21 @@ from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import load_keys, open_link
 from llm_flock_swarm._network.process import PeriodClock, phase_s, until_stopped
 from llm_flock_swarm._network.receiving import count_refusals, receive
-from llm_flock_swarm._network.wire import Beacon, BeaconedMessage, Command, MissionOrder, WorldState, pack
+from llm_flock_swarm._network.wire import (
+    MAX_LATENCY_S,
+    Beacon,
+    BeaconedMessage,
+    Command,
+    MissionOrder,
+    WorldState,
+    pack,
+)
 from llm_flock_swarm._signed.parts import signed_parts
 from llm_flock_swarm._zenoh import ZenohLink
 
 logger = logging.getLogger(__name__)
 
 MAX_LATENCIES = 1024  # latencies in one report: a flood of beacons is not told beacon by beacon
-MAX_LATENCY_S = 60.0  # later beacons count as this late [s]
 BEACON_DUE = 0.9  # share of a beacon period after which a message's beacon no longer replaces the next one
 
 

@@ -21,6 +21,7 @@ Place: TypeAlias = tuple[Coordinate, ...]  # one position; its receiver checks t
 Stamp = Annotated[float, msgspec.Meta(ge=0.0, le=2.0**40)]  # a moment by the wall clock [s]
 
 Amount = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_DISTANCE)]
+MAX_LATENCY_S = 60.0  # later beacons count as this late [s]
 Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
 Round = Annotated[int, msgspec.Meta(ge=0, le=MAX_ROUND)]
 Word = Annotated[str, msgspec.Meta(max_length=MAX_WORD)]
@@ -29,7 +30,8 @@ Reason = Annotated[str, msgspec.Meta(max_length=MAX_REASON)]
 Slots = Annotated[tuple[Id, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MAX_WORDS)]
-Amounts = Annotated[tuple[Amount, ...], msgspec.Meta(max_length=MAX_EVENTS)]
+Latency = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_LATENCY_S)]
+Latencies = Annotated[tuple[Latency, ...], msgspec.Meta(max_length=MAX_EVENTS)]
 Events = Annotated[tuple[ProtocolEvent, ...], msgspec.Meta(max_length=MAX_EVENTS)]
 Calls = Annotated[tuple[LlmEntry, ...], msgspec.Meta(max_length=MAX_EVENTS)]
 Counts = Annotated[dict[Word, Count], msgspec.Meta(max_length=MAX_WORDS)]
@@ -107,7 +109,7 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     rejected: Counts  # messages refused so far, by reason
     breakers: Words  # kinds of questions that its model is not asked
     hopeless: Reason | None  # why its model's last plan was refused, while it has none and its model is not asked
-    latencies_s: Amounts  # one-way, of beacons heard since the last report
+    latencies_s: Latencies  # one-way, of beacons heard since the last report
     shape: dict[str, Any] | None  # the mission's fields, in the first report that names its digest
 
 
