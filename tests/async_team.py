@@ -44,7 +44,7 @@ class LoopLink:
     def publish(self, kind: str, number: int, payload: bytes) -> None:
         self._team.carry(kind, number, payload)
 
-    def watch_alive(self, handler: Callable[[int, bool], None]) -> None:
+    def watch_alive(self, n_robots: int, handler: Callable[[int, bool], None]) -> None:
         """Does nothing: the robots begin when `gather_s` is over."""
 
     def declare_alive(self, number: int) -> None:

@@ -78,7 +78,7 @@ async def three_members(
     honest, liar = others
     try:
         first.listen("say", None, lambda sender, payload: heard.append((sender, payload)))
-        first.watch_alive(lambda number, is_alive: alive.append((number, is_alive)))
+        first.watch_alive(5, lambda number, is_alive: alive.append((number, is_alive)))
         await asyncio.sleep(1.0)
         honest.declare_alive(1)
         liar.declare_alive(3)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from llm_flock.errors import InputError, MessageError
 from llm_flock.extras import require
+from llm_flock.members import members
 
 if TYPE_CHECKING:
     import zenoh
@@ -279,14 +280,16 @@ class ZenohLink:
     def declare_alive(self, number: int) -> None:
         self._kept.append(self._session.liveliness().declare_token(f"{self._root}/alive/{number}"))
 
-    def watch_alive(self, handler: Callable[[int, bool], None]) -> None:
-        """Have a handler called when a number comes (True) or goes (False), at once for those already there."""
+    def watch_alive(self, n_robots: int, handler: Callable[[int, bool], None]) -> None:
+        """Have a handler called when a member of the team comes (True) or goes (False), at once for those there."""
         import zenoh
 
+        known = {str(member): member for member in members(n_robots)}
+
         def take(sample: zenoh.Sample) -> None:
-            number = str(sample.key_expr).rpartition("/")[2]
-            if number.lstrip("-").isdecimal():
-                self._call(handler, int(number), sample.kind == zenoh.SampleKind.PUT)
+            member = known.get(str(sample.key_expr).rpartition("/")[2])
+            if member is not None:
+                self._call(handler, member, sample.kind == zenoh.SampleKind.PUT)
 
         key = f"{self._root}/alive/*"
         self._kept.append(self._session.liveliness().declare_subscriber(key, _straight(take), history=True))

@@ -42,7 +42,7 @@ class FakeLink:
     def publish(self, kind: str, number: int, payload: bytes) -> None:
         self.sent.append((kind, payload))
 
-    def watch_alive(self, handler: Callable[[int, bool], None]) -> None:
+    def watch_alive(self, n_robots: int, handler: Callable[[int, bool], None]) -> None:
         """Nobody comes."""
 
     def declare_alive(self, number: int) -> None:

@@ -320,6 +320,10 @@ def _custom(n: int, dim: int, custom: Sequence[Sequence[float]] | None) -> Point
     return np.array(custom, dtype=np.float64)
 
 
+MAX_POINTS_FILE = 4 << 20
+"""Letters of a file of points: far more than those of a team of any size."""
+
+
 def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
     """Read rows of coordinates from a file: JSON (a list of lists) if its name ends in `.json`, CSV otherwise.
 
@@ -330,7 +334,10 @@ def load_points(path: Path, field: str = "points") -> tuple[Point, ...]:
         InputError: the file cannot be read, or its rows are not all 2 or all 3 finite numbers.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        with path.open(encoding="utf-8-sig") as file:
+            text = file.read(MAX_POINTS_FILE + 1)
+        if len(text) > MAX_POINTS_FILE:
+            raise ValueError(f"of at most {MAX_POINTS_FILE >> 20} million letters")
     except (OSError, ValueError) as error:  # no UTF-8, or no name of a file
         raise InputError(field, str(path), f"a readable file ({getattr(error, 'strerror', None) or error})") from None
     rows = _json_rows(text, path, field) if path.suffix.lower() == ".json" else _csv_rows(text, path, field)

@@ -80,7 +80,7 @@ class RobotProcess:
         receive(link, "say", BeaconedMessage, lambda sender, packet: self._hear(sender, packet.beacon, packet.message))
         take_order = self.agent_loop.take_order
         receive(link, "mission", MissionOrder, lambda _, order: take_order(order), number=robot, sender=OPERATOR)
-        link.watch_alive(self._on_alive)
+        link.watch_alive(self._config.mission.n_robots, self._on_alive)
 
     def _broadcast(self, message: bytes) -> None:
         beacon = self._own_beacon()

@@ -55,7 +55,7 @@ def observing(
     with closing(open_link(config, WATCHER, FREE_PORT)) as link:
         receive(link, "frame", WorldState, lambda _, state: observer.world(state), sender=WORLD)
         receive(link, "report", RobotReport, observer.report)
-        link.watch_alive(observer.comes_or_goes)
+        link.watch_alive(config.mission.n_robots, observer.comes_or_goes)
         yield observer
 
 
@@ -111,7 +111,7 @@ async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: in
             answered.set()
 
     with closing(open_link(config, OPERATOR, FREE_PORT)) as link:
-        link.watch_alive(on_alive)
+        link.watch_alive(config.mission.n_robots, on_alive)
         signed = mission_verifier(config, OPERATOR)
 
         def witness(_robot: int, report: RobotReport) -> None:

@@ -97,7 +97,7 @@ async def _run_sensors(
 
         receive(link, "command", Command, obey)
         receive(link, "report", RobotReport, observer.report)
-        link.watch_alive(observer.comes_or_goes)
+        link.watch_alive(config.mission.n_robots, observer.comes_or_goes)
         link.declare_alive(WORLD)
 
         async def live() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 import httpx2
 from pydantic_ai.models import Model
 
-from llm_flock.errors import InputError
+from llm_flock.errors import FieldError, InputError
 from llm_flock.llm._providers import LOOPBACK, PROVIDERS
 
 MAX_ANSWER_BYTES = 2 << 20
@@ -57,14 +57,18 @@ def new_http_client() -> httpx2.AsyncClient:
     Compressed responses, which can unpack to gigabytes, are refused; keys follow no redirect, no proxy to this host. No
     cookie is kept: another server would get it.
     """
-    return httpx2.AsyncClient(
-        follow_redirects=False,
-        mounts={f"all://{f'[{host}]' if ':' in host else host}": None for host in LOOPBACK},
-        limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
-        headers={"Accept-Encoding": "identity"},
-        cookies=CookieJar(DefaultCookiePolicy(allowed_domains=[])),
-        event_hooks={"response": [_limit_size]},
-    )
+    try:
+        return httpx2.AsyncClient(
+            follow_redirects=False,
+            mounts={f"all://{f'[{host}]' if ':' in host else host}": None for host in LOOPBACK},
+            limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
+            headers={"Accept-Encoding": "identity"},
+            cookies=CookieJar(DefaultCookiePolicy(allowed_domains=[])),
+            event_hooks={"response": [_limit_size]},
+        )
+    except (ImportError, ValueError) as error:
+        says = f"the proxy that HTTP_PROXY, HTTPS_PROXY or ALL_PROXY names cannot be used: {error}"
+        raise FieldError("proxy", says=says) from None
 
 
 @contextmanager
