@@ -18,7 +18,6 @@ import numpy as np
 from llm_flock.algorithm1 import nearest_available
 from llm_flock.arrays import Point
 from llm_flock.message import Message
-from llm_flock.metrics import segment_separation
 from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol import AssignmentInput, Claim, InfluenceConsensus, NearestFreeAssignment, Standing
 from llm_flock.runtime import Trial
@@ -121,11 +120,14 @@ def _ends(start: np.ndarray, answers: Mapping[int, StepAnswer | NoAnswer]) -> np
 
 def _conflicts(start: np.ndarray, answers: Mapping[int, StepAnswer | NoAnswer], margin: float) -> list[tuple[int, int]]:
     """Pairs of robots that would come nearer than the margin on the way, or at the end."""
-    ends = _ends(start, answers)
+    one, two = np.triu_indices(len(start), 1)
+    move = _ends(start, answers) - start
+    offset, change = start[one] - start[two], move[one] - move[two]
     # The program looks from just after the start, so that a pair that starts too near may part.
-    begin = start + 1e-6 * (ends - start)
-    pairs = [(i, j) for i in range(len(start)) for j in range(i + 1, len(start))]
-    return [pair for pair in pairs if segment_separation(begin[[*pair]], ends[[*pair]]) < margin]
+    squared = np.maximum((change**2).sum(axis=1), 1e-12)
+    share = np.clip(-(offset * change).sum(axis=1) / squared, 1e-6, 1.0)
+    near = np.linalg.norm(offset + share[:, None] * change, axis=1) < margin
+    return [*zip(one[near].tolist(), two[near].tolist(), strict=True)]
 
 
 def _yielding(pair: tuple[int, int], asked: Mapping[int, StepQuestion]) -> int:

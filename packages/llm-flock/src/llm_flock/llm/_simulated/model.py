@@ -34,7 +34,6 @@ from llm_flock.llm._simulated.prompt_reader import (
     read_ways,
     sensible_decimals,
 )
-from llm_flock.metrics import segment_separation
 from llm_flock.mission import ORIENTATIONS
 from llm_flock.protocol._geometry import turned
 
@@ -270,18 +269,20 @@ def _around(prompt: StepPrompt) -> str:
     """The step that keeps away from the ways in an objection and ends nearest to the goal; none leaves the place."""
     here, margin, ways = prompt.position, *prompt.objected()
     reach = min(prompt.reach, max(math.dist(here, prompt.goal), margin))
-    ends = [here, *[prompt.goal for _ in range(math.dist(here, prompt.goal) <= prompt.reach)]]
-    for k in range(36):
-        for share in SHARES:
-            aside = (share * reach * math.cos(k * math.tau / 36), share * reach * math.sin(k * math.tau / 36))
-            ends.append(tuple(x + d for x, d in zip(here, (*aside, 0.0), strict=False)))
-    free = [end for end in ends if all(_closest(here, end, *way) >= margin for way in ways)]
-    return prompt.rounded(min(free or [here], key=lambda end: math.dist(end, prompt.goal)))
-
-
-def _closest(here: Point, there: Point, start: Point, end: Point) -> float:
-    """Smallest distance of two that leave and arrive together on straight ways, from just after the start [units]."""
-    return segment_separation((here, start), (there, end))
+    asides = reach * np.array(
+        [(s * math.cos(a), s * math.sin(a)) for a in np.arange(36) * math.tau / 36 for s in SHARES]
+    )
+    ends = np.array([here] * (1 + len(asides)))
+    ends[1:, :2] += asides
+    if math.dist(here, prompt.goal) <= prompt.reach:
+        ends = np.vstack([ends, prompt.goal])
+    free = np.ones(len(ends), dtype=bool)
+    for start, end in ways:  # all leave and arrive together
+        offset, change = np.subtract(here, start), ends - here - np.subtract(end, start)
+        share = np.clip(-(change @ offset) / np.maximum((change**2).sum(axis=1), 1e-12), 0.0, 1.0)
+        free &= np.linalg.norm(offset + share[:, None] * change, axis=1) >= margin
+    left = np.linalg.norm(ends - prompt.goal, axis=1)
+    return prompt.rounded(ends[int(np.argmin(np.where(free, left, np.inf)))].tolist() if free.any() else here)
 
 
 def _tokens(chars: int) -> int:
