@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -90,3 +91,37 @@ def test_damaged_spending_is_named(tmp_path: Path) -> None:
         (tmp_path / "spent" / "x.json").write_bytes(data)
         with pytest.raises(RecordError, match=r"x\.json"):
             SpendingLog(store)
+
+
+@pytest.mark.parametrize(
+    "left", ['{"calls":-999999,"tokens":0,"cost_usd":0.0}', '{"cost_usd":-1.0}', '{"tokens":1e300}']
+)
+def test_no_file_gives_a_sweep_its_budget_back(left: str, tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    (tmp_path / "spent" / "a.json").write_text(left)
+    with pytest.raises(RecordError, match="what a session has spent"):
+        SpendingLog(store)
+
+
+def test_a_lock_follows_no_link_and_waits_for_no_pipe(tmp_path: Path) -> None:
+    precious = tmp_path / "precious"
+    precious.write_text("mine")
+    store = Store(tmp_path / "results")
+    (tmp_path / "results" / "lock").symlink_to(precious)
+    with pytest.raises(InputError, match="a file of its own"), store.held():
+        pass
+    assert precious.read_text() == "mine"
+    (tmp_path / "results" / "lock").unlink()
+    os.mkfifo(tmp_path / "results" / "lock")
+    with store.held():
+        pass
+
+
+@pytest.mark.parametrize("name", ["trials", "records", "spent"])
+def test_a_linked_folder_of_results_is_refused(name: str, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / name).symlink_to(elsewhere)
+    with pytest.raises(InputError, match="not a link"):
+        Store(tmp_path / "results")

@@ -175,3 +175,11 @@ def test_a_swarm_signs_for_its_own_name_only(folder: Path) -> None:
     signature = keys_of("monday").sign(b"a place is free")
     assert keys_of("monday").check(0, b"a place is free", signature)
     assert not keys_of("tuesday").check(0, b"a place is free", signature)
+
+
+@pytest.mark.parametrize("kept", ["abc", str(2**62), "9" * 30])
+def test_a_session_that_no_envelope_holds_is_refused(kept: str, tmp_path: Path) -> None:
+    (tmp_path / "robot-2").mkdir()
+    (tmp_path / "robot-2" / "session").write_text(kept)
+    with pytest.raises(InputError, match="one whole number"):
+        next_session(tmp_path, 2, 1e9)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, cast
+
 MAX_ROBOTS = 2_000
 """Largest team. The figures of a run are exact and examine all pairs of robots: with 1,000 robots, the shape error of
 one round can take a minute, and the time grows with about the third power of the team size."""
@@ -24,6 +27,19 @@ DEEPEST = 32  #: Deepest nesting of free values; those of this program have a qu
 TIME_OUT = 10
 """Default of the rounds without a heartbeat, by any route, after which a robot counts as dead; some flights leave
 every other robot's range for a while."""
+
+
+def check_plain(value: Any, depth: int = DEEPEST) -> None:
+    """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
+    if isinstance(value, Mapping | list | tuple):
+        if depth == 0:
+            raise ValueError("values are nested too deeply")
+        for one in cast("list[Any]", value.values() if isinstance(value, Mapping) else value):
+            check_plain(one, depth - 1)
+    elif isinstance(value, int | float) and not abs(value) <= (2**63 if isinstance(value, int) else 1e300):
+        raise ValueError("a number that readers cannot hold")
+    elif not isinstance(value, str | int | float | None):
+        raise ValueError(f"a value of type {type(value).__name__}")
 
 
 def max_payload_bytes(n_robots: int) -> int:

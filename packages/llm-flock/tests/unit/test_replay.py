@@ -170,6 +170,11 @@ def test_other_damage_names_the_line(tmp_path: Path) -> None:
         ([header, one[:50], two], "line 2: damaged"),
         ([header, one, two.replace('"round":1', '"round":"one"')], "line 3: damaged: round"),
         ([header, one, two.replace('"robot"', '"robots"')], "line 3: damaged: robot"),
+        (
+            [header, one, re.sub(r'"settings":{.*?}', f'"settings":{{"a":{"[" * 80 + "]" * 80}}}', two)],
+            "line 3: damaged: settings",
+        ),
+        ([header, one, re.sub(r'"settings":{.*?}', f'"settings":{{"a":{10**400}}}', two)], "line 3: damaged: "),
         ([header, one, re.sub(r'"input":\d+', f'"input":{2**60}', two)], "line 3: damaged: usage"),
         ([header, one, re.sub(r'"latency_s":[^,]*', '"latency_s":1.7e308', two)], "line 3: damaged: latency_s"),
         ([header, one, re.sub(r'"cost_usd":[^,]*', '"cost_usd":1e999', two)], "line 3: damaged: cost_usd"),

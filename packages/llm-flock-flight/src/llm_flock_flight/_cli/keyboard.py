@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Self, TextIO, cast
 
 if TYPE_CHECKING:
     from llm_flock_flight._flight.flight import Flight
@@ -16,6 +16,12 @@ if TYPE_CHECKING:
 LAND_KEYS = frozenset("lL ")  # keys that land all drones: l, or the space bar
 RETURN_KEYS = frozenset("rR")  # keys that let all drones return to their starts
 CUT_KEYS = frozenset("xX")  # keys that cut all motors
+
+
+def _standard_input() -> int | None:
+    """Its number; None for a program that was started without it."""
+    given = cast("TextIO | None", sys.stdin)
+    return None if given is None else given.fileno()
 
 
 async def ask(question: str) -> str:
@@ -31,7 +37,9 @@ async def ask(question: str) -> str:
             answer.set_result(text)
 
     def wait() -> None:
-        text = os.read(sys.stdin.fileno(), 4096).decode(errors="ignore")
+        number, text = _standard_input(), ""
+        with contextlib.suppress(OSError):  # nobody is there to answer
+            text = "" if number is None else os.read(number, 4096).decode(errors="ignore")
         with contextlib.suppress(RuntimeError):  # the loop is closed, the answer is not needed
             loop.call_soon_threadsafe(settle, text)
 
@@ -69,12 +77,13 @@ class Keyboard(contextlib.ExitStack):
 
     def listen(self) -> None:
         """Treat keys as commands from now on; does nothing without a terminal."""
-        if not sys.stdin.isatty():
+        number = _standard_input()
+        if number is None or not os.isatty(number):
             return
         import termios
         import tty
 
-        number, loop = sys.stdin.fileno(), asyncio.get_running_loop()
+        loop = asyncio.get_running_loop()
         before = termios.tcgetattr(number)
 
         def restore() -> None:

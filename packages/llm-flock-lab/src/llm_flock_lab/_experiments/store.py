@@ -38,6 +38,8 @@ class Store:
         try:
             for name in (TRIALS, RECORDS, SPENT):
                 (folder / name).mkdir(parents=True, exist_ok=True)
+                if (folder / name).is_symlink():  # what comes from a stranger leads nowhere else
+                    raise InputError("out", str(folder / name), "a folder, not a link")
         except OSError as error:
             raise InputError("out", str(folder), f"a folder that can be written to ({error.strerror})") from None
 
@@ -63,7 +65,11 @@ class Store:
 
     @contextmanager
     def held(self) -> Generator[None]:
-        with (self.folder / LOCK).open("wb") as file:
+        try:  # no link, and no pipe that would wait for a reader
+            lock = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+        except OSError as error:
+            raise InputError("out", str(self.folder / LOCK), f"a file of its own ({error.strerror})") from None
+        with os.fdopen(lock, "wb") as file:
             if not lock_file(file.fileno()):
                 raise InputError("out", str(self.folder), "a directory on which no other sweep works now")
             yield

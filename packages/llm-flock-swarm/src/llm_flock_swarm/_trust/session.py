@@ -15,6 +15,8 @@ def next_session(folder: Path, member: int, clock_s: float) -> int:
     try:
         last = int(path.read_text(encoding="ascii")) if path.exists() else 0
         session = max(last + 1, int(clock_s))
+        if session >= 2**62:  # more than envelopes hold
+            raise ValueError(session)
         replacement = path.with_suffix(".new")
         with replacement.open("w", encoding="ascii") as file:
             file.write(str(session))

@@ -7,10 +7,12 @@ import logging
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Annotated, Protocol
 
+import msgspec
 import numpy as np
 
+from llm_flock.bounds import MAX_INTEGER
 from llm_flock.errors import BudgetExceeded, FlockError, ModelError
 from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 
@@ -54,9 +56,9 @@ class RetryPolicy:
 class Spent:
     """Calls, tokens in and out, and money where prices are known [US dollars]."""
 
-    calls: int = 0
-    tokens: int = 0
-    cost_usd: float = 0.0
+    calls: Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)] = 0
+    tokens: Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)] = 0
+    cost_usd: Annotated[float, msgspec.Meta(ge=0.0, le=1e12)] = 0.0
 
     def __add__(self, other: Spent) -> Spent:
         return Spent(

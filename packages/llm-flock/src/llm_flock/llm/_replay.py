@@ -13,10 +13,11 @@ from contextlib import ExitStack
 from dataclasses import asdict, fields, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
+from llm_flock.bounds import check_plain
 from llm_flock.errors import BudgetExceeded, InputError, ModelError, RecordError, ReplayDrift
 from llm_flock.llm._port import Amount, Attempt, Call, ChatMessage, Kind, Reply, Usage
 from llm_flock.planner import PlanQuestion
@@ -27,6 +28,15 @@ VERSION = 1
 HEADER = "llm_flock_cassette"
 MAX_LINE_LENGTH = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    check_plain(values)
+    return values
+
+
+Plain = Annotated[dict[str, Any], AfterValidator(_plain)]
+"""Values that a record can hold."""
 
 
 class CassetteLine(BaseModel):
@@ -45,9 +55,9 @@ class CassetteLine(BaseModel):
     messages: tuple[ChatMessage, ...]
     answer_schema: dict[str, Any] | None
     model: str
-    settings: dict[str, Any]
+    settings: Plain
     text: str | None
-    parsed: dict[str, Any] | None
+    parsed: Plain | None
     rejected: str | None
     error: tuple[str, str] | None
     usage: Usage
@@ -100,8 +110,11 @@ class CassetteWriter(_Cassette):
     def _write(self, line: dict[str, Any]) -> None:
         # ASCII escapes keep any answer, lone surrogates included, on one line that reads back exactly.
         text = json.dumps(line, separators=(",", ":"), allow_nan=False, default=asdict)
-        self._file.write(text + "\n")
-        self._file.flush()
+        try:
+            self._file.write(text + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise RecordError(f"{self._file.name}: cannot be written ({error.strerror})") from None
 
 
 class ReplayModel(_Cassette):

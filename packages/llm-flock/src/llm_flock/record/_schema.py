@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Protocol, Self, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
@@ -32,21 +31,8 @@ Round = Annotated[int, Field(ge=0, le=bounds.MAX_ROUND)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
 
 
-def check_plain(value: Any, depth: int = bounds.DEEPEST) -> None:
-    """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
-    if isinstance(value, Mapping | list | tuple):
-        if depth == 0:
-            raise ValueError("values are nested too deeply")
-        for one in cast("list[Any]", value.values() if isinstance(value, Mapping) else value):
-            check_plain(one, depth - 1)
-    elif isinstance(value, int | float) and not abs(value) <= (2**63 if isinstance(value, int) else 1e300):
-        raise ValueError("a number that readers cannot hold")
-    elif not isinstance(value, str | int | float | None):
-        raise ValueError(f"a value of type {type(value).__name__}")
-
-
 def _free(values: dict[str, Any]) -> dict[str, Any]:
-    check_plain(values)
+    bounds.check_plain(values)
     return values
 
 
