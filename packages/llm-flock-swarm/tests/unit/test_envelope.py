@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from toy_keys import ToyKeys
 
 from llm_flock.errors import MessageError
+from llm_flock.members import OPERATOR
 from llm_flock_swarm._trust.envelope import OVERHEAD, WINDOW, Envelope
 
 
@@ -87,6 +88,14 @@ def test_a_new_start_is_heard_and_the_old_one_is_not_heard_again() -> None:
     assert reader.open(new.seal(b"b")) == (1, b"b")
     assert refused(reader, kept) == "old_session"
     assert refused(reader, old.seal(b"c")) == "old_session"
+
+
+def test_an_operator_is_heard_from_several_programs() -> None:
+    _, reader = pair()
+    bridge, command = (Envelope(ToyKeys(OPERATOR), session, max_payload=99) for session in (7, 8))
+    first = bridge.seal(b"a")
+    assert [reader.open(sealed)[1] for sealed in (first, command.seal(b"b"), bridge.seal(b"c"))] == [b"a", b"b", b"c"]
+    assert refused(reader, first) == "replayed"
 
 
 @given(st.integers(0, 2**32))

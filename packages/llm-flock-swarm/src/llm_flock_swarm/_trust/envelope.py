@@ -12,6 +12,7 @@ from typing import Annotated, Protocol
 import msgspec
 
 from llm_flock.errors import MessageError
+from llm_flock.members import OPERATOR
 from llm_flock_swarm._signed.certificates import Authenticator, Verifier
 
 ENVELOPE_VERSION = 2
@@ -78,7 +79,7 @@ class Envelope:
         self._session = session
         self._max_payload = max_payload
         self._sequence = 0
-        self._windows: dict[int, _ReplayWindow] = {}
+        self._windows: dict[tuple[int, int], _ReplayWindow] = {}
 
     def seal(self, payload: bytes, topic: str = "") -> bytes:
         """The payload in an envelope that each receiver of the topic can open once."""
@@ -95,13 +96,15 @@ class Envelope:
         if content.sender == self._keys.member:
             raise MessageError("own_id", "an envelope from outside in one's own name")
         # Cheap checks come before the signature, but nothing is remembered before it.
-        window = self._windows.get(content.sender) or _ReplayWindow()
+        # Several programs may speak for the operator at the same time, each in a session; orders have a time of their own.
+        key = content.sender, content.session if content.sender == OPERATOR else 0
+        window = self._windows.get(key) or _ReplayWindow()
         reason = window.rejection_reason(content)
         if reason is not None:
             raise MessageError(reason, f"number {content.sequence} of session {content.session}")
         _check_signature(content, sealed, topic, self._keys)
         window.take(content)
-        self._windows[content.sender] = window
+        self._windows[key] = window
         return content.sender, content.payload
 
 
