@@ -157,6 +157,13 @@ def test_an_answer_that_a_client_cannot_take_is_a_fault() -> None:
     assert isinstance(error, ReplayDrift)
 
 
+def test_a_probe_is_tried_once() -> None:
+    model = Scripted(*faults("timeout", "timeout"))
+    with pytest.raises(ModelError, match="timeout"):
+        asyncio.run(Limited(model, limits()).ask(replace(QUESTION, probe=True)))
+    assert model.asked == 1
+
+
 def test_a_refusal_is_final() -> None:
     shared = limits()
     model = Scripted(*faults("server", "refused"))

@@ -96,7 +96,7 @@ class Envelope:
         if content.sender == self._keys.member:
             raise MessageError("own_id", "an envelope from outside in one's own name")
         # Cheap checks come before the signature, but nothing is remembered before it.
-        # Several programs may speak for the operator at the same time, each in a session; orders have a time of their own.
+        # Several programs may speak for the operator at once, each in a session: orders have a time of their own.
         key = content.sender, content.session if content.sender == OPERATOR else 0
         window = self._windows.get(key) or _ReplayWindow()
         reason = window.rejection_reason(content)

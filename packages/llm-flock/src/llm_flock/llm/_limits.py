@@ -165,7 +165,8 @@ class Limited:
     async def ask(self, call: Call) -> Reply:
         """Answer one call, and retry faults. Without an answer: BudgetExceeded, or the last ModelError with all faults.
 
-        The latency runs from the first attempt to the answer, without the queue. The reply has the retried faults.
+        The latency runs from the first attempt to the answer, without the queue. The reply has the retried faults. A probe
+        is tried once: a model that never answers must not hold up the team.
         """
         limits, lane = self._limits, self._limits.lane
         limits.meter.check(new_call=True)
@@ -212,7 +213,7 @@ class Limited:
                     return outcome  # a single attempt, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            if outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):
+            if call.probe or outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))
