@@ -329,3 +329,12 @@ def test_brief_prompts_tell_three_nearest_robots_in_step_reach() -> None:
     assert "Keep 3 from [50, 54.5], [47, 46], [50, 42.25]." in told
     told = PromptSet.load("brief").step(step_question(position=here, neighbors=around[4:], mission=build_mission()))
     assert "Keep" not in told
+
+
+def test_a_template_is_no_link_out_of_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("TOPSECRET")
+    folder = tmp_path / "prompts"
+    folder.mkdir()
+    (folder / "system.j2").symlink_to(tmp_path / "secret")
+    with pytest.raises(InputError, match="no link out of it"):
+        PromptSet.load(folder)

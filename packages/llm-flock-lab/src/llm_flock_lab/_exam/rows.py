@@ -22,6 +22,7 @@ from llm_flock_lab._experiments.store import read_json
 
 # Six decimals, so that files do not differ by the last digit of a machine.
 Number = Annotated[float, Field(ge=0, le=1e12, allow_inf_nan=False), AfterValidator(lambda number: round(number, 6))]
+Count = Annotated[int, Field(ge=0, le=10**12)]
 Name = Annotated[str, Field(pattern=r"^[\w.+:!~ -]*$")]  # stands on the page as it is
 
 
@@ -38,7 +39,7 @@ class Figures(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    questions: int
+    questions: Count
     first: Share
     error: Number | None
 
@@ -53,19 +54,19 @@ class Row(BaseModel):
     simulated: bool
     date: Name
     command: str
-    version: int
+    version: Count
     split: Name  # with the seed of a private one
     questions: str  # their digest, like `prompts`
     prompts: str
-    count: int
-    repeats: int
+    count: Count
+    repeats: Count
     versions: Mapping[str, Name]  # of packages, and digests of a model's files
     total: Share  # mean of the sections' shares right at first ask; `total_two`: after two reasons
     total_two: Share
     sections: Mapping[str, Figures]
     bands: Any = Field(default=None, exclude=True)  # older rows have the sections by size, too
-    calls: int
-    tokens: int
+    calls: Count
+    tokens: Count
     seconds: Number  # for a question, median
     cost_usd: Number | None
     taught: Mapping[Name, Number] | None = None  # share of a section whose prompts the model was taught

@@ -165,8 +165,8 @@ class Limited:
     async def ask(self, call: Call) -> Reply:
         """Answer one call, and retry faults. Without an answer: BudgetExceeded, or the last ModelError with all faults.
 
-        The latency runs from the first attempt to the answer, without the queue. The reply has the retried faults. A probe
-        is tried once: a model that never answers must not hold up the team.
+        The latency runs from the first attempt to the answer, without the queue. The reply has the retried faults. A
+        probe is tried once: a model that never answers must not hold up the team.
         """
         limits, lane = self._limits, self._limits.lane
         limits.meter.check(new_call=True)

@@ -83,6 +83,10 @@ NOT_FLOWN = "Your last answer is not flown."
 """Begins what is added to the question for a step when it is asked again in the same round."""
 
 
+_FAILURES = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError, RecursionError, MemoryError)
+"""How an expression in a template may fail."""
+
+
 def _decimals(asked: PlanQuestion | StepQuestion) -> int:
     return position_decimals(asked.mission.max_step)
 
@@ -147,8 +151,7 @@ class PromptSet:
         template = self.templates[name][0]
         try:
             return template.render(variables, json=self.json, wish=self.wish or NO_WISH).strip()
-        except (jinja2.TemplateError, ArithmeticError, LookupError, TypeError, ValueError, AttributeError) as error:
-            # Expressions in the operator's template may fail in any of these ways.
+        except (jinja2.TemplateError, *_FAILURES) as error:
             allowed = f"a template that can be rendered: {error}"
             raise InputError("prompts", template.filename or name, allowed) from None
 
@@ -175,7 +178,12 @@ def _mission_values(mission: Mission) -> Mapping[str, Any]:
 
 def _templates(packaged: str, folder: Path | None = None) -> Mapping[str, tuple[jinja2.Template, frozenset[str]]]:
     """Every template, compiled and checked: the operator's if there is one, else the packaged one."""
-    folders: list[jinja2.BaseLoader] = [] if folder is None else [jinja2.FileSystemLoader(folder)]
+    folders: list[jinja2.BaseLoader] = []
+    if folder is not None:
+        for name in VARIABLES:  # a link would send a file of the user's to a model
+            if not (folder / name).resolve().is_relative_to(folder.resolve()):
+                raise InputError("prompts", str(folder / name), "a file of its folder, no link out of it")
+        folders = [jinja2.FileSystemLoader(folder)]
     # Templates may come from strangers. In the sandbox they can only make text.
     environment = SandboxedEnvironment(
         loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
