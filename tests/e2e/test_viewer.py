@@ -287,7 +287,7 @@ def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, bro
 def test_stacked_robots_fan_out_and_are_counted(tmp_path: Path, browser: Browser) -> None:
     models = "simulated:collapse@0.3,distorted@0.3"
     folder = str(tmp_path / "crowd")
-    llm_flock.run(shape="circle", n_robots=8, seed=1, protocol="paper", model=models, rounds=15, out=folder)
+    llm_flock.run(shape="circle", n_robots=8, seed=1, protocol="paper-literal", model=models, rounds=15, out=folder)
     with viewer(tmp_path, "crowd") as url, page_at(browser, url) as page:
         ready(page)
         page.keyboard.press("End")

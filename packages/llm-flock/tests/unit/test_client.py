@@ -264,11 +264,18 @@ def test_a_key_may_begin_like_an_escape() -> None:
     assert scrub(r"\n o p q r s t u v w x y z", ("nopqrstuvwxyz",)) == LEFT_OUT
 
 
-@pytest.mark.parametrize("form", ["%{:02x}", "%{:02X}", "\\u{:04x}", "\\x{:02x}", "&#{};", "&#x{:x};", "&#00{};"])
+@pytest.mark.parametrize(
+    "form", ["%{:02x}", "%{:02X}", "\\u{:04x}", "\\x{:02x}", "&#{};", "&#x{:x};", f"&#{'0' * 5000}{{}};"]
+)
 def test_no_key_leaves_with_escaped_letters(form: str) -> None:
     escaped = [form.format(ord(letter)) if k % 3 else letter for k, letter in enumerate(KEY)]
     for between in ("", " "):
         assert scrub(f"with {between.join(escaped)} in it", (KEY,)) == LEFT_OUT
+
+
+@pytest.mark.parametrize("number", ["9" * 5000, "0" * 5000 + "9" * 5000, "x" + "f" * 5000])
+def test_no_number_of_a_letter_is_too_long(number: str) -> None:
+    assert scrub(f"&#{number}; {KEY}", (KEY,)) == f"&#{number}; [key]"
 
 
 def test_scrubbing_leaves_other_text_alone() -> None:

@@ -201,7 +201,7 @@ class Limited:
                 except FlockError:
                     raise
                 except Exception as error:  # an answer that a client cannot take; its text may hold a key
-                    logger.debug("%s failed", self.name, exc_info=True)
+                    logger.debug("%s failed: %s", self.name, type(error).__name__)
                     outcome = ModelError("garbage", f"the answer ended in a {type(error).__name__}")
                 finally:
                     if lane.gate is not None and ticket is not None:
