@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -18,8 +17,6 @@ from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 
 if TYPE_CHECKING:
     from llm_flock.llm._models import ModelPool
-
-logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,8 +197,7 @@ class Limited:
                     outcome = ModelError("timeout", f"no answer within {limits.timeout_s:g} s")
                 except FlockError:
                     raise
-                except Exception as error:  # an answer that a client cannot take; its text may hold a key
-                    logger.debug("%s failed: %s", self.name, type(error).__name__)
+                except Exception as error:  # noqa: BLE001 - an answer that a client cannot take; its text may hold a key
                     outcome = ModelError("garbage", f"the answer ended in a {type(error).__name__}")
                 finally:
                     if lane.gate is not None and ticket is not None:
