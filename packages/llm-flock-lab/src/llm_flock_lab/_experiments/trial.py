@@ -122,7 +122,7 @@ async def fly(
         summary=summary,
         rounds=_columns(metrics.rows),
         error=error,
-        cut=error is None and lane.cut and summary is not None and summary["stopped"] == "budget",
+        cut=error is None and lane.cut and summary is not None,  # also one that formed without its last answers
         simulated=any(habits_of(model).simulated for model in spec.models) or bool(summary and summary["simulated"]),
         code="" if scratch is None else code_version(),
         record=None if record is None else f"records/{spec.id}.mcap",
