@@ -41,7 +41,7 @@ def words(more: int = 0) -> dict[str, Any]:
 
 
 def points(more: int = 0) -> dict[str, Any]:
-    """Points whose coordinates have so many digits."""
+    """Points with long coordinates: this many digits each."""
     texts = [[f"{x}.0", f"{y}.0"] for x in range(20, 83, 9) for y in range(10, 80, 7)]
     left = room(BASE.change(points=[[float(x), float(y)] for x, y in texts])) + more
     for row in texts:

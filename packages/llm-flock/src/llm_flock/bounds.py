@@ -29,8 +29,8 @@ TIME_OUT = 10
 every other robot's range for a while."""
 
 
-def check_plain(value: Any, depth: int = DEEPEST) -> None:
-    """Check that every reader of JSON can hold a value; ValueError for other numbers, and for deeper nesting."""
+def check_plain(value: Any, depth: int = DEEPEST) -> Any:
+    """The value, if every reader of JSON can hold it; ValueError for other numbers, and for deeper nesting."""
     if isinstance(value, Mapping | list | tuple):
         if depth == 0:
             raise ValueError("values are nested too deeply")
@@ -40,6 +40,7 @@ def check_plain(value: Any, depth: int = DEEPEST) -> None:
         raise ValueError("a number that readers cannot hold")
     elif not isinstance(value, str | int | float | None):
         raise ValueError(f"a value of type {type(value).__name__}")
+    return cast("Any", value)
 
 
 def max_payload_bytes(n_robots: int) -> int:

@@ -139,7 +139,7 @@ class Port:
                 continue  # a vehicle introduces itself by its heartbeat
             self.heard_ids.add(system_id)
             take = self._vehicles.get(system_id)
-            if take is not None:  # whoever flies nothing here stays a stranger, of whom little is parsed
+            if take is not None:  # other senders stay strangers, and little of theirs is parsed
                 self._peers[system_id] = (peer, now)
                 take(message)
 

@@ -1,4 +1,4 @@
-"""Connections of the viewer's server: few enough to leave file handles for records, and none that waits for ever."""
+"""Connections of the viewer's server: few enough that file handles are left, each with a limited time to ask."""
 
 from __future__ import annotations
 

@@ -30,12 +30,7 @@ MAX_LINE_LENGTH = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
 
 
-def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    check_plain(values)
-    return values
-
-
-Plain = Annotated[dict[str, Any], AfterValidator(_plain)]
+Plain = Annotated[dict[str, Any], AfterValidator(check_plain)]
 """Values that a record can hold."""
 
 

@@ -31,12 +31,7 @@ Round = Annotated[int, Field(ge=0, le=bounds.MAX_ROUND)]
 Robot = Annotated[int, Field(ge=0, le=10**6)]
 
 
-def _free(values: dict[str, Any]) -> dict[str, Any]:
-    bounds.check_plain(values)
-    return values
-
-
-Free = Annotated[dict[str, Any], AfterValidator(_free)]
+Free = Annotated[dict[str, Any], AfterValidator(bounds.check_plain)]
 """Values by name, of a form that this format does not know."""
 
 
@@ -98,7 +93,7 @@ def _details(detail: dict[str, Any]) -> dict[str, Any]:
         wanted = _DETAILS.get(name, object)
         if value is not None and (not isinstance(value, wanted) or (wanted == (int,) and isinstance(value, bool))):
             raise ValueError(f"{name} is not a value of type {type(value).__name__}")
-    return _free(detail)
+    return bounds.check_plain(detail)
 
 
 class _ResultFields(BaseModel):
@@ -121,7 +116,7 @@ def _with(known: type[BaseModel]) -> AfterValidator:
 
     def check(values: dict[str, Any]) -> dict[str, Any]:
         known.model_validate(values)
-        return _free(values)
+        return bounds.check_plain(values)
 
     return AfterValidator(check)
 

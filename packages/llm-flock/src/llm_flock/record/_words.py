@@ -81,9 +81,11 @@ def work_text(result: Mapping[str, Any]) -> str:
 
 def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
     """What the error of a run does not tell: bodies too near, steps that were cut short, a team beside its centre."""
+    from llm_flock.metrics import ROUNDING  # late: takes longer to import than many commands take
+
     separation, over, off = (result.get(key) for key in ("min_separation", "steps_over_limit", "center_distance"))
     safe, found = mission["safe_distance"], list[str]()
-    if separation is not None and round(separation, 5) < safe:
+    if separation is not None and separation < safe - ROUNDING:
         found.append(f"robots came as near as {separation:.3f}, below the safe distance {safe:g}")
     if over:
         found.append(f"{counted(over, 'step')} over the limit ended there")
