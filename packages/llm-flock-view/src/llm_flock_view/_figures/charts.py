@@ -24,6 +24,9 @@ from llm_flock_view._figures.style import FAINT, GRID, INK, LINES, MARKERS, SERI
 
 MAX_COLUMNS = 4
 DPI = 160
+COLUMN, PAGE = 3.5, 7.16
+"""Widths of figures [inches]: a column, and a page of two columns. Their smallest letters have 6 points."""
+
 LETTER_INCHES = 0.062
 """Width of a letter of a tick label, about."""
 
@@ -79,11 +82,14 @@ class Facet:
     edge: float | None = None
 
 
-def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x: str, y: str) -> Figure:
+def bands(
+    rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x: str, y: str, scale: str = "linear"
+) -> Figure:
     """Small multiples of curves with their bands, in titled `rows`; a name's place in `series` gives it its look."""
     with house_style():
         columns = max(len(panels) for _, panels in rows)
-        figure = new_figure(max(5.2, 0.7 + 2.3 * columns), 0.75 + 1.95 * len(rows) + legend_inches(series, columns))
+        width = page_width(columns)
+        figure = new_figure(width, 0.75 + 1.35 * len(rows) + legend_inches(series, width))
         grid = figure.subplots(len(rows), columns, squeeze=False, sharex=True, sharey=True)
         for number, (name, panels) in enumerate(rows):
             above = rows[number - 1][1] if number else ()
@@ -92,7 +98,8 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
                 for curve in facet.marks:
                     _curve(axes, curve, series)
                 repeated = len(above) > at and above[at].title == facet.title
-                axes.set_title("" if repeated else fold(facet.title, 34))
+                axes.set_title("" if repeated else _fold_title(facet.title, columns))
+                axes.set_yscale(scale)
                 axes.set_ylim(bottom=0)
                 axes.margins(x=0)
             for axes, above_it in zip(grid[number][len(panels) :], grid[number - 1][len(panels) :], strict=True):
@@ -100,18 +107,18 @@ def bands(rows: Sequence[tuple[str, Sequence[Facet]]], series: Sequence[str], x:
                 above_it.tick_params(labelbottom=number > 0)  # nothing stands below it
             if name:
                 at_the_right: dict[str, Any] = {"xycoords": "axes fraction", "rotation": 270, "ha": "left", "size": 8}
-                grid[number][len(panels) - 1].annotate(fold(name, 30), (1.03, 0.5), va="center", **at_the_right)
+                grid[number][len(panels) - 1].annotate(fold(name, 20), (1.03, 0.5), va="center", **at_the_right)
         for axes in grid[-1]:
             axes.xaxis.set_major_locator(MaxNLocator(integer=True, nbins=6))
         shown = [curve for _, panels in rows for facet in panels for curve in facet.marks]
-        _finish(figure, series, columns, x, y, band=any(np.isfinite(curve.low).any() for curve in shown))
+        _finish(figure, series, x, y, band=any(np.isfinite(curve.low).any() for curve in shown))
         return figure
 
 
 def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks: Sequence[str] | None = None) -> Figure:
     """Values along an axis of the grid, with bars for intervals; no line joins places 0, 1, ... named by `ticks`."""
     with house_style():
-        figure, grid = _panels(panels, series, (0.7, 2.4), (0.7, 2.1))
+        figure, grid = _panels(panels, series, 0.7, 1.5)
         for axes, facet in zip(grid, panels, strict=True):
             frame(axes)
             for number, curve in enumerate(facet.marks):
@@ -121,7 +128,7 @@ def along(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, ticks:
             if ticks is not None:
                 turn: dict[str, Any] = {"rotation": 30, "ha": "right"} if max(map(len, ticks)) > 6 else {}
                 axes.set_xticks(range(len(ticks)), [shorten(tick, 24) for tick in ticks], **turn)
-        _finish(figure, series, len(panels), x, y, solid=ticks is not None)
+        _finish(figure, series, x, y, solid=ticks is not None)
         return figure
 
 
@@ -164,7 +171,7 @@ def boxes(panels: Sequence[Facet], series: Sequence[str], x: str, y: str, limits
 def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -> Figure:
     """Counts of values as outlines over each other; the range below a panel's edge is shaded."""
     with house_style():
-        figure, grid = _panels(panels, series, (0.7, 2.4), (0.8, 1.9))
+        figure, grid = _panels(panels, series, 0.8, 1.4)
         values = [value for facet in panels for mark in facet.marks for value in mark.values]
         bins: list[float] = bins_for(values, next((f.edge for f in panels if f.edge is not None), None)).tolist()
         for axes, facet in zip(grid, panels, strict=True):
@@ -178,24 +185,23 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
                 axes.hist(mark.values, bins=bins, histtype="step", color=look.colour, ls=look.line, linewidth=1.4)
             axes.margins(x=0)
         grid[0].yaxis.set_major_locator(MaxNLocator(integer=True, nbins=5))
-        _finish(figure, series, len(panels), x, y, line_only=True)
+        _finish(figure, series, x, y, line_only=True)
         return figure
 
 
 def _panels(
-    panels: Sequence[Facet], series: Sequence[str], width: tuple[float, float], height: tuple[float, float]
+    panels: Sequence[Facet], series: Sequence[str], beside: float, each: float
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with titled panels, four in a row at most; sizes are those beside all panels, and of each [inches]."""
+    """A figure with titled panels, four in a row at most; heights are those beside all panels, and of each [inches]."""
     columns = min(MAX_COLUMNS, len(panels))
     lines = math.ceil(len(panels) / columns)
-    figure = new_figure(
-        max(5.2, width[0] + width[1] * columns), height[0] + height[1] * lines + legend_inches(series, columns)
-    )
+    width = page_width(columns)
+    figure = new_figure(width, beside + each * lines + legend_inches(series, width))
     grid: list[Axes] = list(figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).ravel())
     for axes in grid[len(panels) :]:
         axes.set_axis_off()
     for axes, facet in zip(grid, panels, strict=False):
-        axes.set_title(fold(facet.title, 34))
+        axes.set_title(_fold_title(facet.title, columns))
     for above in grid[len(panels) - columns : columns * (lines - 1)]:
         above.tick_params(labelbottom=True)  # nothing stands below these
     return figure, grid[: len(panels)]
@@ -204,7 +210,6 @@ def _panels(
 def _finish(
     figure: Figure,
     series: Sequence[str],
-    columns: int,
     x: str,
     y: str,
     *,
@@ -222,8 +227,7 @@ def _finish(
         handles.append(Line2D([], [], color=look.colour, label=shorten(name, 44), **style))
     if band:
         handles.append(Patch(color=FAINT, alpha=0.35, linewidth=0, label="95 % interval of the mean"))
-    columns = legend_columns(series, min(MAX_COLUMNS, columns))
-    figure.legend(handles=handles, loc="outside upper center", ncols=columns)
+    figure.legend(handles=handles, loc="outside upper center", ncols=legend_columns(series, figure.get_figwidth()))
 
 
 def _curve(axes: Axes, curve: Curve, series: Sequence[str]) -> None:
@@ -267,11 +271,10 @@ def _draw_lines(
         names = list(dict.fromkeys(mark.row for facet in panels for mark in facet.marks))
         labelled = names != [""]
         shown = names if labelled else list(series)
-        left = 0.5 + LETTER_INCHES * min(26, max(map(len, shown), default=0))
         # A gap of half a line between rows.
         step = len(series) + 0.8
         tall = max(0.95, 0.18 * step * len(names) + 0.15)
-        figure, grid = _panels(panels, series, (left, 2.2), (0.5, tall + 0.45))
+        figure, grid = _panels(panels, series, 0.5, tall + 0.45)
         for axes, facet in zip(grid, panels, strict=True):
             frame(axes, "x")
             if facet.edge is not None:
@@ -285,7 +288,7 @@ def _draw_lines(
             axes.tick_params(axis="y", length=0)
             axes.set_ylim((len(names) * step - 0.8 - 0.1) * 0.2, -0.9 * 0.2)
             axes.set_xlim(*limits)
-        _finish(figure, series, len(panels), x, y, solid=True)
+        _finish(figure, series, x, y, solid=True)
         return figure
 
 
@@ -303,14 +306,24 @@ def frame(axes: Axes, grid: str = "both") -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def legend_columns(series: Sequence[str], columns: int) -> int:
-    """Names that fit beside each other above the given columns of panels."""
-    room = 2.3 * columns / (0.55 + LETTER_INCHES * max(map(len, series), default=1))
+def page_width(columns: int) -> float:
+    """The width of a figure with panels side by side [inches]."""
+    return COLUMN if columns == 1 else PAGE
+
+
+def _fold_title(text: str, columns: int) -> str:
+    """A title above one of several panels side by side; a letter of it takes about a twelfth of an inch."""
+    return fold(text, int(11 * (page_width(columns) - 0.7) / columns))
+
+
+def legend_columns(series: Sequence[str], inches: float) -> int:
+    """Names that fit beside each other in a width."""
+    room = (inches - 0.2) / (0.55 + LETTER_INCHES * max(map(len, series), default=1))
     return max(1, min(len(series) + 1, int(room)))
 
 
-def legend_inches(series: Sequence[str], columns: int) -> float:
-    return 0.15 + 0.2 * math.ceil((len(series) + 1) / legend_columns(series, columns))
+def legend_inches(series: Sequence[str], inches: float) -> float:
+    return 0.15 + 0.2 * math.ceil((len(series) + 1) / legend_columns(series, inches))
 
 
 def bins_for(values: Sequence[float], edge: float | None) -> Numbers:

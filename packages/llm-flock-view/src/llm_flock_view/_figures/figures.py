@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from llm_flock.errors import InputError
 from llm_flock.printable import one_line
 from llm_flock.record import PALETTE, RunRecord, formed_in
-from llm_flock_view._figures.charts import DPI, new_figure
+from llm_flock_view._figures.charts import DPI, PAGE, fold, new_figure
 from llm_flock_view._figures.key import Entry, columns_of, key_of
 from llm_flock_view._figures.panel import Box, Panel, close_up, view
 from llm_flock_view._figures.style import (
@@ -53,6 +53,9 @@ BETWEEN_INCHES = 0.3
 
 ROWS, ROW_INCHES = 2, 0.17
 """Rows of a legend for which there is room anyway, and the height of each further one."""
+
+LETTERS = 6.7
+"""Smallest letters of a sheet [points]: the number of a crowd is a tenth smaller."""
 
 MAX_LABEL = 100
 """Longest label of a curve [characters]."""
@@ -87,20 +90,49 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
             row, column = divmod(place, columns)
             first = 2 * column + columns - min(columns, len(chosen) - row * columns)
             axes = figure.add_subplot(grid[row, first : first + 2])
-            near = close_up(record, k)
-            panel = Panel(record, window=near or whole)
-            panel.frame(axes)
-            if near is not None:
-                panel.inset(axes, k, view(record, 0.0))
             axes.set_title(_moment(record, k, with_error=known))
             axes.set_xlabel("x [units]")
             if column == 0:
                 axes.set_ylabel("y [units]")
-            panels.append((panel, axes, k))
+            panels.append((_frame(record, axes, k), axes, k))
         figure.suptitle(heading(record, 0.8 * width), fontsize=10)
         _legend(figure, key_of((panel, [k]) for panel, _, k in panels), width)
         _draw_teams(figure, panels)
         return figure
+
+
+def sheet(rows: Sequence[tuple[str, RunRecord]], rounds: Sequence[int]) -> Figure:
+    """Runs below each other at the same rounds, each row with its label, as wide as a page of two columns.
+
+    A run that ended before a round shows its last one; its title says which.
+    """
+    with house_style():
+        columns, records = len(rounds), [record for _, record in rows]
+        inches = (PAGE - 0.5) / columns
+        tall = sum(inches * _tallness(view(record)) + BETWEEN_INCHES for record in records)
+        figure = new_figure(PAGE, tall + 0.75)
+        grid = figure.subplots(len(rows), columns, squeeze=False)
+        panels: list[tuple[Panel, Axes, int]] = []
+        for (label, record), line in zip(rows, grid, strict=True):
+            for k, axes in zip((min(k, record.rounds) for k in rounds), line, strict=True):
+                axes.set_title(_moment(record, k, with_error=not math.isnan(record.errors[k])), fontsize=7)
+                panel = _frame(record, axes, k, width=72 * (inches - 0.3), letters=LETTERS)
+                panels.append((panel, axes, k))
+            line[0].set_ylabel(fold(label, int(11 * inches)))
+        figure.suptitle(fit_title(model_names(records), PAGE), fontsize=7.5)
+        _legend(figure, key_of((panel, [k]) for panel, _, k in panels), PAGE)
+        _draw_teams(figure, panels)
+        return figure
+
+
+def _frame(record: RunRecord, axes: Axes, k: int, *, width: float = 165.0, letters: float = 0.0) -> Panel:
+    """A framed panel for a round: near enough to see the team, with all of the arena in its corner."""
+    near = close_up(record, k)
+    panel = Panel(record, window=near or view(record), width=width, letters=letters)
+    panel.frame(axes)
+    if near is not None:
+        panel.inset(axes, k, view(record, 0.0))
+    return panel
 
 
 def _legend(figure: Figure, entries: Sequence[Entry], inches: float) -> None:

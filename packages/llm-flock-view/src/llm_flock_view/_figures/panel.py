@@ -58,9 +58,14 @@ Box = tuple[float, float, float, float]
 
 
 class Panel:
-    """Draws moments of one record in a `window` [units], from above; robots and words fit its `width` [points]."""
+    """Draws moments of one record in a `window` [units], from above; robots and words fit its `width` [points].
 
-    def __init__(self, record: RunRecord, *, width: float = 165.0, window: Box | None = None) -> None:
+    Words have letters of at least `letters` [points]; discs have room for them.
+    """
+
+    def __init__(
+        self, record: RunRecord, *, width: float = 165.0, window: Box | None = None, letters: float = 0.0
+    ) -> None:
         self.record = record
         self.looks = plan_looks(record)
         self.window = view(record) if window is None else window
@@ -68,7 +73,7 @@ class Panel:
         self._scale = width / (self.window[1] - self.window[0])
         self._safe = float(record.mission.mission["safe_distance"])
         spacing = float(record.mission.mission["spacing"]) * self._scale
-        self._disc = max(3.5, min(width / 17.0, DISC_SHARE * spacing))
+        self._disc = max(3.5, letters / 0.6, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
         self.labelled = n <= MAX_LABELLED and self._disc >= MIN_LABELLED
         self.mapped = False

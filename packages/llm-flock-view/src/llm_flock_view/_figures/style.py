@@ -65,6 +65,8 @@ RC: dict[Any, Any] = {
     "legend.frameon": False,
     "legend.fontsize": 7.5,
     "svg.hashsalt": "llm-flock",
+    # TrueType letters in a PDF: journals refuse those of Type 3.
+    "pdf.fonttype": 42,
 }
 """Settings of all figures; a user's own settings do not change them."""
 
