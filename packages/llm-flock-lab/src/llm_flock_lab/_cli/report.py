@@ -10,6 +10,7 @@ import typer
 from llm_flock.cli import say
 from llm_flock.errors import InputError
 from llm_flock.extras import require
+from llm_flock.record import RECORD_NAME
 
 
 def report(
@@ -27,15 +28,25 @@ def report(
             help="Fly failed trials of simulated models again where no record was kept, to show what happened",
         ),
     ] = True,
+    flights: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of records of flights, one folder for each, for the paper's figures", show_default=False
+        ),
+    ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
 ) -> None:
     """Write the report of a sweep: one HTML page that needs nothing else, the same in Markdown, and all figures.
 
-    It can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
+    `draft.md` and `draft.tex` are a draft of an experimental section, with figures for a page of two columns. The
+    command can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
     """
     require("sweep", "report")
     if not folder.is_dir():  # at once, before anything heavy is loaded
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
+    records = [] if flights is None else sorted(flights.glob(f"*/{RECORD_NAME}"))
+    if flights is not None and not records:
+        raise InputError("flights", str(flights), f"a folder with folders in which there is a {RECORD_NAME}")
     from llm_flock_lab._report.page import write_report
 
     written = write_report(
@@ -45,10 +56,11 @@ def report(
         most=gallery,
         formats=[ending.strip() for ending in formats.split(",")],
         fly_again=fly_again,
+        flights=records,
         on_step=lambda step: None if quiet else say(step, error=True),
     )
     for path in written:
-        if path.suffix in (".html", ".md"):
+        if path.suffix in (".html", ".md", ".tex"):
             say(path)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from llm_flock_lab._experiments.statistics import Estimate, mean_bands, mean_interval, wilson
 from llm_flock_lab._report.findings import ERROR, INTERVAL, CellLine, PairLine, cell_lines, known, pair_lines
-from llm_flock_lab._report.results import ResultCell, Results, TrialRow, as_number
+from llm_flock_lab._report.results import ResultCell, Results, Team, TrialRow, as_number
 from llm_flock_view._figures.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
 
 COLUMNS = 4
@@ -26,22 +26,27 @@ Found: TypeAlias = Sequence[tuple[ResultCell, Estimate | None]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
-    """One figure of the report, drawn on white; `name` is that of its files, `section` its place on the page."""
+    """One figure of the report; `name` is that of its files, `section` its place on the page, `plate`: white there."""
 
     name: str
     section: str
     title: str
     caption: str
     figure: Figure = field(repr=False)
+    plate: bool = False
 
 
 def draw_all(results: Results, reference: str) -> Iterator[Drawing]:
     """Every figure for which there are data; each says if models were simulated, for it may be copied elsewhere."""
     for drawing in _draw_all(results, reference):
-        if results.simulated:
-            for legend in drawing.figure.legends:
-                legend.set_title("simulated language models", prop=FontProperties(size=7.5, style="italic"))
+        label_simulated(results, drawing.figure)
         yield drawing
+
+
+def label_simulated(results: Results, figure: Figure) -> None:
+    """Write above the legend that models were simulated, if any was."""
+    for legend in figure.legends if results.simulated else ():
+        legend.set_title("simulated language models", prop=FontProperties(size=7.5, style="italic"))
 
 
 def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
@@ -103,6 +108,26 @@ def errors_over_time(results: Results) -> Iterator[Drawing]:
             caption=" ".join(filter(None, words)),
             figure=bands(grid, list(series), "round", "mean distance to the ideal shape [units]"),
         )
+
+
+def draw_bands(results: Results, teams: Sequence[Team], protocols: Sequence[str], y: str, figure: str) -> Figure:
+    """A figure of every round with its band: a row for each protocol, a panel for each team, a curve for each model."""
+
+    def facet(team: Team, protocol: str) -> Facet:
+        tables = {
+            model: results.curves(
+                [t for t in results.trials if (t.cell.team, t.cell.protocol, t.cell.model) == (team, protocol, model)],
+                results.longest,
+                figure,
+            )
+            for model in results.models
+        }
+        return Facet(title=str(team), marks=[_curve(model, table) for model, table in tables.items() if len(table)])
+
+    rows = [(name, [facet(team, name) for team in teams]) for name in protocols]
+    drawn = bands(rows, results.models, "round", y, "symlog")
+    label_simulated(results, drawn)
+    return drawn
 
 
 def _curve(series: str, table: NDArray[np.float64]) -> Curve:

@@ -46,10 +46,12 @@ class Failure:
     source: str
     stories: tuple[Story, ...] = ()
     figure: Figure | None = field(default=None, repr=False)
+    file: str = ""
 
     @property
     def name(self) -> str:
-        return f"failure-{self.trial.id}"
+        """Name of its figure's files."""
+        return self.file or f"failure-{self.trial.id}"
 
 
 def worst(results: Results, most: int) -> list[TrialRow]:
@@ -77,20 +79,25 @@ def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
     reason = OUTCOMES[trial.outcome] if not trial.formed else "it formed, but two robots came too near"
     if trial.outcome == "broke off":
         reason = f"it broke off: {trial.figures['error'] or trial.figures['reason']}"
+    record, source = record_of(results, trial, fly_again)
+    if record is None:
+        return Failure(trial=trial, reason=reason, source=source)
+    causes = find_causes(record)
+    rounds = {0, record.rounds, *(cause.round for cause in causes[:2] if cause.round is not None)}
+    stories = tuple(map(story, causes))
+    if len(rounds) <= 2:
+        rounds.add(record.rounds // 2)
+    figure = snapshots(record, sorted(k for k in rounds if k <= record.rounds))
+    return Failure(trial=trial, reason=reason, source=source, stories=stories, figure=figure)
+
+
+def record_of(results: Results, trial: TrialRow, fly_again: bool) -> tuple[RunRecord | None, str]:
+    """The record of a trial, kept or flown again, or None; and a sentence about where it is from, or why it is not."""
     with tempfile.TemporaryDirectory(prefix="llm-flock-") as folder:
         try:
-            record, source = _record(results, trial, Path(folder) if fly_again else None)
+            return _record(results, trial, Path(folder) if fly_again else None)
         except (FlockError, OSError) as error:
-            return Failure(trial=trial, reason=reason, source=f"There are no pictures: {error}.")
-        if record is None:
-            return Failure(trial=trial, reason=reason, source=source)
-        causes = find_causes(record)
-        rounds = {0, record.rounds, *(cause.round for cause in causes[:2] if cause.round is not None)}
-        stories = tuple(map(_story, causes))
-        if len(rounds) <= 2:
-            rounds.add(record.rounds // 2)
-        figure = snapshots(record, sorted(k for k in rounds if k <= record.rounds))
-        return Failure(trial=trial, reason=reason, source=source, stories=stories, figure=figure)
+            return None, f"There are no pictures: {error}."
 
 
 def find_causes(record: RunRecord) -> list[Cause]:
@@ -124,7 +131,8 @@ def _crash(record: RunRecord) -> Cause | None:
     return None
 
 
-def _story(cause: Cause) -> Story:
+def story(cause: Cause) -> Story:
+    """What happened, and the last call behind it."""
     if not cause.calls:
         return Story(text=cause.text)
     last = cause.calls[-1]

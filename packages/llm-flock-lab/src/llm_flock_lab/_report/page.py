@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import base64
+import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -18,18 +19,24 @@ from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError
-from llm_flock.printable import printable
+from llm_flock.printable import csv_cell, printable
+from llm_flock.record import read_record
 from llm_flock_lab._experiments.store import write_whole
 from llm_flock_lab._report import sheets
+from llm_flock_lab._report.claims import claims_sheet
+from llm_flock_lab._report.draft import draft_values, to_tex
 from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.findings import cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import Failure, gallery
+from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
 from llm_flock_lab._report.results import OUTCOMES, Results
 from llm_flock_lab._report.sheets import Sheet
 from llm_flock_view._figures.figures import save
 from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
 
 FORMATS = ("svg", "pdf", "png")
+
+DRAFT = "A draft, written by llm-flock report from the results alone. Check every sentence before you use it."
 
 SECTIONS = {
     "success": "Success",
@@ -38,6 +45,7 @@ SECTIONS = {
     "axes": "Along the grid",
     "rounds": "Rounds over the lower bound",
     "separation": "Separation",
+    "paper": "The paper's figures and claims",
     "spending": "Calls, tokens and money",
     "failures": "Failures",
     "data": "Data and code",
@@ -74,26 +82,30 @@ def write_report(
     most: int = 6,
     formats: Sequence[str] = FORMATS,
     fly_again: bool = True,
+    flights: Sequence[Path] = (),
     on_step: Callable[[str], None] = lambda step: None,
 ) -> list[Path]:
     """Write the report of a directory of results; files of an older report in the same place are replaced.
 
     `out` gets `report.html`, `report.md` and `figures/`, with a file of each figure for every ending in `formats`. The
     reference is the baseline by default, where it was flown. The gallery of failures shows `most` trials; for it, those
-    of simulated models without a record can be flown again. `on_step` is called with the name of everything made.
+    of simulated models without a record can be flown again. Where the paper's teams were flown with and without
+    consensus, its figures and claims are a section of their own, with the records of `flights`. `draft.md` and
+    `draft.tex` are a draft of an experimental section. `on_step` is called with the name of everything made.
 
     Returns:
         the page, the Markdown, and every figure.
 
     Raises:
         InputError: no results, or an option out of its range.
-        RecordError: a trial is damaged.
+        RecordError: a trial is damaged, or a flight cannot be read.
     """
     if not formats or any(ending not in FORMATS for ending in formats):
         raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
     results = Results.read(folder)
     if reference is not None and reference not in results.protocols:
         raise InputError("reference", reference, f"a protocol of these results: {', '.join(results.protocols)}")
+    records = [read_record(path) for path in flights]
     written: list[Path] = []
 
     def keep(figure: Figure, name: str) -> None:
@@ -104,14 +116,26 @@ def write_report(
 
     sections = {name: PageSection(name=name, title=title) for name, title in SECTIONS.items()}
     reference = reference or usual_reference(results)
-    for drawing in draw_all(results, reference):
+    evidence = evidence_of(results, reference, records)
+    for drawing in (*draw_all(results, reference), *draw_paper(evidence, fly_again)):
         sections[drawing.section].drawings.append(drawing)
         keep(drawing.figure, drawing.name)
+    for failure in paper_failures(evidence, fly_again):
+        sections["paper"].failures.append(failure)
+        keep(failure.figure, failure.name)
+    claims = claims_sheet(evidence) if evidence else None
+    if claims is not None:
+        sections["paper"].sheets.append(claims)
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([map(csv_cell, row) for row in (claims.header, *claims.rows)])
+        write_whole(out / "claims.csv", text.getvalue().encode())
+        written.append(out / "claims.csv")
     lines = cell_lines(results)
     sections["success"].sheets.append(sheets.success_sheet(results, lines))
     sections["rounds"].sheets.append(sheets.flight_sheet(results, lines))
     sections["spending"].sheets.append(sheets.spending_sheet(results, lines))
-    if pairs := pair_lines(results, reference):
+    pairs = pair_lines(results, reference)
+    if pairs:
         sections["paired"].sheets += sheets.pair_sheets(results, pairs, reference)
     failures = sections["failures"].failures
     for failure in gallery(results, most, fly_again=fly_again):
@@ -122,7 +146,7 @@ def write_report(
     codes = ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials))
     tables = "The two tables, trials.parquet and rounds.parquet, lie beside sweep.toml, which repeats the sweep."
     sections["data"].lines += [f"Flown by: {codes}.", tables]
-    page = {
+    page: dict[str, Any] = {
         "title": results.name,
         "about": results.about,
         "subtitle": _subtitle(results),
@@ -134,9 +158,13 @@ def write_report(
         "dark": dict(VARIABLES.values()),
         "picture_format": "svg" if "svg" in formats else formats[0],
     }
-    for name, template in (("report.html", "page.html.j2"), ("report.md", "page.md.j2")):
-        text = _environment().get_template(template).render(page)
-        write_whole(out / name, text.encode())
+    drawings = [drawing for section in sections.values() for drawing in section.drawings]
+    page |= draft_values(results, lines, pairs, drawings, claims)
+    page |= {"banner": DRAFT, "reference": reference, "failures": sections["paper"].failures}
+    files = {"report.html": "page.html.j2", "report.md": "page.md.j2", "draft.md": "draft_md.j2"}
+    for name, template in files.items() if "pdf" not in formats else (*files.items(), ("draft.tex", "draft_tex.j2")):
+        text = _template(template).render({"kind": template} | page)
+        write_whole(out / name, re.sub(r"\n{3,}", "\n\n", text).encode())
         written.insert(0, out / name)
         on_step(name)
     return written
@@ -227,7 +255,8 @@ def _count(count: int, name: str) -> str:
     return f"{count:,} {name}{'' if count == 1 else 's'}"
 
 
-def _environment() -> jinja2.Environment:
+def _template(name: str) -> jinja2.Template:
+    """A page; those of the draft, Markdown and LaTeX, share their words."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("llm_flock_lab._report"),
         autoescape=jinja2.select_autoescape(["html.j2"]),
@@ -236,7 +265,10 @@ def _environment() -> jinja2.Environment:
     )
     filters = cast("dict[str, Any]", environment.filters)
     filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fence, "svg": _svg, "data": _data_address}
-    return environment
+    filters["tex"] = to_tex
+    if name.startswith("draft"):
+        return environment.overlay(trim_blocks=True, lstrip_blocks=True).get_template("draft.j2")
+    return environment.get_template(name)
 
 
 def _clean(value: object) -> str:

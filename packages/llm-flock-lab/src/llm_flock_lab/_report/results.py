@@ -197,20 +197,25 @@ class Results:
         return {name: counts[name] for name in OUTCOMES}
 
     @cached_property
-    def _errors(self) -> dict[str, NDArray[np.float64]]:
-        """The error after each round of every trial that has rounds [units]."""
+    def _errors(self) -> dict[tuple[str, str], NDArray[np.float64]]:
+        """The error after each round of every trial that has rounds, by trial and column [units, or their square]."""
         ordered = self.rounds.sort("trial", "round", maintain_order=True)
-        grouped = ordered.group_by("trial", maintain_order=True).agg(pl.col("error").cast(pl.Float64))
+        columns = ("error", "error_squared")
+        grouped = ordered.group_by("trial", maintain_order=True).agg(pl.col(*columns).cast(pl.Float64))
         return {
-            name: np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-            for name, values in zip(grouped["trial"].to_list(), grouped["error"].to_list(), strict=True)
+            (name, column): np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+            for column in columns
+            for name, values in zip(grouped["trial"].to_list(), grouped[column].to_list(), strict=True)
         }
 
-    def curves(self, trials: Sequence[TrialRow], length: int) -> NDArray[np.float64]:
-        """Error over rounds of the trials that have one [units], shape (k, length); the last one stands to the end."""
+    def curves(self, trials: Sequence[TrialRow], length: int, figure: str = "error") -> NDArray[np.float64]:
+        """Error over rounds of the trials that have one [units], shape (k, length); the last one stands to the end.
+
+        The figure may be `error_squared` [units^2].
+        """
         rows: list[NDArray[np.float64]] = []
         for trial in trials:
-            curve = self._errors.get(trial.id)
+            curve = self._errors.get((trial.id, figure))
             if curve is None or np.isnan(curve).all():
                 continue
             last = curve[~np.isnan(curve)][-1]
@@ -220,7 +225,7 @@ class Results:
     @property
     def longest(self) -> int:
         """Rounds of the longest trial, the start counted too; 0 without any."""
-        return max((len(self._errors.get(trial.id, ())) for trial in self.trials), default=0)
+        return max((len(self._errors.get((trial.id, "error"), ())) for trial in self.trials), default=0)
 
 
 def _outcome(row: Mapping[str, Any]) -> str:

@@ -98,8 +98,9 @@ def bands(
                 for curve in facet.marks:
                     _curve(axes, curve, series)
                 repeated = len(above) > at and above[at].title == facet.title
-                axes.set_title("" if repeated else _fold_title(facet.title, columns))
+                axes.set_title("" if repeated else _fold_title(facet.title, columns), fontsize=8)
                 axes.set_yscale(scale)
+                axes.yaxis.set_major_formatter("{x:g}")
                 axes.set_ylim(bottom=0)
                 axes.margins(x=0)
             for axes, above_it in zip(grid[number][len(panels) :], grid[number - 1][len(panels) :], strict=True):
@@ -189,9 +190,7 @@ def histograms(panels: Sequence[Facet], series: Sequence[str], x: str, y: str) -
         return figure
 
 
-def _panels(
-    panels: Sequence[Facet], series: Sequence[str], beside: float, each: float
-) -> tuple[Figure, list[Axes]]:
+def _panels(panels: Sequence[Facet], series: Sequence[str], beside: float, each: float) -> tuple[Figure, list[Axes]]:
     """A figure with titled panels, four in a row at most; heights are those beside all panels, and of each [inches]."""
     columns = min(MAX_COLUMNS, len(panels))
     lines = math.ceil(len(panels) / columns)
@@ -201,7 +200,7 @@ def _panels(
     for axes in grid[len(panels) :]:
         axes.set_axis_off()
     for axes, facet in zip(grid, panels, strict=False):
-        axes.set_title(_fold_title(facet.title, columns))
+        axes.set_title(_fold_title(facet.title, columns), fontsize=8)
     for above in grid[len(panels) - columns : columns * (lines - 1)]:
         above.tick_params(labelbottom=True)  # nothing stands below these
     return figure, grid[: len(panels)]
@@ -312,8 +311,8 @@ def page_width(columns: int) -> float:
 
 
 def _fold_title(text: str, columns: int) -> str:
-    """A title above one of several panels side by side; a letter of it takes about a twelfth of an inch."""
-    return fold(text, int(11 * (page_width(columns) - 0.7) / columns))
+    """A title above one of several panels side by side; a letter of it takes less than a thirteenth of an inch."""
+    return fold(text, int(13 * (page_width(columns) - 0.7) / columns))
 
 
 def legend_columns(series: Sequence[str], inches: float) -> int:

@@ -101,19 +101,19 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
         return figure
 
 
-def sheet(rows: Sequence[tuple[str, RunRecord]], rounds: Sequence[int]) -> Figure:
-    """Runs below each other at the same rounds, each row with its label, as wide as a page of two columns.
+def sheet(rows: Sequence[tuple[str, RunRecord, Sequence[int]]]) -> Figure:
+    """Runs below each other, each with its label and as many rounds, as wide as a page of two columns.
 
     A run that ended before a round shows its last one; its title says which.
     """
     with house_style():
-        columns, records = len(rounds), [record for _, record in rows]
+        columns, records = len(rows[0][2]), [record for _, record, _ in rows]
         inches = (PAGE - 0.5) / columns
-        tall = sum(inches * _tallness(view(record)) + BETWEEN_INCHES for record in records)
+        tall = sum(inches * _tallness(view(record)) + BETWEEN_INCHES for _, record, _ in rows)
         figure = new_figure(PAGE, tall + 0.75)
         grid = figure.subplots(len(rows), columns, squeeze=False)
         panels: list[tuple[Panel, Axes, int]] = []
-        for (label, record), line in zip(rows, grid, strict=True):
+        for (label, record, rounds), line in zip(rows, grid, strict=True):
             for k, axes in zip((min(k, record.rounds) for k in rounds), line, strict=True):
                 axes.set_title(_moment(record, k, with_error=not math.isnan(record.errors[k])), fontsize=7)
                 panel = _frame(record, axes, k, width=72 * (inches - 0.3), letters=LETTERS)

@@ -1,0 +1,137 @@
+"""The values of the draft of an experimental section: everything follows from the configurations and the trials.
+
+The words are in `templates/draft.j2`, for Markdown and for LaTeX.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from typing import Any
+
+from llm_flock.llm import habits_of, parse_models
+from llm_flock_lab._experiments.statistics import interval
+from llm_flock_lab._experiments.store import TRIALS, read_trial
+from llm_flock_lab._report.drawings import Drawing
+from llm_flock_lab._report.findings import ERROR, INTERVAL, CellLine, PairLine
+from llm_flock_lab._report.results import ResultCell, Results, Team
+from llm_flock_lab._report.sheets import Sheet
+
+SHOWN = ("success", "error-by-model", "error-by-protocol", "paired-error")
+"""Figures in the draft of a sweep without the paper's teams."""
+
+RULES = {"consensus": "plan", "assignment": "place", "ties": "ties", "shield": "shield", "comm_rounds": "exchanges"}
+"""Fields of a protocol, and their columns in the table of protocols."""
+
+
+def draft_values(
+    results: Results,
+    lines: Sequence[CellLine],
+    pairs: Sequence[PairLine],
+    drawings: Sequence[Drawing],
+    claims: Sheet | None,
+) -> dict[str, Any]:
+    """What the template needs besides figures, failures and names of the page."""
+    configs = {cell: read_trial(results.folder / TRIALS / f"{trials[0].id}.json").config
+               for cell, trials in results.cells.items()}  # fmt: skip
+    single = [name for cell in results.cells for name in parse_models(cell.model, cell.team.n_robots)]
+    share = {line.cell: interval(line.formed, 0, 100) for line in lines}
+    error = {line.cell: interval(line.error, 2) for line in lines}
+    return {
+        "teams": ", ".join(f"{team.shape} of {team.n_robots}" for team in results.teams),
+        "protocols": results.protocols,
+        "models": list(dict.fromkeys(single)),
+        "simulated": [name for name in dict.fromkeys(single) if habits_of(name).simulated],
+        "seeds": len({trial.seed for trial in results.trials}),
+        "trials": f"{len(results.trials):,}",
+        "missing": max(0, (results.planned or 0) - len(results.trials)),
+        "value": partial(_value, configs),
+        "rules": _rules(results, configs),
+        "comparisons": list(_comparisons(results, lines, pairs)),
+        "tables": [
+            _pivot("Trials that formed [%]", "Share of all trials, with Wilson's 95 % interval.", share),
+            _pivot("Error at the end [units]", f"Mean of trials that have one, formed or not, {INTERVAL}.", error),
+        ],
+        "drawings": [one for one in drawings if one.section == "paper"]
+        or [one for one in drawings if one.name in SHOWN],
+        "claims": None if claims is None else _verdicts(claims),
+        "label": " Simulated language models." if results.simulated else "",
+        "codes": ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials)),
+    }
+
+
+def _value(configs: Mapping[ResultCell, Mapping[str, Any]], section: str, field: str) -> str:
+    """A field of the configurations; where it differs, each value with its protocols."""
+    found: dict[str, dict[str, None]] = {}
+    for cell, config in configs.items():
+        found.setdefault(_plain(config.get(section, {}).get(field)), {})[cell.protocol] = None
+    return "; ".join(text if len(found) == 1 else f"{text} ({', '.join(names)})" for text, names in found.items())
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_plain, value))}]"
+    return {True: "on", False: "off", None: "none"}[value] if value is None or isinstance(value, bool) else (
+        f"{value:g}" if isinstance(value, float) else str(value)
+    )  # fmt: skip
+
+
+def _rules(results: Results, configs: Mapping[ResultCell, Mapping[str, Any]]) -> Sheet:
+    fields = {cell.protocol: config["protocol"] for cell, config in configs.items()}
+    rows = tuple((name, *(_plain(fields[name].get(field)) for field in RULES)) for name in results.protocols)
+    note = "Rules for plans and places, what decides ties, a shield that keeps robots apart, exchanges in a round."
+    return Sheet(title="Protocols", header=("protocol", *RULES.values()), rows=rows, words=len(RULES), note=note)
+
+
+def _pivot(title: str, note: str, cells: Mapping[ResultCell, str]) -> Sheet:
+    """A row for each model, condition and protocol; a column for each team."""
+    rows: dict[tuple[str, str, str], dict[Team, str]] = {}
+    for cell, text in cells.items():
+        rows.setdefault((cell.model, cell.condition, cell.protocol), {})[cell.team] = text
+    teams = list(dict.fromkeys(cell.team for cell in cells))
+    kept = [k for k in range(3) if k == 2 or len({key[k] for key in rows}) > 1]  # what tells rows apart
+    table = tuple((*(key[k] for k in kept), *(row.get(team, "-") for team in teams)) for key, row in rows.items())
+    header = (*(("model", "condition", "protocol")[k] for k in kept), *(f"{one.shape} {one.n_robots}" for one in teams))
+    return Sheet(title=title, header=header, rows=table, words=len(kept), note=note)
+
+
+def _comparisons(results: Results, lines: Sequence[CellLine], pairs: Sequence[PairLine]) -> Iterator[Mapping[str, Any]]:
+    for name in results.protocols:
+        own = [line for line in lines if line.cell.protocol == name]
+        pair = [line for line in pairs if line.cell.protocol == name]
+        ends = [means.difference.high for line in pair if (means := line.means[ERROR]) is not None]
+        yield {
+            "name": name,
+            "formed": f"{sum(line.outcomes['formed'] for line in own):,}",
+            "trials": f"{sum(line.trials for line in own):,}",
+            "near": f"{sum(line.too_near for line in own):,}",
+            "cells": len(pair),
+            "more": sum((line.formed.difference.low or 0.0) > 0 for line in pair),
+            "lower": sum(end is not None and end < 0 for end in ends),
+        }
+
+
+def _verdicts(claims: Sheet) -> Sheet:
+    """A row for each claim, a column for each protocol."""
+    protocols = list(dict.fromkeys(row[2] for row in claims.rows))
+    table: dict[tuple[str, str], dict[str, str]] = {}
+    for text, source, protocol, verdict, _ in claims.rows:
+        table.setdefault((text, source), {})[protocol] = verdict
+    rows = tuple((*key, *(row.get(name, "") for name in protocols)) for key, row in table.items())
+    header = ("claim", "lines", *protocols)
+    return Sheet(title=claims.title, header=header, rows=rows, words=len(header), note=claims.note)
+
+
+TEX = {sign: f"\\{sign}" for sign in "{}$&#%_"} | {
+    "\\": "\\textbackslash{}", "^": "\\textasciicircum{}", "~": "\\textasciitilde{}", '"': "\\textquotedbl{}",
+    "<": "\\textless{}", ">": "\\textgreater{}", "|": "\\textbar{}", "[": "{[}", "]": "{]}",
+    "\N{MIDDLE DOT}": "$\\cdot$", "\N{MINUS SIGN}": "$-$", "\N{SUPERSCRIPT TWO}": "$^2$",
+}  # fmt: skip
+"""Letters that LaTeX reads as something else, or lacks."""
+
+
+def to_tex(text: object) -> str:
+    """Plain text for LaTeX: special signs are escaped, what a plain LaTeX lacks is a question mark, names may break."""
+    plain = "".join(TEX.get(sign, sign if ord(sign) < 0x180 else "?") for sign in " ".join(str(text).split()))
+    return re.sub(r"(?<=[,:@/])(?=\S)", r"\\allowbreak{}", plain)
