@@ -8,16 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from llm_flock.record import RunRecord, formed_in
 from llm_flock_lab._experiments.paired import paired_shares
-from llm_flock_lab._experiments.statistics import Estimate, interval, mean_interval, wilson
+from llm_flock_lab._experiments.statistics import interval, mean_interval, wilson
 from llm_flock_lab._report.results import Results, Team, TrialRow
 from llm_flock_lab._report.sheets import Sheet
 
@@ -26,6 +25,9 @@ TEAMS = (Team(3, "triangle"), Team(6, "triangle"), Team(8, "square"), Team(10, "
 
 FLIGHTS = (Team(3, "triangle"), Team(4, "square"), Team(5, "cross"), Team(5, "circle"))
 """The paper's flights (line 544)."""
+
+DRIVERS = ("crazyflie", "mavlink")
+"""Drivers of real drones."""
 
 STRONG, GENERAL = ("o3-mini", "deepseek"), ("claude", "llama", "qwen")
 """Parts of the names of the paper's models: those that it calls strong in reasoning, and the others."""
@@ -44,12 +46,13 @@ REPRODUCED, NOT_REPRODUCED, UNTESTED = "reproduced", "not reproduced", "cannot b
 Tested: TypeAlias = tuple[bool, str] | None
 """Whether a claim holds in a cell, and the figures that say so; None where nothing was flown."""
 
+Test: TypeAlias = "Callable[[Evidence, Team], Tested]"
 
-class Verdict(NamedTuple):
-    """One of the three words above, perhaps with what is missing, and the figures that it follows from."""
+Verdict: TypeAlias = tuple[str, str]
+"""One of the three words above, perhaps with what is missing, and the figures that it follows from."""
 
-    word: str
-    found: str
+Figures: TypeAlias = Mapping[tuple[str, int], float]
+"""A figure by condition and seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,10 +63,6 @@ class Evidence:
     protocol: str
     reference: str
     flights: Sequence[RunRecord] = ()
-
-    @property
-    def teams(self) -> tuple[Team, ...]:
-        return tuple(team for team in TEAMS if team in self.results.teams)
 
     @property
     def stand_in(self) -> str:
@@ -77,13 +76,16 @@ class Evidence:
         found = [trial for cell, own in cells if (cell.team, cell.model, cell.protocol) == wanted for trial in own]
         return {(trial.cell.condition, trial.seed): trial for trial in found}
 
-    def errors(self, team: Team, *models: str, protocol: str | None = None) -> dict[tuple[str, int], float]:
-        """Error at the end by condition and seed, mean over models [units]."""
-        found: dict[tuple[str, int], list[float]] = {}
-        for model in models:
-            for key, trial in self.trials(team, model, protocol).items():
-                found.setdefault(key, []).extend([] if trial.error is None else [trial.error])
-        return {key: sum(errors) / len(errors) for key, errors in found.items() if errors}
+    def errors(self, team: Team, models: Sequence[str], protocol: str | None = None) -> Figures:
+        """Error at the end, mean over models [units]."""
+        found = [(key, t.error) for model in models for key, t in self.trials(team, model, protocol).items()]
+        known = {key: [error for other, error in found if other == key and error is not None] for key, _ in found}
+        return {key: sum(errors) / len(errors) for key, errors in known.items() if errors}
+
+    def changes(self, team: Team) -> Figures:
+        """Error at the end with consensus less that without [units]."""
+        models = [self.stand_in]
+        return _minus(self.errors(team, models), self.errors(team, models, self.reference))
 
     @cached_property
     def endings(self) -> Mapping[str, Mapping[str, Any]]:
@@ -111,70 +113,58 @@ def _verdict(cells: Iterable[tuple[str, Tested]]) -> Verdict:
     """Reproduced if a claim holds in every cell that was flown; cells where it fails are named first."""
     tested = [(name, found) for name, found in cells if found is not None]
     if not tested:
-        return Verdict(f"{UNTESTED} without these teams", "")
+        return f"{UNTESTED} without these teams", ""
     bad = [f"fails in {name}: {words}" for name, (holds, words) in tested if not holds]
     good = [f"{name}: {words}" for name, (holds, words) in tested if holds]
     parts = bad + (good if len(tested) <= MOST_CELLS else [f"holds in {len(good)} of {len(tested)} cells"])
-    return Verdict(NOT_REPRODUCED if bad else REPRODUCED, "; ".join(parts))
+    return NOT_REPRODUCED if bad else REPRODUCED, "; ".join(parts)
 
 
 def _short(team: Team) -> str:
     return f"{team.shape} {team.n_robots}"
 
 
-def _in_teams(test: Callable[[Evidence, Team], Tested], teams: Sequence[Team] = TEAMS) -> Callable[[Evidence], Verdict]:
+def _in_teams(test: Test, teams: Sequence[Team] = TEAMS) -> Callable[[Evidence], Verdict]:
     return lambda evidence: _verdict((_short(team), test(evidence, team)) for team in teams)
 
 
-def _share(
-    evidence: Evidence,
-    team: Team,
-    *,
-    of: Callable[[Evidence, TrialRow], bool] = lambda evidence, trial: trial.formed,
-    words: str = "formed",
-    least: float | None = None,
-    alone: bool = False,
-) -> Tested:
-    """A share of trials: at least so large, or over one half; with consensus, or `alone` without."""
-    trials = evidence.trials(team, evidence.stand_in, evidence.reference if alone else None).values()
-    if not trials:
-        return None
-    share = wilson(sum(of(evidence, trial) for trial in trials), len(trials))
-    holds = (share.low or 0.0) > MOSTLY if least is None else share.value >= least
-    return holds, f"{interval(share, 1, 100)} % {words}"
+def _formed(evidence: Evidence, trial: TrialRow) -> bool:
+    return trial.formed
 
 
-_alone = partial(_share, of=lambda evidence, trial: not trial.formed, words="did not form", alone=True)
+def _share(of: Callable[[Evidence, TrialRow], bool], words: str, *, least: float = 0.0, alone: bool = False) -> Test:
+    """A share of trials that is mostly, or at least so large; with consensus, or `alone` without."""
+
+    def test(evidence: Evidence, team: Team) -> Tested:
+        trials = evidence.trials(team, evidence.stand_in, evidence.reference if alone else None).values()
+        if not trials:
+            return None
+        share = wilson(sum(of(evidence, trial) for trial in trials), len(trials))
+        holds = share.value >= least if least else (share.low or 0.0) > MOSTLY
+        return holds, f"{interval(share, 1, 100)} % {words}"
+
+    return test
 
 
-def _common(first: Mapping[Any, float], second: Mapping[Any, float]) -> NDArray[np.float64]:
-    """Figures of the seeds that both have, shape (k, 2)."""
-    return np.array([(first[key], second[key]) for key in first if key in second], dtype=np.float64).reshape(-1, 2)
+def _minus(first: Figures, second: Figures) -> Figures:
+    return {key: first[key] - second[key] for key in first if key in second}
 
 
-def _pairs(evidence: Evidence, team: Team) -> NDArray[np.float64]:
-    """Errors with consensus and without on the same seeds, shape (k, 2) [units]."""
-    model = evidence.stand_in
-    return _common(evidence.errors(team, model), evidence.errors(team, model, protocol=evidence.reference))
+def _lower(differences: Figures, words: str = "error") -> Tested:
+    """Whether differences are below 0, seed by seed."""
+    mean = mean_interval(list(differences.values()))
+    return None if mean is None else ((mean.high or 0.0) < 0, f"{words} {interval(mean, 2, signed=True)} units")
 
 
-def _lower(table: NDArray[np.float64], words: str = "error") -> Tested:
-    """Whether the first column is lower than the second, pair by pair."""
-    difference = mean_interval((table[:, 0] - table[:, 1]).tolist())
-    return None if difference is None else (
-        _below_zero(difference), f"{words} {interval(difference, 2, signed=True)} units"
-    )  # fmt: skip
-
-
-def _below_zero(difference: Estimate) -> bool:
-    return difference.high is not None and difference.high < 0
+def _nearer(evidence: Evidence, team: Team) -> Tested:
+    return _lower(evidence.changes(team))
 
 
 def _forms_and_is_nearer(evidence: Evidence, team: Team) -> Tested:
     """More trials form, and the error at the end is lower: both on the same seeds, with intervals without 0."""
     first = evidence.trials(team, evidence.stand_in)
     second = evidence.trials(team, evidence.stand_in, evidence.reference)
-    both, error = [key for key in first if key in second], _lower(_pairs(evidence, team))
+    both, error = [key for key in first if key in second], _nearer(evidence, team)
     shares = paired_shares([first[key].formed for key in both], [second[key].formed for key in both])
     if shares is None or error is None:
         return None
@@ -183,27 +173,20 @@ def _forms_and_is_nearer(evidence: Evidence, team: Team) -> Tested:
 
 
 def _less_spread(evidence: Evidence, team: Team) -> Tested:
-    """Whether squared distances from the own mean are smaller, pair by pair."""
-    table = _pairs(evidence, team)
-    if len(table) < 2:
+    """Whether squared distances from the own mean are smaller, seed by seed."""
+    both = [evidence.errors(team, [evidence.stand_in], name) for name in (evidence.protocol, evidence.reference)]
+    means = [float(np.mean(list(found.values()))) for found in both if found]
+    if len(means) < len(both):
         return None
-    squares = (table - table.mean(axis=0)) ** 2
-    smaller = mean_interval((squares[:, 0] - squares[:, 1]).tolist())
-    one, other = table.std(axis=0, ddof=1).tolist()
-    return smaller is not None and _below_zero(smaller), f"standard deviation {one:.2f}, without {other:.2f}"
+    one, other = ({key: (x - mean) ** 2 for key, x in found.items()} for found, mean in zip(both, means, strict=True))
+    smaller, spread = _lower(_minus(one, other)), [np.std(list(found.values())) for found in both]
+    return smaller and (smaller[0], f"standard deviation {spread[0]:.2f}, without {spread[1]:.2f}")
 
 
 def _grows(evidence: Evidence) -> Verdict:
-    """Whether the largest team gains more than the smallest, seed by seed."""
-    gains: list[dict[Any, float]] = []
-    for team in (TEAMS[0], TEAMS[-1]):
-        with_it = evidence.errors(team, evidence.stand_in)
-        without = evidence.errors(team, evidence.stand_in, protocol=evidence.reference)
-        gains.append({key: with_it[key] - without[key] for key in with_it if key in without})
-    few, many = gains
-    return _verdict(
-        [(f"{_short(TEAMS[-1])} against {_short(TEAMS[0])}", _lower(_common(many, few), "change of error"))]
-    )
+    """Whether the error of the largest team changes more than that of the smallest, seed by seed."""
+    more = _minus(evidence.changes(TEAMS[-1]), evidence.changes(TEAMS[0]))
+    return _verdict([(f"{_short(TEAMS[-1])} against {_short(TEAMS[0])}", _lower(more, "change of error"))])
 
 
 def _converges(evidence: Evidence) -> Verdict:
@@ -214,23 +197,23 @@ def _converges(evidence: Evidence) -> Verdict:
         table = results.curves(list(evidence.trials(team, model).values()), results.longest)
         if len(table) < 2 or table.shape[1] <= SETTLED:
             return None
-        rose = mean_interval((table[:, -1] - table[:, -1 - SETTLED]).tolist())
-        fell = _lower(table[:, [-1, 0]])
-        holds = fell is not None and fell[0] and rose is not None and (rose.low is None or rose.low <= 0)
+        fell, rose = (mean_interval((table[:, -1] - table[:, k]).tolist()) for k in (0, -1 - SETTLED))
+        holds = fell is not None and (fell.high or 0.0) < 0 and rose is not None and (rose.low or 0.0) <= 0
         return holds, f"mean error {table[:, 0].mean():.1f} at the start, {table[:, -1].mean():.2f} at the end"
 
-    cells = [(team, model) for team in evidence.teams for model in results.models]
+    cells = [(team, model) for team in TEAMS for model in results.models]
     return _verdict((f"{_short(team)} with {model}", test(team, model)) for team, model in cells)
 
 
 def _stronger(evidence: Evidence) -> Verdict:
     """Whether the models that the paper calls strong end nearer to the shape than its others, seed by seed."""
     real = [name for name in evidence.results.models if not name.startswith("simulated:")]
-    strong, general = ([name for name in real if any(part in name.lower() for part in parts)]
-                       for parts in (STRONG, GENERAL))  # fmt: skip
+    strong, general = (
+        [name for name in real if any(part in name.lower() for part in parts)] for parts in (STRONG, GENERAL)
+    )
     if not strong or not general:
-        return Verdict(f"{UNTESTED} without these models", "")
-    return _in_teams(lambda one, team: _lower(_common(one.errors(team, *strong), one.errors(team, *general))))(evidence)
+        return f"{UNTESTED} without these models", ""
+    return _in_teams(lambda one, team: _lower(_minus(one.errors(team, strong), one.errors(team, general))))(evidence)
 
 
 def _happens(which: Callable[[Evidence, TrialRow], bool]) -> Callable[[Evidence], Verdict]:
@@ -242,7 +225,7 @@ def _happens(which: Callable[[Evidence, TrialRow], bool]) -> Callable[[Evidence]
         flown = sum(trial.cell.protocol == evidence.protocol for trial in evidence.results.trials)
         models = ", ".join(dict.fromkeys(trial.cell.model for trial in own))
         word = REPRODUCED if own else NOT_REPRODUCED if shown else f"{UNTESTED} without a model that errs so"
-        return Verdict(word, f"{len(own)} of {flown} trials{f', with {models}' if own else ''}")
+        return word, f"{len(own)} of {flown} trials{f', with {models}' if own else ''}"
 
     return judge
 
@@ -254,17 +237,14 @@ def team_of(record: RunRecord) -> Team:
 
 def _flown(evidence: Evidence) -> Verdict:
     """The paper's four flights, by their records; stand-in drones are no drones."""
-    formed = {team_of(one): formed_in(one.result or {}) for one in evidence.flights}
-    real = {team_of(one) for one in evidence.flights if _with_drones(one) and formed[team_of(one)] is not None}
-    shown = [f"{_short(team)} in round {formed[team]}" for team in FLIGHTS if formed.get(team) is not None]
-    words = "; ".join(shown)
-    if real >= set(FLIGHTS):
-        return Verdict(REPRODUCED, words)
-    return Verdict(f"{UNTESTED} without drones", f"stand-ins formed: {words}" if words else "")
-
-
-def _with_drones(record: RunRecord) -> bool:
-    return dict(record.run.config.get("fleet") or {}).get("robot") in ("crazyflie", "mavlink")
+    formed = {team_of(one): round for one in evidence.flights if (round := formed_in(one.result or {})) is not None}
+    drones = {
+        team_of(one) for one in evidence.flights if dict(one.run.config.get("fleet") or {}).get("robot") in DRIVERS
+    }
+    words = "; ".join(f"{_short(team)} formed in round {formed[team]}" for team in FLIGHTS if team in formed)
+    if drones & formed.keys() >= set(FLIGHTS):
+        return REPRODUCED, words
+    return f"{UNTESTED} without drones", f"stand-ins: {words}" if words else ""
 
 
 class Claim(NamedTuple):
@@ -276,34 +256,25 @@ class Claim(NamedTuple):
     alone: str = ""
 
 
-_always = partial(_share, least=CONSISTENTLY)
-_one_plan = partial(_always, of=Evidence.agreed, words="with one plan")
-_nearer: Callable[[Evidence, Team], Tested] = lambda evidence, team: _lower(_pairs(evidence, team))  # noqa: E731
+_alone = _share(lambda evidence, trial: not trial.formed, "did not form", alone=True)
+
+_always = _share(_formed, "formed", least=CONSISTENTLY)
+_agree = _share(Evidence.agreed, "with one plan", least=CONSISTENTLY)
 
 CLAIMS = (
-    Claim("209", "Three robots with consensus consistently form the triangle", _in_teams(_always, TEAMS[:1])),
-    Claim("209", "They agree on one plan by the end", _in_teams(_one_plan, TEAMS[:1])),
+    Claim("209", "Three robots consistently form a triangle", _in_teams(_always, TEAMS[:1])),
+    Claim("209", "They agree on one plan", _in_teams(_agree, TEAMS[:1])),
     Claim("209", "Without it they mostly end uneven or collapsed", _in_teams(_alone, TEAMS[:1]), "baseline"),
-    Claim("228", "With consensus eight mostly form the square, ten the circle", _in_teams(_share, TEAMS[2:])),
-    Claim(
-        "456, 474, 493, 510",
-        "In every team more trials form with consensus than without, and end nearer to the shape",
-        _in_teams(_forms_and_is_nearer),
-    ),
+    Claim("228", "Eight mostly form the square, ten the circle", _in_teams(_share(_formed, "formed"), TEAMS[2:])),
+    Claim("456-510", "In every team more trials form, and end nearer, than without", _in_teams(_forms_and_is_nearer)),
     Claim("541", "Without consensus errors are significantly higher", _in_teams(_nearer)),
     Claim("541", "They vary more from trial to trial", _in_teams(_less_spread)),
     Claim("541", "The difference is larger in larger formations", _grows),
     Claim("668, 743", "A strong model alone, without consensus, mostly fails", _in_teams(_alone), "baseline"),
     Claim("253", "With every model, teams of every size converge and stay", _converges),
-    Claim(
-        "253, 288, 539",
-        "o3-mini and DeepSeek-R1 end nearer than Claude 3.5 Sonnet, Qwen-Max and Llama 3.1",
-        _stronger,
-    ),
+    Claim("253, 288", "o3-mini, DeepSeek-R1 end nearer than Claude 3.5 Sonnet, Qwen-Max, Llama 3.1", _stronger),
     Claim("655", "A faulty plan may spread to all, who then form another shape", _happens(Evidence.faulty_plan)),
-    Claim(
-        "677, 741", "Models that step at full speed may keep a team from coming to rest", _happens(Evidence.swinging)
-    ),
+    Claim("677, 741", "Models that step at full speed may keep a team from resting", _happens(Evidence.swinging)),
     Claim("270, 544", "Drones form a triangle, a square, a cross and a circle", _flown, "flights"),
 )
 """The paper's qualitative claims, in the order of its sections."""
@@ -316,11 +287,10 @@ def claims_sheet(evidence: Sequence[Evidence]) -> Sheet:
         for one in evidence[:1] if claim.alone else evidence:
             rows.append((claim.text, claim.lines, claim.alone or one.protocol, *claim.judge(one)))
     note = (
-        "Lines are those of the paper's source. Claims about one model are weighed with "
-        f"{evidence[0].stand_in}. More, higher, lower: on the same seeds, the 95 % interval without 0 (Newcombe's for "
-        "shares, Student's for means). Mostly: the whole 95 % interval above one half. Consistently: in at least "
-        f"{100 * CONSISTENTLY:.0f} % of the trials. To converge and stay: the error falls from the start, and does not rise "
-        f"in the last {SETTLED} rounds. A claim is reproduced if it holds in every cell."
+        f"Lines are the paper's. Claims about one model are weighed with {evidence[0].stand_in}. More, higher, lower: on "
+        "the same seeds, the 95 % interval without 0 (Newcombe's for shares, Student's for means). Mostly: the whole 95 % "
+        f"interval above one half. Consistently: at least {100 * CONSISTENTLY:.0f} %. To converge and stay: the error "
+        f"falls, and does not rise in the last {SETTLED} rounds. A claim is reproduced if it holds in every cell."
     )
     if evidence[0].results.simulated:
         note += " The models are simulated: the verdicts are about protocols, not about language models."

@@ -6,9 +6,9 @@ The words are in `templates/draft.j2`, for Markdown and for LaTeX.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from llm_flock.llm import habits_of, parse_models
 from llm_flock_lab._experiments.statistics import interval
@@ -48,7 +48,9 @@ def draft_values(
         "missing": max(0, (results.planned or 0) - len(results.trials)),
         "value": partial(_value, configs),
         "rules": _rules(results, configs),
-        "comparisons": list(_comparisons(results, lines, pairs)),
+        "lines": lines,
+        "lower": [line for line in pairs if (means := line.means[ERROR]) and (means.difference.high or 0.0) < 0],
+        "pairs": pairs,
         "tables": [
             _pivot("Trials that formed [%]", "Share of all trials, with Wilson's 95 % interval.", share),
             _pivot("Error at the end [units]", f"Mean of trials that have one, formed or not, {INTERVAL}.", error),
@@ -69,9 +71,9 @@ def _value(configs: Mapping[ResultCell, Mapping[str, Any]], section: str, field:
     return "; ".join(text if len(found) == 1 else f"{text} ({', '.join(names)})" for text, names in found.items())
 
 
-def _plain(value: Any) -> str:
+def _plain(value: object) -> str:
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_plain, value))}]"
+        return f"[{', '.join(map(_plain, cast('Sequence[object]', value)))}]"
     return {True: "on", False: "off", None: "none"}[value] if value is None or isinstance(value, bool) else (
         f"{value:g}" if isinstance(value, float) else str(value)
     )  # fmt: skip
@@ -94,22 +96,6 @@ def _pivot(title: str, note: str, cells: Mapping[ResultCell, str]) -> Sheet:
     table = tuple((*(key[k] for k in kept), *(row.get(team, "-") for team in teams)) for key, row in rows.items())
     header = (*(("model", "condition", "protocol")[k] for k in kept), *(f"{one.shape} {one.n_robots}" for one in teams))
     return Sheet(title=title, header=header, rows=table, words=len(kept), note=note)
-
-
-def _comparisons(results: Results, lines: Sequence[CellLine], pairs: Sequence[PairLine]) -> Iterator[Mapping[str, Any]]:
-    for name in results.protocols:
-        own = [line for line in lines if line.cell.protocol == name]
-        pair = [line for line in pairs if line.cell.protocol == name]
-        ends = [means.difference.high for line in pair if (means := line.means[ERROR]) is not None]
-        yield {
-            "name": name,
-            "formed": f"{sum(line.outcomes['formed'] for line in own):,}",
-            "trials": f"{sum(line.trials for line in own):,}",
-            "near": f"{sum(line.too_near for line in own):,}",
-            "cells": len(pair),
-            "more": sum((line.formed.difference.low or 0.0) > 0 for line in pair),
-            "lower": sum(end is not None and end < 0 for end in ends),
-        }
 
 
 def _verdicts(claims: Sheet) -> Sheet:

@@ -113,16 +113,10 @@ def errors_over_time(results: Results) -> Iterator[Drawing]:
 def draw_bands(results: Results, teams: Sequence[Team], protocols: Sequence[str], y: str, figure: str) -> Figure:
     """A figure of every round with its band: a row for each protocol, a panel for each team, a curve for each model."""
 
-    def facet(team: Team, protocol: str) -> Facet:
-        tables = {
-            model: results.curves(
-                [t for t in results.trials if (t.cell.team, t.cell.protocol, t.cell.model) == (team, protocol, model)],
-                results.longest,
-                figure,
-            )
-            for model in results.models
-        }
-        return Facet(title=str(team), marks=[_curve(model, table) for model, table in tables.items() if len(table)])
+    def facet(*shown: object) -> Facet:
+        cells = [(cell.model, trials) for cell, trials in results.cells.items() if (cell.team, cell.protocol) == shown]
+        tables = [(model, results.curves(trials, results.longest, figure)) for model, trials in cells]
+        return Facet(title=str(shown[0]), marks=[_curve(model, table) for model, table in tables if len(table)])
 
     rows = [(name, [facet(team, name) for team in teams]) for name in protocols]
     drawn = bands(rows, results.models, "round", y, "symlog")

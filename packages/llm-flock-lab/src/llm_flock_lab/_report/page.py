@@ -120,9 +120,6 @@ def write_report(
     for drawing in (*draw_all(results, reference), *draw_paper(evidence, fly_again)):
         sections[drawing.section].drawings.append(drawing)
         keep(drawing.figure, drawing.name)
-    for failure in paper_failures(evidence, fly_again):
-        sections["paper"].failures.append(failure)
-        keep(failure.figure, failure.name)
     claims = claims_sheet(evidence) if evidence else None
     if claims is not None:
         sections["paper"].sheets.append(claims)
@@ -137,9 +134,10 @@ def write_report(
     pairs = pair_lines(results, reference)
     if pairs:
         sections["paired"].sheets += sheets.pair_sheets(results, pairs, reference)
+    sections["paper"].failures += paper_failures(evidence, fly_again)
     failures = sections["failures"].failures
-    for failure in gallery(results, most, fly_again=fly_again):
-        failures.append(failure)
+    failures += gallery(results, most, fly_again=fly_again)
+    for failure in (*sections["paper"].failures, *failures):
         if failure.figure is not None:
             keep(failure.figure, failure.name)
     sections["failures"].lines.append(_failure_words(results, len(failures)))

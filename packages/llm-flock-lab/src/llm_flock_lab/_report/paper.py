@@ -12,9 +12,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from llm_flock.metrics import ShapeTarget
-from llm_flock.record import Cause, LlmEntry, PlanInfo, RunRecord
+from llm_flock.record import Cause, PlanInfo, RunRecord
 from llm_flock_lab._report.claims import FLIGHTS, TEAMS, Evidence, team_of
 from llm_flock_lab._report.drawings import Drawing, draw_bands
+from llm_flock_lab._report.findings import INTERVAL
 from llm_flock_lab._report.gallery import Failure, record_of, story
 from llm_flock_lab._report.results import Results, Team, TrialRow
 from llm_flock_view._figures.charts import PAGE, frame, new_figure
@@ -47,19 +48,20 @@ def draw_paper(evidence: Sequence[Evidence], fly_again: bool) -> Iterator[Drawin
     """Errors by both formulas, a curve for each model; snapshots with and without consensus; the flights."""
     for first in evidence[:1]:
         protocols = [*(one.protocol for one in evidence), first.reference]
+        teams = [team for team in TEAMS if team in first.results.teams]
         for name, formula, line in (
             ("error", "mean distance to the ideal shape [units]", 236),
             ("error_squared", "mean squared distance to it [units²]", 637),
         ):
             words = (
-                f"By the formula of line {line}, after each round: the mean over the trials of a cell and its 95 % Student-t "
-                f"interval. A row for each protocol; {first.reference} has no consensus. The scale is logarithmic from 1 "
-                "up. A trial that ended early keeps its last error."
+                f"By the formula of line {line}: mean of a cell's trials after each round, and its {INTERVAL}. A row "
+                f"for each protocol; {first.reference} has no consensus. Above 1 the scale is logarithmic. A trial that "
+                "ended early keeps its last error."
             )
-            figure = draw_bands(first.results, first.teams, protocols, formula, name)
+            figure = draw_bands(first.results, teams, protocols, formula, name)
             title = f"Error with and without consensus, {formula.partition(' [')[0]}"
             yield _drawing(name.replace("_", "-"), title, words, figure, plate=False)
-        yield from (drawing for team in first.teams for drawing in _snapshots(first, team, fly_again))
+        yield from (drawing for team in teams for drawing in _snapshots(first, team, fly_again))
         yield from _influence(first, fly_again)
         flown = {team_of(record): record for record in first.flights}
         rows = [
@@ -173,9 +175,7 @@ def _full_speed(trial: TrialRow, record: RunRecord, source: str) -> Failure | No
             f"In round {k} the goal of robot {robot} is {away:.2f} units away, and its model steps {step:.2f}: at full "
             "speed, past it. So it goes on, and the team never comes to rest."
         )
-        calls: list[LlmEntry] = [
-            call for call in record.llm if (call.robot, call.kind, call.round) == (robot, "step", k)
-        ]
+        calls = [call for call in record.llm if (call.robot, call.kind, call.round) == (robot, "step", k)]
         reason = "a model that steps at full speed swings about its goal (lines 675-745)"
         figure = sheet([(trial.cell.protocol, record, range(k - 1, k + 3))])
         return _failure(trial, reason, source, Cause(text, calls=tuple(calls)), figure, "paper-full-speed")

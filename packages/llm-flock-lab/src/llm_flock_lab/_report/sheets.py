@@ -89,9 +89,9 @@ def pair_sheets(results: Results, lines: Sequence[PairLine], reference: str) -> 
         "effect size g [95 %]": lambda means: interval(means.effect, 2, signed=True),
     }
     note = (
-        f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, "
-        f"which started from the same positions; differences are this minus {reference}. The interval is "
-        "Newcombe's for paired shares."
+        f"Each trial is compared with the trial of {reference} of the same team, model, condition and seed, which has "
+        f"the same starts if both draw them alike; differences are this minus {reference}. The interval is Newcombe's "
+        "for paired shares."
     )
     title = f"Success compared with {reference}, seed by seed"
     found = [_sheet(results, title, success, {line.cell: line.formed for line in lines}, note)]
