@@ -297,6 +297,13 @@ def test_the_examples_are_flights(name: str) -> None:
     assert len(settings.fleet.drones) == settings.mission.n_robots == 4
 
 
+@pytest.mark.parametrize(("name", "n"), [("triangle3", 3), ("square4", 4), ("cross5", 5), ("circle5", 5)])
+def test_the_papers_flights_are_flown_by_stand_ins(name: str, n: int) -> None:
+    settings = FlightConfig.load(Path(__file__).parents[4] / "experiments" / "flights" / f"{name}.toml")
+    assert f"{settings.mission.shape}{settings.mission.n_robots}" == name
+    assert len(settings.fleet.drones) == n and settings.fleet.robot == "simulated"
+
+
 def test_a_missing_library_is_named_when_a_vehicle_is_called(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pymavlink", None)
     robot = build_fleet(mavlink_config())[0]

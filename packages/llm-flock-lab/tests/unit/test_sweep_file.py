@@ -115,11 +115,26 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         load_sweep(tmp_path / "bad.toml")
 
 
-@pytest.mark.parametrize(("name", "trials"), [("paper", 80), ("simulated", 1200), ("faults", 800), ("scale", 200)])
+@pytest.mark.parametrize(
+    ("name", "trials"),
+    [("paper", 800), ("paper-figures", 800), ("simulated", 1200), ("faults", 800), ("scale", 200)],
+)
 def test_the_experiments_are_what_they_say(name: str, trials: int) -> None:
     sweep = load_sweep(EXPERIMENTS / f"{name}.toml")
     assert sweep.file.sweep.name == name and len(sweep.trials) == trials
     assert all(trial.waits == (name == "paper") for trial in sweep.trials)
+
+
+def test_the_papers_two_sweeps_differ_only_in_their_models() -> None:
+    def grid(name: str) -> set[Any]:
+        return {
+            (t.config.mission, t.config.protocol, t.config.trial.start, t.config.trial.rounds, t.seed)
+            for t in load_sweep(EXPERIMENTS / f"{name}.toml").trials
+        }
+
+    assert grid("paper") == grid("paper-figures")
+    models = {t.config.model.model.partition(":")[0] for t in load_sweep(EXPERIMENTS / "paper.toml").trials}
+    assert models == {"openai", "anthropic", "deepseek", "vllm", "qwen"}
 
 
 def test_the_arena_fits_every_team_of_the_scale_experiment() -> None:

@@ -55,6 +55,18 @@ def test_snapshots_show_paths_plans_influence_and_links(record: RunRecord) -> No
     assert last.get_xlim()[1] - last.get_xlim()[0] < 0.7 * 116.0, "a formation fills its panel"
 
 
+def test_a_sheet_has_a_row_for_each_run_and_fits_a_page(record: RunRecord) -> None:
+    figure = figures.sheet([("above", record, (0, 4, 12)), ("below", record, (1, 2, 3))])
+    titles = [axes.get_title().split(" · ")[0] for axes in figure.axes]
+    assert titles == ["start", "round 4", "round 10", "round 1", "round 2", "round 3"], (
+        "a run that ended shows its last"
+    )
+    assert figure.get_figwidth() == 7.16
+    assert [axes.get_ylabel() for axes in figure.axes if axes.get_ylabel()] == ["above", "below"]
+    sizes = [text.get_fontsize() for text in figure.findobj(mpl.text.Text) if text.get_text()]  # pyright: ignore
+    assert min(sizes) >= 6.0 and "simulated language models" in words(figure)
+
+
 def test_title_says_what_was_flown_and_that_it_was_simulated(record: RunRecord) -> None:
     said = words(figures.snapshots(record))
     assert "circle · 5 robots" in said and "simulated:ideal" in said and "simulated language models" in said

@@ -287,9 +287,9 @@ def claims_sheet(evidence: Sequence[Evidence]) -> Sheet:
         for one in evidence[:1] if claim.alone else evidence:
             rows.append((claim.text, claim.lines, claim.alone or one.protocol, *claim.judge(one)))
     note = (
-        f"Lines are the paper's. Claims about one model are weighed with {evidence[0].stand_in}. More, higher, lower: on "
-        "the same seeds, the 95 % interval without 0 (Newcombe's for shares, Student's for means). Mostly: the whole 95 % "
-        f"interval above one half. Consistently: at least {100 * CONSISTENTLY:.0f} %. To converge and stay: the error "
+        f"Lines are the paper's. Claims about one model are weighed with {evidence[0].stand_in}. More, higher, lower: "
+        "on the same seeds, the 95 % interval without 0 (Newcombe's for shares, Student's for means). Mostly: the whole"
+        f" interval above one half. Consistently: at least {100 * CONSISTENTLY:.0f} %. To converge and stay: the error "
         f"falls, and does not rise in the last {SETTLED} rounds. A claim is reproduced if it holds in every cell."
     )
     if evidence[0].results.simulated:

@@ -159,8 +159,9 @@ def write_report(
     drawings = [drawing for section in sections.values() for drawing in section.drawings]
     page |= draft_values(results, lines, pairs, drawings, claims)
     page |= {"banner": DRAFT, "reference": reference, "failures": sections["paper"].failures}
-    files = {"report.html": "page.html.j2", "report.md": "page.md.j2", "draft.md": "draft_md.j2"}
-    for name, template in files.items() if "pdf" not in formats else (*files.items(), ("draft.tex", "draft_tex.j2")):
+    files = {"draft.tex": "draft_tex.j2"} if "pdf" in formats else {}
+    files |= {"draft.md": "draft_md.j2", "report.html": "page.html.j2", "report.md": "page.md.j2"}
+    for name, template in files.items():
         text = _template(template).render({"kind": template} | page)
         write_whole(out / name, re.sub(r"\n{3,}", "\n\n", text).encode())
         written.insert(0, out / name)

@@ -55,8 +55,8 @@ def draw_paper(evidence: Sequence[Evidence], fly_again: bool) -> Iterator[Drawin
         ):
             words = (
                 f"By the formula of line {line}: mean of a cell's trials after each round, and its {INTERVAL}. A row "
-                f"for each protocol; {first.reference} has no consensus. Above 1 the scale is logarithmic. A trial that "
-                "ended early keeps its last error."
+                f"for each protocol; {first.reference} has no consensus. Above 1 the scale is logarithmic. A trial "
+                "that ended early keeps its last error."
             )
             figure = draw_bands(first.results, teams, protocols, formula, name)
             title = f"Error with and without consensus, {formula.partition(' [')[0]}"
