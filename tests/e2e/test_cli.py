@@ -226,3 +226,9 @@ def test_ctrl_c_ends_a_comparison_at_once_and_leaves_no_process(tmp_path: Path) 
     assert errors == "interrupted; finished trials are in a.csv\n"
     assert path.read_text().count("\n") > 3
     assert gone(running.pid)
+
+
+@pytest.mark.parametrize("command", ["inspect", "report", "run --prompts"])
+def test_a_path_that_is_too_long_is_refused_in_one_line(command: str, tmp_path: Path) -> None:
+    done = flock(*command.split(), "x" * 5_000, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr
