@@ -36,7 +36,7 @@ def _run() -> None:
         sys.exit(EXIT_INPUT if isinstance(error, InputError) else EXIT_FAILED)
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
-            print(printable(f"error: {str(error.filename):.60}...: {error.strerror}"), file=sys.stderr, flush=True)
+            print(printable(f"error: {error.filename!s:.60}...: {error.strerror}"), file=sys.stderr, flush=True)
             sys.exit(EXIT_INPUT)
         if error.errno not in FULL:
             raise
