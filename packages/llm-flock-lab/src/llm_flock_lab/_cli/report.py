@@ -47,6 +47,8 @@ def report(
     records = [] if flights is None else sorted(flights.glob(f"*/{RECORD_NAME}"))
     if flights is not None and not records:
         raise InputError("flights", str(flights), f"a folder with folders in which there is a {RECORD_NAME}")
+    if out is None and (folder / "report").is_symlink():  # what comes from a stranger leads nowhere else
+        raise InputError("dir", str(folder / "report"), "a folder, not a link")
     from llm_flock_lab._report.page import write_report
 
     written = write_report(
