@@ -105,7 +105,7 @@ class Evidence:
     def swinging(self, trial: TrialRow) -> bool:
         """Whether a team with one plan never came to rest: its error still moves in the last rounds."""
         errors = self.results.curves([trial], self.results.longest)[:, -SETTLED:]
-        moved = bool(errors.size) and float(np.ptp(errors)) > 0.01 * trial.figures["spacing"]
+        moved = bool(errors.size) and float(np.ptp(errors)) > 0.01 * (trial.figures["spacing"] or 1.0)
         return moved and self.faulty_plan(trial, settled=False)
 
 
@@ -235,12 +235,15 @@ def team_of(record: RunRecord) -> Team:
     return Team(int(mission["n_robots"]), str(mission["shape"]))
 
 
+def drones_of(record: RunRecord) -> str:
+    """What flew."""
+    return "drones" if dict(record.run.config.get("fleet") or {}).get("robot") in DRIVERS else "stand-ins"
+
+
 def _flown(evidence: Evidence) -> Verdict:
     """The paper's four flights, by their records; stand-in drones are no drones."""
     formed = {team_of(one): round for one in evidence.flights if (round := formed_in(one.result or {})) is not None}
-    drones = {
-        team_of(one) for one in evidence.flights if dict(one.run.config.get("fleet") or {}).get("robot") in DRIVERS
-    }
+    drones = {team_of(one) for one in evidence.flights if drones_of(one) == "drones"}
     words = "; ".join(f"{_short(team)} formed in round {formed[team]}" for team in FLIGHTS if team in formed)
     if drones & formed.keys() >= set(FLIGHTS):
         return REPRODUCED, words

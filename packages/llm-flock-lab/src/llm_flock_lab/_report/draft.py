@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, cast
 
-from llm_flock.llm import habits_of, parse_models
 from llm_flock_lab._experiments.statistics import interval
 from llm_flock_lab._experiments.store import TRIALS, read_trial
 from llm_flock_lab._report.drawings import Drawing
@@ -24,6 +23,8 @@ SHOWN = ("success", "error-by-model", "error-by-protocol", "paired-error")
 RULES = {"consensus": "plan", "assignment": "place", "ties": "ties", "shield": "shield", "comm_rounds": "exchanges"}
 """Fields of a protocol, and their columns in the table of protocols."""
 
+ONCE = "baseline, flights"
+
 
 def draft_values(
     results: Results,
@@ -33,16 +34,15 @@ def draft_values(
     claims: Sheet | None,
 ) -> dict[str, Any]:
     """What the template needs besides figures, failures and names of the page."""
-    configs = {cell: read_trial(results.folder / TRIALS / f"{trials[0].id}.json").config
-               for cell, trials in results.cells.items()}  # fmt: skip
-    single = [name for cell in results.cells for name in parse_models(cell.model, cell.team.n_robots)]
+    paths = {cell: results.folder / TRIALS / f"{trials[0].id}.json" for cell, trials in results.cells.items()}
+    configs = {cell: read_trial(path).config for cell, path in paths.items() if path.exists()}
     share = {line.cell: interval(line.formed, 0, 100) for line in lines}
     error = {line.cell: interval(line.error, 2) for line in lines}
     return {
         "teams": ", ".join(f"{team.shape} of {team.n_robots}" for team in results.teams),
         "protocols": results.protocols,
-        "models": list(dict.fromkeys(single)),
-        "simulated": [name for name in dict.fromkeys(single) if habits_of(name).simulated],
+        "models": list(results.models),
+        "simulated": list(dict.fromkeys(t.cell.model for t in results.trials if t.figures["simulated"])),
         "seeds": len({trial.seed for trial in results.trials}),
         "trials": f"{len(results.trials):,}",
         "missing": max(0, (results.planned or 0) - len(results.trials)),
@@ -64,11 +64,13 @@ def draft_values(
 
 
 def _value(configs: Mapping[ResultCell, Mapping[str, Any]], section: str, field: str) -> str:
-    """A field of the configurations; where it differs, each value with its protocols."""
+    """A field of the configurations: all its values, with their protocols where these decide it."""
     found: dict[str, dict[str, None]] = {}
     for cell, config in configs.items():
-        found.setdefault(_plain(config.get(section, {}).get(field)), {})[cell.protocol] = None
-    return "; ".join(text if len(found) == 1 else f"{text} ({', '.join(names)})" for text, names in found.items())
+        values = config.get(section)
+        found.setdefault(_plain(dict(values or {}).get(field)), {})[cell.protocol] = None
+    by_protocol = len(found) > 1 and sum(map(len, found.values())) == len({cell.protocol for cell in configs})
+    return "; ".join(f"{text} ({', '.join(names)})" if by_protocol else text for text, names in found.items())
 
 
 def _plain(value: object) -> str:
@@ -81,7 +83,7 @@ def _plain(value: object) -> str:
 
 def _rules(results: Results, configs: Mapping[ResultCell, Mapping[str, Any]]) -> Sheet:
     fields = {cell.protocol: config["protocol"] for cell, config in configs.items()}
-    rows = tuple((name, *(_plain(fields[name].get(field)) for field in RULES)) for name in results.protocols)
+    rows = tuple((name, *(_plain(fields.get(name, {}).get(field)) for field in RULES)) for name in results.protocols)
     note = "Rules for plans and places, what decides ties, a shield that keeps robots apart, exchanges in a round."
     return Sheet(title="Protocols", header=("protocol", *RULES.values()), rows=rows, words=len(RULES), note=note)
 
@@ -99,13 +101,13 @@ def _pivot(title: str, note: str, cells: Mapping[ResultCell, str]) -> Sheet:
 
 
 def _verdicts(claims: Sheet) -> Sheet:
-    """A row for each claim, a column for each protocol."""
-    protocols = list(dict.fromkeys(row[2] for row in claims.rows))
+    """A row for each claim, a column for each protocol, and one for claims that are about none of them."""
+    every = [row[2] for row in claims.rows if row[0] == claims.rows[0][0]]
     table: dict[tuple[str, str], dict[str, str]] = {}
     for text, source, protocol, verdict, _ in claims.rows:
-        table.setdefault((text, source), {})[protocol] = verdict
-    rows = tuple((*key, *(row.get(name, "") for name in protocols)) for key, row in table.items())
-    header = ("claim", "lines", *protocols)
+        table.setdefault((text, source), {})[protocol if protocol in every else ONCE] = verdict
+    rows = tuple((*key, *(row.get(name, "") for name in (*every, ONCE))) for key, row in table.items())
+    header = ("claim", "lines", *every, ONCE)
     return Sheet(title=claims.title, header=header, rows=rows, words=len(header), note=claims.note)
 
 
@@ -119,5 +121,5 @@ TEX = {sign: f"\\{sign}" for sign in "{}$&#%_"} | {
 
 def to_tex(text: object) -> str:
     """Plain text for LaTeX: special signs are escaped, what a plain LaTeX lacks is a question mark, names may break."""
-    plain = "".join(TEX.get(sign, sign if ord(sign) < 0x180 else "?") for sign in " ".join(str(text).split()))
+    plain = "".join(TEX.get(sign, sign if ord(sign) < 0x100 else "?") for sign in " ".join(str(text).split()))
     return re.sub(r"(?<=[,:@/])(?=\S)", r"\\allowbreak{}", plain)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from llm_flock.metrics import ShapeTarget
 from llm_flock.record import Cause, PlanInfo, RunRecord
-from llm_flock_lab._report.claims import FLIGHTS, TEAMS, Evidence, team_of
+from llm_flock_lab._report.claims import FLIGHTS, TEAMS, Evidence, drones_of, team_of
 from llm_flock_lab._report.drawings import Drawing, draw_bands
 from llm_flock_lab._report.findings import INTERVAL
 from llm_flock_lab._report.gallery import Failure, record_of, story
@@ -65,7 +65,9 @@ def draw_paper(evidence: Sequence[Evidence], fly_again: bool) -> Iterator[Drawin
         yield from _influence(first, fly_again)
         flown = {team_of(record): record for record in first.flights}
         rows = [
-            (f"{team.shape}, {team.n_robots} drones", flown[team], FLIGHT_STEPS) for team in FLIGHTS if team in flown
+            (f"{team.shape}, {team.n_robots} {drones_of(flown[team])}", flown[team], FLIGHT_STEPS)
+            for team in FLIGHTS
+            if team in flown
         ]
         if rows:
             words = "By the records of the flights (line 544). One that ended earlier shows its last round."
@@ -163,7 +165,7 @@ def _overlay(record: RunRecord, plan: PlanInfo, ideal: Sequence[Sequence[float]]
 
 def _full_speed(trial: TrialRow, record: RunRecord, source: str) -> Failure | None:
     """The first step at full speed past a goal that was near, of a team that had agreed."""
-    limit = float(record.mission.mission["max_step"])
+    limit = float(record.mission.mission.get("max_step") or np.inf)
     agreed = (k for k in range(1, record.rounds - 2) if len(set(record.states[k].plan_ids)) == 1)
     for k, robot in ((k, robot) for k in agreed for robot in range(trial.cell.team.n_robots)):
         goal, before = record.states[k].goals[robot], record.positions[k - 1, robot]
