@@ -97,6 +97,21 @@ def test_a_claim_about_named_models_needs_these(results: Results, tmp_path: Path
     assert word == "reproduced" and "triangle 3: error −1.72" in figures
 
 
+@pytest.mark.parametrize(("scale", "word"), [(0.1, "reproduced"), (1.0, "not reproduced"), (3.0, "not reproduced")])
+def test_spreads_are_compared_seed_by_seed(scale: float, word: str, tmp_path: Path) -> None:
+    found = Results.read(write_results(tmp_path, records=False))
+    wide = (2.0, 5.0, 3.5, 4.0, 2.5, 6.0)
+    found.__dict__["trials"] = tuple(
+        replace(
+            t, figures={**t.figures, "procrustes_mean": wide[t.seed] * (scale if t.cell.protocol == "flock" else 1.0)}
+        )
+        for t in found.trials
+    )
+    (text,) = (claim.text for claim in CLAIMS if "vary" in claim.text)
+    said = verdicts(found, "flock")[text]
+    assert said[0] == word and f"standard deviation {1.38 * scale:.1f}" in said[1]
+
+
 def test_both_failures_are_found_with_the_answers_behind_them(results: Results) -> None:
     evidence = evidence_of(results, "baseline", ())
     faulty, fast = paper_failures(evidence, fly_again=False)

@@ -6,6 +6,7 @@ o3-mini was not flown; a claim that compares named models needs these.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import polars as pl
+import scipy
 
 from llm_flock.record import RunRecord, formed_in
 from llm_flock_lab._experiments.paired import paired_shares
@@ -173,14 +175,17 @@ def _forms_and_is_nearer(evidence: Evidence, team: Team) -> Tested:
 
 
 def _less_spread(evidence: Evidence, team: Team) -> Tested:
-    """Whether squared distances from the own mean are smaller, seed by seed."""
-    both = [evidence.errors(team, [evidence.stand_in], name) for name in (evidence.protocol, evidence.reference)]
-    means = [float(np.mean(list(found.values()))) for found in both if found]
-    if len(means) < len(both):
+    """Whether errors spread less, on the same seeds: the test of Pitman and of Morgan (both Biometrika, 1939)."""
+    one, other = (evidence.errors(team, [evidence.stand_in], name) for name in (evidence.protocol, evidence.reference))
+    table = np.array([(one[key], other[key]) for key in one if key in other]).reshape(-1, 2)
+    spread = table.std(axis=0)
+    if len(table) < 3 or not spread.any():
         return None
-    one, other = ({key: (x - mean) ** 2 for key, x in found.items()} for found, mean in zip(both, means, strict=True))
-    smaller, spread = _lower(_minus(one, other)), [np.std(list(found.values())) for found in both]
-    return smaller and (smaller[0], f"standard deviation {spread[0]:.2f}, without {spread[1]:.2f}")
+    with np.errstate(invalid="ignore", divide="ignore"):  # where nothing differs there is no correlation
+        r = float(np.corrcoef(table.sum(axis=1), table[:, 0] - table[:, 1])[0, 1])
+    free = len(table) - 2
+    holds = float(scipy.special.stdtr(free, r * math.sqrt(free / max(1 - r * r, 1e-12)))) < 0.025
+    return holds, f"standard deviation {spread[0]:.2f}, without {spread[1]:.2f}"
 
 
 def _grows(evidence: Evidence) -> Verdict:
@@ -190,14 +195,15 @@ def _grows(evidence: Evidence) -> Verdict:
 
 
 def _converges(evidence: Evidence) -> Verdict:
-    """In every team with every model: nearer than at the start, and no farther than some rounds before the end."""
+    """In every team with every model: half as far as at the start, and no farther than some rounds before the end."""
     results = evidence.results
 
     def test(team: Team, model: str) -> Tested:
         table = results.curves(list(evidence.trials(team, model).values()), results.longest)
         if len(table) < 2 or table.shape[1] <= SETTLED:
             return None
-        fell, rose = (mean_interval((table[:, -1] - table[:, k]).tolist()) for k in (0, -1 - SETTLED))
+        before = table[:, 0] / 2, table[:, -1 - SETTLED]
+        fell, rose = (mean_interval((table[:, -1] - errors).tolist()) for errors in before)
         holds = fell is not None and (fell.high or 0.0) < 0 and rose is not None and (rose.low or 0.0) <= 0
         return holds, f"mean error {table[:, 0].mean():.1f} at the start, {table[:, -1].mean():.2f} at the end"
 
@@ -291,9 +297,10 @@ def claims_sheet(evidence: Sequence[Evidence]) -> Sheet:
             rows.append((claim.text, claim.lines, claim.alone or one.protocol, *claim.judge(one)))
     note = (
         f"Lines are the paper's. Claims about one model are weighed with {evidence[0].stand_in}. More, higher, lower: "
-        "on the same seeds, the 95 % interval without 0 (Newcombe's for shares, Student's for means). Mostly: the whole"
-        f" interval above one half. Consistently: at least {100 * CONSISTENTLY:.0f} %. To converge and stay: the error "
-        f"falls, and does not rise in the last {SETTLED} rounds. A claim is reproduced if it holds in every cell."
+        "on the same seeds, the 95 % interval without 0 (Newcombe's for shares, Student's for means; for spreads, the "
+        "test of Pitman and Morgan). Mostly: the whole interval above one half. Consistently: at least "
+        f"{100 * CONSISTENTLY:.0f} %. To converge and stay: the error falls by half, and does not rise in the last "
+        f"{SETTLED} rounds. A claim is reproduced if it holds in every cell."
     )
     if evidence[0].results.simulated:
         note += " The models are simulated: the verdicts are about protocols, not about language models."
