@@ -18,7 +18,7 @@ from llm_flock.record import RunRecord, read_record
 from llm_flock_lab._cli.report import report as report_command
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.sweep_file import load_sweep
-from llm_flock_lab._report.claims import CLAIMS, TEAMS, Evidence, claims_sheet
+from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, claims_sheet
 from llm_flock_lab._report.draft import to_tex
 from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.page import write_report
@@ -62,7 +62,7 @@ def report(folder: Path) -> Path:
 
 def verdicts(found: Results, protocol: str) -> dict[str, tuple[str, str]]:
     """Verdict and figures by claim."""
-    sheet = claims_sheet([Evidence(results=found, protocol=protocol, reference="baseline")])
+    sheet = claims_sheet([PaperEvidence(results=found, protocol=protocol, reference="baseline")])
     return {text: (word, figures) for text, _, _, word, figures in sheet.rows}
 
 
@@ -109,7 +109,7 @@ def test_spreads_are_compared_seed_by_seed(scale: float, word: str, tmp_path: Pa
     )
     (text,) = (claim.text for claim in CLAIMS if "vary" in claim.text)
     said = verdicts(found, "flock")[text]
-    assert said[0] == word and f"standard deviation {1.38 * scale:.1f}" in said[1]
+    assert said[0] == word and f"standard deviation {1.3744 * scale:.2f}" in said[1]
 
 
 def test_both_failures_are_found_with_the_answers_behind_them(results: Results) -> None:
@@ -172,7 +172,7 @@ def test_pdf_figures_have_no_type_3_fonts(report: Path) -> None:
         assert b"/Type3" not in data and b"/FontFile2" in data, file.name
 
 
-def test_draft_names_figures_that_exist_and_numbers_of_the_tables(report: Path, results: Results) -> None:
+def test_draft_names_figures_that_exist_and_right_numbers(report: Path, results: Results) -> None:
     tex, markdown = ((report / f"draft.{ending}").read_text(encoding="utf-8") for ending in ("tex", "md"))
     shown = re.findall(r"\\includegraphics\[width=\\(?:textwidth|columnwidth)\]\{(.+?)\}", tex)
     assert "figures/paper-error.pdf" in shown and "figures/paper-full-speed.pdf" in shown

@@ -48,7 +48,7 @@ REPRODUCED, NOT_REPRODUCED, UNTESTED = "reproduced", "not reproduced", "cannot b
 Tested: TypeAlias = tuple[bool, str] | None
 """Whether a claim holds in a cell, and the figures that say so; None where nothing was flown."""
 
-Test: TypeAlias = "Callable[[Evidence, Team], Tested]"
+Test: TypeAlias = "Callable[[PaperEvidence, Team], Tested]"
 
 Verdict: TypeAlias = tuple[str, str]
 """One of the three words above, perhaps with what is missing, and the figures that it follows from."""
@@ -58,7 +58,7 @@ Figures: TypeAlias = Mapping[tuple[str, int], float]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence:
+class PaperEvidence:
     """Results with the paper's teams: `protocol` has consensus, `reference` has none; and records of flights."""
 
     results: Results
@@ -126,18 +126,20 @@ def _short(team: Team) -> str:
     return f"{team.shape} {team.n_robots}"
 
 
-def _in_teams(test: Test, teams: Sequence[Team] = TEAMS) -> Callable[[Evidence], Verdict]:
+def _in_teams(test: Test, teams: Sequence[Team] = TEAMS) -> Callable[[PaperEvidence], Verdict]:
     return lambda evidence: _verdict((_short(team), test(evidence, team)) for team in teams)
 
 
-def _formed(evidence: Evidence, trial: TrialRow) -> bool:
+def _formed(evidence: PaperEvidence, trial: TrialRow) -> bool:
     return trial.formed
 
 
-def _share(of: Callable[[Evidence, TrialRow], bool], words: str, *, least: float = 0.0, alone: bool = False) -> Test:
+def _share(
+    of: Callable[[PaperEvidence, TrialRow], bool], words: str, *, least: float = 0.0, alone: bool = False
+) -> Test:
     """A share of trials that is mostly, or at least so large; with consensus, or `alone` without."""
 
-    def test(evidence: Evidence, team: Team) -> Tested:
+    def test(evidence: PaperEvidence, team: Team) -> Tested:
         trials = evidence.trials(team, evidence.stand_in, evidence.reference if alone else None).values()
         if not trials:
             return None
@@ -158,11 +160,11 @@ def _lower(differences: Figures, words: str = "error") -> Tested:
     return None if mean is None else ((mean.high or 0.0) < 0, f"{words} {interval(mean, 2, signed=True)} units")
 
 
-def _nearer(evidence: Evidence, team: Team) -> Tested:
+def _nearer(evidence: PaperEvidence, team: Team) -> Tested:
     return _lower(evidence.changes(team))
 
 
-def _forms_and_is_nearer(evidence: Evidence, team: Team) -> Tested:
+def _forms_and_is_nearer(evidence: PaperEvidence, team: Team) -> Tested:
     """More trials form, and the error at the end is lower: both on the same seeds, with intervals without 0."""
     first = evidence.trials(team, evidence.stand_in)
     second = evidence.trials(team, evidence.stand_in, evidence.reference)
@@ -174,13 +176,13 @@ def _forms_and_is_nearer(evidence: Evidence, team: Team) -> Tested:
     return more and error[0], f"formed {interval(shares.difference, 1, 100, signed=True)} points, {error[1]}"
 
 
-def _less_spread(evidence: Evidence, team: Team) -> Tested:
+def _less_spread(evidence: PaperEvidence, team: Team) -> Tested:
     """Whether errors spread less, on the same seeds: the test of Pitman and of Morgan (both Biometrika, 1939)."""
     one, other = (evidence.errors(team, [evidence.stand_in], name) for name in (evidence.protocol, evidence.reference))
     table = np.array([(one[key], other[key]) for key in one if key in other]).reshape(-1, 2)
-    spread = table.std(axis=0)
-    if len(table) < 3 or not spread.any():
+    if len(table) < 3:
         return None
+    spread = table.std(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):  # where nothing differs there is no correlation
         r = float(np.corrcoef(table.sum(axis=1), table[:, 0] - table[:, 1])[0, 1])
     free = len(table) - 2
@@ -188,13 +190,13 @@ def _less_spread(evidence: Evidence, team: Team) -> Tested:
     return holds, f"standard deviation {spread[0]:.2f}, without {spread[1]:.2f}"
 
 
-def _grows(evidence: Evidence) -> Verdict:
+def _grows(evidence: PaperEvidence) -> Verdict:
     """Whether the error of the largest team changes more than that of the smallest, seed by seed."""
     more = _minus(evidence.changes(TEAMS[-1]), evidence.changes(TEAMS[0]))
     return _verdict([(f"{_short(TEAMS[-1])} against {_short(TEAMS[0])}", _lower(more, "change of error"))])
 
 
-def _converges(evidence: Evidence) -> Verdict:
+def _converges(evidence: PaperEvidence) -> Verdict:
     """In every team with every model: half as far as at the start, and no farther than some rounds before the end."""
     results = evidence.results
 
@@ -211,7 +213,7 @@ def _converges(evidence: Evidence) -> Verdict:
     return _verdict((f"{_short(team)} with {model}", test(team, model)) for team, model in cells)
 
 
-def _stronger(evidence: Evidence) -> Verdict:
+def _stronger(evidence: PaperEvidence) -> Verdict:
     """Whether the models that the paper calls strong end nearer to the shape than its others, seed by seed."""
     real = [name for name in evidence.results.models if not name.startswith("simulated:")]
     strong, general = (
@@ -222,10 +224,10 @@ def _stronger(evidence: Evidence) -> Verdict:
     return _in_teams(lambda one, team: _lower(_minus(one.errors(team, strong), one.errors(team, general))))(evidence)
 
 
-def _happens(which: Callable[[Evidence, TrialRow], bool]) -> Callable[[Evidence], Verdict]:
+def _happens(which: Callable[[PaperEvidence, TrialRow], bool]) -> Callable[[PaperEvidence], Verdict]:
     """A claim that something may happen: it does if a trial shows it. Where no trial of any protocol does, none can."""
 
-    def judge(evidence: Evidence) -> Verdict:
+    def judge(evidence: PaperEvidence) -> Verdict:
         shown = [trial for trial in evidence.results.trials if which(evidence, trial)]
         own = [trial for trial in shown if trial.cell.protocol == evidence.protocol]
         flown = sum(trial.cell.protocol == evidence.protocol for trial in evidence.results.trials)
@@ -246,7 +248,7 @@ def drones_of(record: RunRecord) -> str:
     return "drones" if dict(record.run.config.get("fleet") or {}).get("robot") in DRIVERS else "stand-ins"
 
 
-def _flown(evidence: Evidence) -> Verdict:
+def _flown(evidence: PaperEvidence) -> Verdict:
     """The paper's four flights, by their records; stand-in drones are no drones."""
     formed = {team_of(one): round for one in evidence.flights if (round := formed_in(one.result or {})) is not None}
     drones = {team_of(one) for one in evidence.flights if drones_of(one) == "drones"}
@@ -256,40 +258,46 @@ def _flown(evidence: Evidence) -> Verdict:
     return f"{UNTESTED} without drones", f"stand-ins: {words}" if words else ""
 
 
-class Claim(NamedTuple):
+class PaperClaim(NamedTuple):
     """A claim in other words than the paper's; those about teams `alone`, without consensus, hold for no protocol."""
 
     lines: str
     text: str
-    judge: Callable[[Evidence], Verdict]
+    judge: Callable[[PaperEvidence], Verdict]
     alone: str = ""
 
 
 _alone = _share(lambda evidence, trial: not trial.formed, "did not form", alone=True)
 
 _always = _share(_formed, "formed", least=CONSISTENTLY)
-_agree = _share(Evidence.agreed, "with one plan", least=CONSISTENTLY)
+_agree = _share(PaperEvidence.agreed, "with one plan", least=CONSISTENTLY)
 
 CLAIMS = (
-    Claim("209", "Three robots consistently form a triangle", _in_teams(_always, TEAMS[:1])),
-    Claim("209", "They agree on one plan", _in_teams(_agree, TEAMS[:1])),
-    Claim("209", "Without it they mostly end uneven or collapsed", _in_teams(_alone, TEAMS[:1]), "baseline"),
-    Claim("228", "Eight mostly form the square, ten the circle", _in_teams(_share(_formed, "formed"), TEAMS[2:])),
-    Claim("456-510", "In every team more trials form, and end nearer, than without", _in_teams(_forms_and_is_nearer)),
-    Claim("541", "Without consensus errors are significantly higher", _in_teams(_nearer)),
-    Claim("541", "They vary more from trial to trial", _in_teams(_less_spread)),
-    Claim("541", "The difference is larger in larger formations", _grows),
-    Claim("668, 743", "A strong model alone, without consensus, mostly fails", _in_teams(_alone), "baseline"),
-    Claim("253", "With every model, teams of every size converge and stay", _converges),
-    Claim("253, 288", "o3-mini, DeepSeek-R1 end nearer than Claude 3.5 Sonnet, Qwen-Max, Llama 3.1", _stronger),
-    Claim("655", "A faulty plan may spread to all, who then form another shape", _happens(Evidence.faulty_plan)),
-    Claim("677, 741", "Models that step at full speed may keep a team from resting", _happens(Evidence.swinging)),
-    Claim("270, 544", "Drones form a triangle, a square, a cross and a circle", _flown, "flights"),
+    PaperClaim("209", "Three robots consistently form a triangle", _in_teams(_always, TEAMS[:1])),
+    PaperClaim("209", "They agree on one plan", _in_teams(_agree, TEAMS[:1])),
+    PaperClaim("209", "Without it they mostly end uneven or collapsed", _in_teams(_alone, TEAMS[:1]), "baseline"),
+    PaperClaim("228", "Eight mostly form the square, ten the circle", _in_teams(_share(_formed, "formed"), TEAMS[2:])),
+    PaperClaim(
+        "456-510", "In every team more trials form, and end nearer, than without", _in_teams(_forms_and_is_nearer)
+    ),
+    PaperClaim("541", "Without consensus errors are significantly higher", _in_teams(_nearer)),
+    PaperClaim("541", "They vary more from trial to trial", _in_teams(_less_spread)),
+    PaperClaim("541", "The difference is larger in larger formations", _grows),
+    PaperClaim("668, 743", "A strong model alone, without consensus, mostly fails", _in_teams(_alone), "baseline"),
+    PaperClaim("253", "With every model, teams of every size converge and stay", _converges),
+    PaperClaim("253, 288", "o3-mini, DeepSeek-R1 end nearer than Claude 3.5 Sonnet, Qwen-Max, Llama 3.1", _stronger),
+    PaperClaim(
+        "655", "A faulty plan may spread to all, who then form another shape", _happens(PaperEvidence.faulty_plan)
+    ),
+    PaperClaim(
+        "677, 741", "Models that step at full speed may keep a team from resting", _happens(PaperEvidence.swinging)
+    ),
+    PaperClaim("270, 544", "Drones form a triangle, a square, a cross and a circle", _flown, "flights"),
 )
 """The paper's qualitative claims, in the order of its sections."""
 
 
-def claims_sheet(evidence: Sequence[Evidence]) -> Sheet:
+def claims_sheet(evidence: Sequence[PaperEvidence]) -> Sheet:
     """Every claim under each protocol with consensus; those about teams without it, and about flights, once."""
     rows: list[tuple[str, ...]] = []
     for claim in CLAIMS:

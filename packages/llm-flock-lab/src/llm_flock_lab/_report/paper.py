@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from llm_flock.metrics import ShapeTarget
 from llm_flock.record import Cause, PlanInfo, RunRecord
-from llm_flock_lab._report.claims import FLIGHTS, TEAMS, Evidence, drones_of, team_of
+from llm_flock_lab._report.claims import FLIGHTS, TEAMS, PaperEvidence, drones_of, team_of
 from llm_flock_lab._report.drawings import Drawing, draw_bands
 from llm_flock_lab._report.findings import INTERVAL
 from llm_flock_lab._report.gallery import Failure, record_of, story
@@ -36,15 +36,15 @@ MOST_READ = 12
 """Records that are read in search of a failure."""
 
 
-def evidence_of(results: Results, reference: str, flights: Sequence[RunRecord]) -> list[Evidence]:
+def evidence_of(results: Results, reference: str, flights: Sequence[RunRecord]) -> list[PaperEvidence]:
     """For every protocol with consensus that was flown with one of the paper's teams, where the baseline was too."""
     if reference != "baseline" or not set(TEAMS) & set(results.teams):
         return []
     names = [name for name in CONSENSUS if name in results.protocols]
-    return [Evidence(results=results, protocol=name, reference=reference, flights=flights) for name in names]
+    return [PaperEvidence(results=results, protocol=name, reference=reference, flights=flights) for name in names]
 
 
-def draw_paper(evidence: Sequence[Evidence], fly_again: bool) -> Iterator[Drawing]:
+def draw_paper(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[Drawing]:
     """Errors by both formulas, a curve for each model; snapshots with and without consensus; the flights."""
     for first in evidence[:1]:
         protocols = [*(one.protocol for one in evidence), first.reference]
@@ -78,7 +78,7 @@ def _drawing(name: str, title: str, caption: str, figure: Figure, *, plate: bool
     return Drawing(name=f"paper-{name}", section="paper", title=title, caption=caption, figure=figure, plate=plate)
 
 
-def _snapshots(evidence: Evidence, team: Team, fly_again: bool) -> Iterator[Drawing]:
+def _snapshots(evidence: PaperEvidence, team: Team, fly_again: bool) -> Iterator[Drawing]:
     """The first seed on which the team formed with consensus, else the first; without consensus below it."""
     others = evidence.trials(team, evidence.stand_in, evidence.reference)
     found = evidence.trials(team, evidence.stand_in).items()
@@ -97,7 +97,7 @@ def _snapshots(evidence: Evidence, team: Team, fly_again: bool) -> Iterator[Draw
             yield _drawing(name, f"{team}, with and without consensus", words, sheet(rows))
 
 
-def _influence(evidence: Evidence, fly_again: bool) -> Iterator[Drawing]:
+def _influence(evidence: PaperEvidence, fly_again: bool) -> Iterator[Drawing]:
     """Three robots in the rounds before they agree, with their influence."""
     trials = evidence.trials(TEAMS[0], evidence.stand_in).values()
     for trial in [trial for trial in trials if trial.formed][:1]:
@@ -112,7 +112,7 @@ def _influence(evidence: Evidence, fly_again: bool) -> Iterator[Drawing]:
             yield _drawing("influence", "How influence decides", words, sheet([("", record, one) for one in steps]))
 
 
-def paper_failures(evidence: Sequence[Evidence], fly_again: bool) -> Iterator[Failure]:
+def paper_failures(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[Failure]:
     """The paper's two failures, each from the first trial that shows it, with the answer that caused it."""
     for one in evidence[:1]:
         trials = [trial for trial in one.results.trials if trial.cell.protocol == one.protocol]
