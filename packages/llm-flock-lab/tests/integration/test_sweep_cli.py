@@ -30,6 +30,17 @@ def test_a_dry_run_forecasts_and_leaves_nothing(tmp_path: Path, monkeypatch: pyt
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_the_papers_models_are_forecast_without_keys(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for key in ("OPENAI_API_KEY", "ANTHROPIC_API_KEY", "DEEPSEEK_API_KEY", "DASHSCOPE_API_KEY", "VLLM_API_KEY"):
+        monkeypatch.delenv(key, raising=False)
+    path = Path(__file__).parents[4] / "experiments" / "paper.toml"
+    found = json.loads(sweep(str(path), "--dry-run", "--json", "--set", "team=triangle/3", "--seeds", "1"))
+    assert found["trials"] == len(found["cells"]) == 20 and found["expected"]["calls"] > 0
+    assert {name.split()[1] for name in found["cells"]} == {"paper", "released", "flock", "baseline"}
+    assert len({name.split()[2] for name in found["cells"]}) == 5
+
+
 def test_sweep_flies_resumes_and_reports_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     path = small_file(tmp_path)
