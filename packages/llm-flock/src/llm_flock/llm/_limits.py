@@ -25,7 +25,7 @@ class RetryPolicy:
 
     The wait before attempt k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
     most longest_wait_s, so that robots that were turned away together do not return together. A wait by Retry-After is
-    kept in full, up to longest_retry_after_s, with up to a tenth on top.
+    kept in full, with up to a tenth on top; one above longest_retry_after_s ends the call at once.
 
     `max_garbage` responses in a row that are not of the protocol end the call: such a server is neither busy nor away.
     """
@@ -36,14 +36,16 @@ class RetryPolicy:
     longest_wait_s: float = 30.0
     longest_retry_after_s: float = 60.0
 
-    def gives_up(self, faults: tuple[str, ...]) -> bool:
-        """Whether another attempt is useless, by the kinds of all faults of a call so far."""
+    def gives_up(self, faults: tuple[str, ...], retry_after_s: float | None = None) -> bool:
+        """Whether another attempt is useless, by the kinds of all faults of a call and the wait that was asked for."""
+        if retry_after_s is not None and retry_after_s > self.longest_retry_after_s:
+            return True
         return len(faults) >= self.max_tries or faults[-self.max_garbage :] == ("garbage",) * self.max_garbage
 
     def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
         """Draw the wait before the next attempt, after `failed` >= 1 failed ones [s]."""
         if retry_after_s is not None:
-            return min(retry_after_s, self.longest_retry_after_s) * rng.uniform(1.0, 1.1)
+            return retry_after_s * rng.uniform(1.0, 1.1)
         # 2.0 ** 40 is longer than any useful longest_wait_s, and does not overflow.
         scale = min(self.first_wait_s * 2.0 ** min(failed - 1, 40), self.longest_wait_s)
         return scale * rng.uniform(0.5, 1.0)
@@ -209,7 +211,11 @@ class Limited:
                     return outcome  # a single attempt, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            if call.probe or outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):
+            if (
+                call.probe
+                or outcome.kind in ("refused", "budget")
+                or limits.retry.gives_up(faults, outcome.retry_after_s)
+            ):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))
