@@ -50,11 +50,13 @@ BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "ins
 """Finish reasons that mean that the server broke the answer off."""
 
 ADVICE = {
-    r"context (length|size|window)|too many tokens|prompt is too long": "the question is longer than the context that "
-    "the server gives: give it a larger one (servers divide it among the questions that they answer at once), or ask "
-    "with --prompts brief",
-    r"\bmodel\b.{0,80}(not found|not exist|unknown)|(no such|unknown|invalid) model": "the server has no such model: check "
-    "--model",
+    r"context (length|size|window)|too many tokens|prompt is too long": (
+        "the question is longer than the context that the server gives: give it a larger one (servers divide it among "
+        "the questions that they answer at once), or ask with --prompts brief"
+    ),
+    r"\bmodel\b.{0,80}(not found|not exist|unknown)|(no such|unknown|invalid) model": (
+        "the server has no such model: check --model"
+    ),
     r"status_code: 40[45]": "nothing at this address answers chats: check --base-url, which mostly ends in /v1",
 }
 """What to change, by the words of a refusal; the first that fits."""
