@@ -125,6 +125,15 @@ def test_a_wait_longer_than_a_team_waits_ends_the_call() -> None:
     assert isinstance(error, ModelError) and error.retry_after_s == 61.0 and time.sleeps == []
 
 
+def test_the_time_out_follows_the_first_answer() -> None:
+    """A server that takes 0.3 s is given 0.1 s, then 0.2, then 0.4; then it is known to be that slow."""
+    shared = limits(timeout_s=0.1, patient=True)
+    first, second = outcomes(Scripted(delay_s=0.3), shared, calls=2)
+    assert isinstance(first, Reply) and first.faults == ("timeout", "timeout")
+    assert isinstance(second, Reply) and second.faults == ("timeout", "timeout")
+    assert shared.timeout_s == pytest.approx(0.4) and not shared.patient
+
+
 def test_the_same_seed_waits_the_same() -> None:
     runs: list[list[float]] = []
     for _ in range(2):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -17,6 +18,12 @@ from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 
 if TYPE_CHECKING:
     from llm_flock.llm._models import ModelPool
+
+logger = logging.getLogger(__name__)
+
+
+LONGEST_S = 600.0
+"""Longest time-out to which a first answer is waited for, unless the operator says how long [s]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -142,6 +149,7 @@ class CallLimits:
     rng: np.random.Generator  #: Chance for the jitter of waits.
     max_concurrent: int = 256  #: Calls under way at once; `slots` holds as many.
     timeout_s: float = 120.0  #: Longest attempt, without the queue [s].
+    patient: bool = False  #: Whether the time-out doubles, up to LONGEST_S, until there is a first answer.
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     meter: BudgetMeter = field(default_factory=BudgetMeter)
     lane: CallLane = field(default_factory=CallLane)
@@ -151,6 +159,12 @@ class CallLimits:
 
     def __post_init__(self) -> None:
         self.slots = asyncio.Semaphore(self.max_concurrent)
+
+    def note_late(self, allowed_s: float) -> None:
+        """There was no answer within this time, which others may have noted already [s]."""
+        if self.patient and allowed_s == self.timeout_s < LONGEST_S:
+            self.timeout_s = min(2.0 * allowed_s, LONGEST_S)
+            logger.warning("no model answered within %g s: they now have %g s", allowed_s, self.timeout_s)
 
 
 class Limited:
@@ -190,13 +204,15 @@ class Limited:
                 if started is None:
                     started = limits.clock()
                 outcome: Reply | ModelError | None = None
+                allowed_s = limits.timeout_s
                 try:
-                    async with asyncio.timeout(limits.timeout_s):
+                    async with asyncio.timeout(allowed_s):
                         outcome = await self._model.ask(call)
                 except ModelError as error:  # its wait happens outside the slot
                     outcome = error
                 except TimeoutError:
-                    outcome = ModelError("timeout", f"no answer within {limits.timeout_s:g} s")
+                    outcome = ModelError("timeout", f"no answer within {allowed_s:g} s")
+                    limits.note_late(allowed_s)
                 except FlockError:
                     raise
                 except Exception as error:  # noqa: BLE001 - an answer that a client cannot take; its text may hold a key
@@ -206,6 +222,7 @@ class Limited:
                         used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
                         lane.gate.leave(ticket, *used)
             if isinstance(outcome, Reply):
+                limits.patient = False
                 limits.meter.spent += Spent(tokens=outcome.usage.total, cost_usd=outcome.cost_usd or 0.0)
                 if not faults and outcome.latency_s:
                     return outcome  # a single attempt, timed by the model
