@@ -37,6 +37,7 @@ from llm_flock.llm._dialect import Dialect
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
+from llm_flock.printable import printable
 
 logger = logging.getLogger(__name__)
 
@@ -192,7 +193,10 @@ class PydanticModel:
         text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
         answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:100])
-        answered_by = answered_by or self.name.partition(":")[2]
+        asked = self.name.partition(":")[2]
+        answered_by = answered_by or asked
+        if asked not in answered_by and answered_by not in asked:  # some servers answer to any name
+            self._dialect.say_once(f"answers as {printable(answered_by)}, which the record has")
         return Reply(
             text=text,
             model=f"{self._provider}:{answered_by}",
