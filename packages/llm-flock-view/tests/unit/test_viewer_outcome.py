@@ -81,6 +81,7 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     run.history.result = {"formed": True, "rounds_to_formed": took}
     assert mission_parts(run.history)[1].formed == 13 + took
     # The result of a swarm says that it formed, but no round: it is measured.
+    run.open = False
     run.history.result = {"formed": True, "mission_s": 7.5}
     assert mission_parts(run.history)[1].formed is not None and told(run)["tone"] == "good"
     run.history.result = {"formed": False, "mission_s": None}
