@@ -71,7 +71,7 @@ def draw_paper(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[D
         ]
         if rows:
             words = "By the records of the flights (line 544). One that ended earlier shows its last round."
-            yield _drawing("flights", "Drones form the paper's shapes", words, sheet(rows))
+            yield _drawing("flights", "The paper's four flights", words, sheet(rows))
 
 
 def _drawing(name: str, title: str, caption: str, figure: Figure, *, plate: bool = True) -> Drawing:

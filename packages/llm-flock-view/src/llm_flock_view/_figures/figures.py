@@ -118,7 +118,7 @@ def sheet(rows: Sequence[tuple[str, RunRecord, Sequence[int]]]) -> Figure:
                 axes.set_title(_moment(record, k, with_error=not math.isnan(record.errors[k])), fontsize=7)
                 panel = _frame(record, axes, k, width=72 * (inches - 0.3), letters=LETTERS)
                 panels.append((panel, axes, k))
-            line[0].set_ylabel(fold(label, int(11 * inches)))
+            line[0].set_ylabel(fold(label, int(13 * inches)))
         figure.suptitle(fit_title(model_names(records), PAGE), fontsize=7.5)
         _legend(figure, key_of((panel, [k]) for panel, _, k in panels), PAGE)
         _draw_teams(figure, panels)
