@@ -13,21 +13,13 @@ from llm_flock.extras import require
 
 
 def mcp(
-    runs: Annotated[
-        Path | None,
-        typer.Option(help="Folder of the records that agents may read, and that their missions go to [none]"),
-    ] = None,
-    http: Annotated[bool, typer.Option("--http", help="Listen on this machine instead of standard input")] = False,
-    port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port of --http; 0 takes a free one [8766]", show_default=False)
+    runs: Annotated[Path | None, typer.Option(help="Folder that records are read from and written to [none]")] = None,
+    http: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Port of 127.0.0.1 to listen at, 0 for a free one [standard input]"),
     ] = None,
     token: Annotated[
-        str | None,
-        typer.Option(
-            envvar="LLM_FLOCK_TOKEN",
-            help="Token that clients of --http show [random]; on the command line, others on this machine can see it",
-            show_default=False,
-        ),
+        str | None, typer.Option(envvar="LLM_FLOCK_TOKEN", help="Token that clients of --http must show [random]")
     ] = None,
 ) -> None:
     """Offer tools to agents by the Model Context Protocol: simulated missions, comparisons, records, figures.
@@ -36,23 +28,18 @@ def mcp(
     or asks a language model.
     """
     require("mcp", "mcp")
-    if port is not None and not http:
-        raise InputError("port", port, says="has no effect without --http")
+    if runs is not None and not runs.is_dir():
+        raise InputError("runs", str(runs), "a folder that is there")
     from llm_flock_lab._mcp.records import Records
     from llm_flock_lab._mcp.server import make_server, serve_http
 
-    if runs is not None:
-        try:
-            runs.mkdir(parents=True, exist_ok=True)
-        except (OSError, ValueError) as error:
-            raise InputError("runs", str(runs), f"a folder ({getattr(error, 'strerror', None) or error})") from None
     server = make_server(Records(runs))
-    if not http:
+    if http is None:
         server.run("stdio")
         return
     from llm_flock_view._viewer.server import listen
 
-    address = listen("127.0.0.1", 8766 if port is None else port, token)
+    address = listen("127.0.0.1", http, token)
     say(f"http://127.0.0.1:{address.port}/mcp")
     if token is None:
         say(f"Authorization: Bearer {address.token}")

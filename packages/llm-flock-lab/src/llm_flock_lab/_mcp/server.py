@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hmac
 import inspect
+import socket
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any
@@ -21,7 +22,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 
 from llm_flock.errors import FlockError
 from llm_flock.printable import printable
-from llm_flock_lab._mcp.records import Records
+from llm_flock_lab._mcp.records import Records, cleaned
 from llm_flock_lab._mcp.tools import Tools
 
 ABOUT = (
@@ -32,31 +33,30 @@ ABOUT = (
 
 
 def make_server(records: Records) -> MCPServer[Any]:
-    """A server with all tools; those that need records are left out without a folder of them."""
+    """A server with all tools; without a folder of records, those that need one are left out."""
     tools = Tools(records)
     offered: list[Callable[..., Any]] = [tools.describe_shapes, tools.fly_mission, tools.compare_protocols]
-    if records.there:
+    if records.folder is not None:
         offered += [tools.list_records, tools.read_summary, tools.read_conversation, tools.draw_figure]
     known = version("llm-flock-lab")
     return MCPServer("llm-flock", instructions=ABOUT, version=known, tools=[*map(_tool, offered)], log_level="WARNING")
 
 
 def _tool(function: Callable[..., Any]) -> Tool:
-    """A tool whose expected errors reach the agent as text, and which refuses arguments that it does not know."""
+    """A tool that tells the agent of expected errors, and refuses arguments that it does not know."""
 
     @functools.wraps(function)
     def call(**given: Any) -> Any:
         try:
-            return function(**given)
+            return cleaned(function(**given))
         except FlockError as error:
             raise ToolError(printable(str(error))) from None
 
-    only_reads = function.__name__ != "fly_mission"
-    about = ToolAnnotations(read_only_hint=only_reads, destructive_hint=False, open_world_hint=False)
+    about = ToolAnnotations(read_only_hint=function.__name__ != "fly_mission", open_world_hint=False)
     pictures = inspect.signature(function, eval_str=True).return_annotation == list[Any]
     tool = Tool.from_function(call, annotations=about, structured_output=False if pictures else None)
-    known = tool.fn_metadata.arg_model
-    strict = type(known.__name__, (known,), {"model_config": ConfigDict(extra="forbid"), "__module__": __name__})
+    given = tool.fn_metadata.arg_model
+    strict = type(given.__name__, (given,), {"model_config": ConfigDict(extra="forbid"), "__module__": __name__})
     tool.fn_metadata.arg_model = strict
     tool.parameters = strict.model_json_schema(by_alias=True)
     return tool
@@ -69,17 +69,16 @@ class BearerGuard:
         self._app, self._expected = app, f"Bearer {token}".encode()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        given = Headers(scope=scope).get("authorization", "") if scope["type"] == "http" else ""
-        if scope["type"] == "http" and not hmac.compare_digest(given.encode(), self._expected):
-            refusal = PlainTextResponse("Authorization: Bearer TOKEN is needed\n", 401, {"WWW-Authenticate": "Bearer"})
-            await refusal(scope, receive, send)
-            return
-        await self._app(scope, receive, send)
+        app = self._app
+        if scope["type"] == "http":
+            given = Headers(scope=scope).get("authorization", "").encode()
+            if not hmac.compare_digest(given, self._expected):
+                app = PlainTextResponse("Authorization: Bearer TOKEN is needed\n", 401, {"WWW-Authenticate": "Bearer"})
+        await app(scope, receive, send)
 
 
-def serve_http(server: MCPServer[Any], sock: Any, token: str) -> None:
+def serve_http(server: MCPServer[Any], sock: socket.socket, token: str) -> None:
     """Answer requests at a socket of this machine until the process is told to end."""
-    app = server.streamable_http_app(json_response=True, stateless_http=True)
-    guarded = BearerGuard(app, token)
+    guarded = BearerGuard(server.streamable_http_app(json_response=True, stateless_http=True), token)
     settings = uvicorn.Config(guarded, ws="none", log_level="error", access_log=False, timeout_graceful_shutdown=1)
     uvicorn.Server(settings).run(sockets=[sock])
