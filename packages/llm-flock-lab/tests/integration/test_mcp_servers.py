@@ -76,9 +76,9 @@ def test_agents_on_this_machine_show_a_token(server: tuple[str, str]) -> None:
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/mcp", address) and re.fullmatch(r"Bearer \S{32}", words)
 
     async def main() -> dict[str, Any]:
-        async with httpx2.AsyncClient(headers={"Authorization": words}, timeout=60.0) as http:
-            async with Client(streamable_http_client(address, http_client=http)) as client:
-                return await flown_and_read(client)
+        http = httpx2.AsyncClient(headers={"Authorization": words}, timeout=60.0)
+        async with http, Client(streamable_http_client(address, http_client=http)) as client:
+            return await flown_and_read(client)
 
     assert asyncio.run(main())["result"]["formed"]
 
@@ -108,7 +108,7 @@ def test_others_are_refused(server: tuple[str, str]) -> None:
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ("--runs no-such-folder", "runs = 'no-such-folder': expected a folder that is there"),
+        ("--runs no-such-folder", "--runs no-such-folder: expected a folder that is there"),
         ("--http 0 --token short", "token: expected 16 characters or more"),
     ],
 )

@@ -6,23 +6,30 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sample_records import FakeRun, llm_entry
+from sample_records import FakeRun
 
 from llm_flock.errors import InputError, RecordError
-from llm_flock.record._schema import ChatLine
+from llm_flock.record._schema import ChatLine, Entry, LlmEntry
 from llm_flock.record._writer import RecordWriter
 from llm_flock_lab._mcp import records as module
 from llm_flock_lab._mcp.records import Records, cleaned, conversation_of, summary_of
 
 
 def written(folder: Path, name: str, **entry: Any) -> Path:
-    """A record whose robot 1 has another call in round 1."""
+    """A record in which these are changed in the call of robot 1 in round 1."""
     path = folder / name / "run.mcap"
     with RecordWriter(path) as writer:
-        if entry:
-            writer.write(llm_entry(1, 1, **entry))
-        FakeRun(n=3, rounds=2).write(writer)
+        FakeRun(n=3, rounds=2).write(_Changed(writer, entry))
     return path
+
+
+class _Changed:
+    def __init__(self, writer: RecordWriter, changes: dict[str, Any]) -> None:
+        self._writer, self._changes = writer, changes
+
+    def write(self, entry: Entry) -> None:
+        mine = isinstance(entry, LlmEntry) and (entry.round, entry.robot) == (1, 1)
+        self._writer.write(entry.model_copy(update=self._changes) if mine else entry)
 
 
 def test_records_are_named_newest_first(tmp_path: Path) -> None:
@@ -68,7 +75,7 @@ def test_no_file_outside_of_the_folder_is_read(tmp_path: Path) -> None:
 def test_what_is_no_record_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written(tmp_path, "a")
     (tmp_path / "notes.txt").write_text("a secret\n")
-    with pytest.raises(RecordError, match="not a record") as caught:
+    with pytest.raises(RecordError, match="not a readable MCAP file") as caught:
         Records(tmp_path).read("notes.txt")
     assert "secret" not in str(caught.value)
     monkeypatch.setattr(module, "MAX_BYTES", 1000)
@@ -98,7 +105,7 @@ def test_a_conversation_comes_in_parts(tmp_path: Path, monkeypatch: pytest.Monke
     assert conversation_of(record, 1, None, 1, prompts=False)["calls"] == whole["calls"][1:2]
     with pytest.raises(InputError, match="no call of its model in this round; calls in rounds"):
         conversation_of(record, 1, 77, 0, prompts=False)
-    with pytest.raises(InputError, match="robot = 99: there is no call of its model$"):
+    with pytest.raises(InputError, match=r"robot = 99: there is no call of its model$"):
         conversation_of(record, 99, None, 0, prompts=False)
 
 

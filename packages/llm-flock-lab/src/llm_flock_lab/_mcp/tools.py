@@ -25,7 +25,7 @@ LIMIT_S = 60.0  #: Longest time for a mission or a comparison [s].
 Shape: TypeAlias = Annotated[str, Field(description="circle, polygon:5, text:the letter S; describe_shapes has all")]
 Robots: TypeAlias = Annotated[int, Field(ge=1, le=MAX_ROBOTS, description="Number of robots; shapes have legal ones")]
 Own: TypeAlias = Annotated[list[list[float]], Field(min_length=1, max_length=MAX_ROBOTS)]
-Length: TypeAlias = Annotated[float, Field(gt=0)]
+Length: TypeAlias = Annotated[float, Field(gt=0, le=1e6)]
 Model: TypeAlias = Annotated[str, Field(description="simulated:PROFILE or geometry, or by robot: 0-4=A,5-9=B")]
 Rounds: TypeAlias = Annotated[int, Field(ge=1, le=MAX_ROUNDS, description="Most rounds; it ends when formed")]
 Loss: TypeAlias = Annotated[float, Field(ge=0, le=1, description="Share of messages between robots that are lost")]

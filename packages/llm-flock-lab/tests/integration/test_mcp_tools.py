@@ -109,7 +109,7 @@ def test_a_flight_without_a_folder_leaves_no_record(tmp_path: Path, monkeypatch:
 def test_a_team_that_fails_is_told_why(tmp_path: Path) -> None:
     (result,) = called(tmp_path, ("fly_mission", {**FLIGHT, "model": "simulated:collapse@1", "rounds": 12}))
     figures = told(result)
-    assert not figures["formed"] and "plan" in figures["why_not_formed"]
+    assert not figures["formed"] and "(simulated:collapse@1) gave no usable answer" in figures["why_not_formed"]
 
 
 def test_own_points_may_be_in_space() -> None:
@@ -128,40 +128,38 @@ def test_protocols_fly_the_same_seeds() -> None:
     assert one["trials"] == two["trials"] == 2 and one["simulated"] and one["formed"]["value"] == 1.0
 
 
-REAL = ["openai:gpt-5", "local:smollm2", "replay:/etc/passwd", "os:system", "0=openai:gpt-5,1-2=geometry"]
+REAL = ["openai:gpt-5", "local:smollm2", "replay:/etc/passwd", "pathlib:Path", "0=openai:gpt-5,1-2=geometry"]
 
 
-@pytest.mark.parametrize(
-    ("tool", "given", "says"),
-    [
-        *(("fly_mission", {**FLIGHT, "model": model}, "expected simulated:PROFILE or geometry") for model in REAL),
-        ("compare_protocols", {"model": "openai:gpt-5"}, "expected simulated:PROFILE or geometry"),
-        ("fly_mission", {"model": "simulated:clever"}, "unknown profile"),
-        ("fly_mission", {"shape": "points:/etc/passwd"}, "points: none given"),
-        ("fly_mission", {"shape": "blob"}, "unknown shape"),
-        ("fly_mission", {"shape": "star", "n_robots": 7}, "a star takes 10, 20"),
-        ("fly_mission", {"n_robots": 51}, "less than or equal to 50"),
-        ("fly_mission", {"rounds": 301}, "less than or equal to 300"),
-        ("fly_mission", {"points": [[0, 0]] * 51}, "at most 50 items"),
-        ("fly_mission", {"points": [[0, 0], [1]]}, "coordinates"),
-        ("fly_mission", {"arena": 1e308}, "arena"),
-        ("fly_mission", {"spacing": "nan"}, "spacing"),
-        ("fly_mission", {"kill": "all"}, "kill"),
-        ("fly_mission", {"robots": 5}, "Extra inputs are not permitted"),
-        ("fly_mission", {"out": "/somewhere"}, "Extra inputs are not permitted"),
-        ("compare_protocols", {"trials": 21}, "less than or equal to 20"),
-        ("compare_protocols", {"protocols": []}, "at least 1 item"),
-        ("read_summary", {"record": "../other"}, "a record in the folder of this server"),
-        ("read_conversation", {"record": "none", "robot": 0}, "a record in the folder of this server"),
-        ("draw_figure", {"records": []}, "at least 1 item"),
-        ("take_off", {}, "Unknown tool"),
-    ],
-)
-def test_what_is_not_allowed_is_an_error_of_the_tool(
-    tmp_path: Path, tool: str, given: dict[str, Any], says: str
-) -> None:
-    (result,) = called(tmp_path, (tool, given))
-    assert result.is_error and says in result.content[0].text
+REFUSED: list[tuple[str, dict[str, Any], str]] = [
+    *(("fly_mission", {**FLIGHT, "model": model}, "expected simulated:PROFILE or geometry") for model in REAL),
+    ("compare_protocols", {"model": "openai:gpt-5"}, "expected simulated:PROFILE or geometry"),
+    ("fly_mission", {"model": "simulated:clever"}, "unknown profile"),
+    ("fly_mission", {"shape": "points:/etc/passwd"}, "points: none given"),
+    ("fly_mission", {"shape": "blob"}, "unknown shape"),
+    ("fly_mission", {"shape": "star", "n_robots": 7}, "a star takes 10, 20"),
+    ("fly_mission", {"n_robots": 51}, "less than or equal to 50"),
+    ("fly_mission", {"rounds": 301}, "less than or equal to 300"),
+    ("fly_mission", {"points": [[0, 0]] * 51}, "at most 50 items"),
+    ("fly_mission", {"points": [[0, 0], [1]]}, "coordinates"),
+    ("fly_mission", {"arena": 1e308}, "less than or equal to 1000000"),
+    ("fly_mission", {"spacing": "nan"}, "spacing"),
+    ("fly_mission", {"kill": "all"}, "kill"),
+    ("fly_mission", {"robots": 5}, "Extra inputs are not permitted"),
+    ("fly_mission", {"out": "/somewhere"}, "Extra inputs are not permitted"),
+    ("compare_protocols", {"trials": 21}, "less than or equal to 20"),
+    ("compare_protocols", {"protocols": []}, "at least 1 item"),
+    ("read_summary", {"record": "../other"}, "a record in the folder of this server"),
+    ("read_conversation", {"record": "none", "robot": 0}, "a record in the folder of this server"),
+    ("draw_figure", {"records": []}, "at least 1 item"),
+    ("take_off", {}, "Unknown tool"),
+]
+
+
+def test_what_is_not_allowed_is_an_error_of_the_tool(tmp_path: Path) -> None:
+    results = called(tmp_path, *((tool, given) for tool, given, _ in REFUSED))
+    for result, (tool, given, says) in zip(results, REFUSED, strict=True):
+        assert result.is_error and says in result.content[0].text, (tool, given)
     assert not list(tmp_path.iterdir())
 
 
