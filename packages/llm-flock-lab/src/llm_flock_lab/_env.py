@@ -347,8 +347,7 @@ def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedRea
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
     readings = RememberedReadings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
-    nobody = CallLane(pool=ModelPool(environ={}, asks=False))  # no model is asked: no keys, and nothing to copy
-    planners = TeamPlanners(config, nobody)
+    planners = TeamPlanners(config, CallLane(pool=ModelPool(environ={}, asks=False)))  # copies take no keys along
     journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan", trace=trace)
     trial = Trial(config, rules, planners, InstantBodies(readings), journal, start)
     trial.begin()

@@ -109,11 +109,7 @@ def test_a_conversation_comes_in_parts(tmp_path: Path, monkeypatch: pytest.Monke
         conversation_of(record, 99, None, 0, prompts=False)
 
 
-def test_values_are_cut_where_they_are_long_or_deep() -> None:
-    nested: Any = 1
-    for _ in range(50):
-        nested = {"a": [nested]}
-    assert len(json.dumps(cleaned(nested))) < 100
+def test_values_are_cut_where_they_are_long() -> None:
     assert len(cleaned(list(range(1000)))) == len(cleaned({str(k): k for k in range(1000)})) == module.MAX_LISTED
     (key,) = cleaned({"\x1b" * 1000: None})
     assert key.startswith("\\x1b\\x1b") and len(key) <= 100

@@ -74,9 +74,8 @@ def load_points(name: str | Path, field: str = "points") -> tuple[Point, ...]:
 
 
 def _points(rows: Iterable[Row]) -> list[Point]:
-    points: list[Point] = []
+    points, ids = list[Point](), dict[str, str]()
     known, axes, who = None, list[int](), None
-    ids: dict[Any, str] = {}
     for where, names, cells in rows:
         if names is not None:
             if names != known:
@@ -204,8 +203,7 @@ class _Drawing:
     """What the parser calls for each element of a drawing."""
 
     def __init__(self) -> None:
-        self.centers: list[Pair] = []
-        self.corners: list[Pair] = []
+        self.centers, self.corners = list[Pair](), list[Pair]()
         self._maps: list[Affine | None] = [(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)]  # None: what is inside is not drawn
 
     def start(self, tag: str, given: dict[str, str]) -> None:
