@@ -91,9 +91,9 @@ def _points(rows: Iterable[Row]) -> list[Point]:
         points.append(point)
     if not points:
         raise _Refused("a file with at least one point")
-    counted = [[first + k for k in range(len(points))] for first in (0, 1)]
-    if known is None and len(points[0]) == 3 and len(points) > 1 and [point[0] for point in points] in counted:
-        raise _Refused("names of the columns: the first numbers count the rows, and could be x or ids")
+    for column in list(zip(*points, strict=True))[::2] if known is None and len(points[0]) == 3 else []:
+        if len(column) > 1 and all(here == column[0] + k for k, here in enumerate(column)):
+            raise _Refused("names of the columns: the first or last ones count the rows, and could be ids")
     numbers = [_number(one) for one in ids]
     if len(numbers) == len(points) and not any(isinstance(one, str) for one in numbers):
         points = [points[k] for k in sorted(range(len(points)), key=numbers.__getitem__)]

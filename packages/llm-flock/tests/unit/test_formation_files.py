@@ -52,6 +52,8 @@ def test_forms_of_the_same_points(tmp_path: Path, name: str, text: str) -> None:
 
 
 def test_three_dimensions(tmp_path: Path) -> None:
+    assert load_points(written(tmp_path, "a.csv", "1,2,3\n1,3,3\n")) == ((1.0, 2.0, 3.0), (1.0, 3.0, 3.0))
+    assert load_points(written(tmp_path, "a.csv", "1,2,3\n")) == ((1.0, 2.0, 3.0),)
     assert load_points(written(tmp_path, "a.csv", "x,y,z\n1,2,3\n")) == ((1.0, 2.0, 3.0),)
 
 
@@ -74,8 +76,9 @@ def test_three_dimensions(tmp_path: Path) -> None:
         ("a.csv", "x,px,y\n1,2,3\n", "not both 'x' and 'px'", "one column for x"),
         ("a.csv", "x,y\n1,2,3\n", "[1.0, 2.0, 3.0] (line 2)", "2 cells"),
         ("a.csv", "id,x,y\n1,2,3\n1,4,5\n", "in line 2 and line 3", "one row for each robot"),
-        ("a.csv", "0,1,2\n1,3,4\n", "could be x or ids", "names of the columns"),
-        ("a.json", "[[1, 0, 20], [2, 10, 20]]", "could be x or ids", "names of the columns"),
+        ("a.csv", "0,1,2\n1,3,4\n", "could be ids", "names of the columns"),
+        ("a.csv", "5,1,101\n7,3,102\n", "could be ids", "names of the columns"),
+        ("a.json", "[[1, 0, 20], [2, 10, 20]]", "could be ids", "names of the columns"),
         ("a.csv", "A,1,2\nB,3,4\n", "not ['A', 1.0, 2.0] (line 1)", "a first line that names the columns"),
         ("a.csv", "1,5;2\n1.5;3\n", "not both '1,5' and '1.5'", "decimal commas or decimal points"),
         ("a.csv", "1,5;2\n1,000,000;3\n", "line 2", "2 or 3 finite numbers"),
