@@ -21,7 +21,6 @@ MAX_DEPTH = 64  #: Deepest nesting of a drawing's elements.
 Row: TypeAlias = tuple[str, Sequence[str] | None, list[Any]]
 """Where a row is, the names of its cells if it has some, and the cells."""
 
-Pair: TypeAlias = tuple[float, float]
 Affine: TypeAlias = tuple[float, float, float, float, float, float]
 """A map of the plane, as `matrix` of an SVG: where it takes the directions of x and y, and the origin."""
 
@@ -52,8 +51,7 @@ def load_points(name: str | Path, field: str = "points") -> tuple[Point, ...]:
     of its polygons and polylines, in the units of the drawing, with y upwards.
 
     Raises:
-        InputError: the file cannot be read, can be read in two ways, has a column that is not known, or its rows are
-            not all 2 or all 3 finite numbers.
+        InputError: the file cannot be read, or in two ways, or its rows are not all 2 or all 3 finite numbers.
     """
     scaled = _SCALED.fullmatch(str(name))
     path, scale = (Path(scaled[1]), _number(scaled[2])) if scaled else (Path(name), 1.0)
@@ -159,9 +157,15 @@ def _number(text: str) -> float | str:
         return text
 
 
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    if len(found := dict(pairs)) < len(pairs):
+        raise _Refused("each name once in an object")
+    return found
+
+
 def _json_rows(text: str) -> Iterator[Row]:
     try:
-        data: Any = json.loads(text)
+        data: Any = json.loads(text, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
         raise _Refused(f"{_JSON} ({error})") from None
     if isinstance(data, dict):
@@ -203,7 +207,7 @@ class _Drawing:
     """What the parser calls for each element of a drawing."""
 
     def __init__(self) -> None:
-        self.centers, self.corners = list[Pair](), list[Pair]()
+        self.centers, self.corners = list[Point](), list[Point]()
         self._maps: list[Affine | None] = [(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)]  # None: what is inside is not drawn
 
     def start(self, tag: str, given: dict[str, str]) -> None:
@@ -218,7 +222,10 @@ class _Drawing:
         here = _composed(outer, given.get("transform", style if "transform:" in style else ""))
         self._maps.append(here)
         if kind in ("circle", "ellipse"):
-            self.centers += _placed(here, [_length(given, "cx"), _length(given, "cy")])
+            numbers = [_floats(given.get(key, "0").removesuffix("px")) for key in ("cx", "cy")]
+            if [*map(len, numbers)] != [1, 1]:
+                raise _Refused(f"one number each as cx and cy, not {numbers!r}")
+            self.centers += _placed(here, [*numbers[0], *numbers[1]])
         elif kind in ("polygon", "polyline"):
             corners = _placed(here, _floats(given.get("points", "")))
             self.corners += corners[: len(corners) - (len(corners) > 1 and corners[0] == corners[-1])]  # closed
@@ -229,7 +236,7 @@ class _Drawing:
         self._maps.pop()
 
 
-def _placed(here: Affine, numbers: Sequence[float]) -> list[Pair]:
+def _placed(here: Affine, numbers: Sequence[float]) -> list[Point]:
     if len(numbers) % 2:
         raise _Refused(f"pairs of numbers as points, not {len(numbers)} numbers")
     a, b, c, d, e, f = here
@@ -243,13 +250,6 @@ def _floats(text: str) -> list[float]:
     if rest or math.inf in map(abs, numbers):
         raise _Refused(f"finite numbers without units, not {(rest or text)[:40]!r}")
     return numbers
-
-
-def _length(given: dict[str, str], name: str) -> float:
-    numbers = _floats(given.get(name, "0").strip().removesuffix("px"))
-    if len(numbers) != 1:
-        raise _Refused(f"one number as {name}, not {given[name][:40]!r}")
-    return numbers[0]
 
 
 def _composed(here: Affine, text: str) -> Affine:
