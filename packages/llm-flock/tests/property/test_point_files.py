@@ -28,7 +28,9 @@ def read(text: str, name: str) -> Any:
 @st.composite
 def tables(draw: st.DrawFn, points: list[tuple[float, float]]) -> str:
     """The points as a table: columns in any order, any mark between cells, ids and colours beside them."""
-    columns = {draw(st.sampled_from(HEADS[axis])): [point[k] for point in points] for k, axis in enumerate("xy")}
+    columns: dict[str, list[Any]] = {
+        draw(st.sampled_from(HEADS[axis])): [point[k] for point in points] for k, axis in enumerate("xy")
+    }
     if draw(st.booleans()):
         columns[draw(st.sampled_from(["Red", "green", "Color"]))] = [255.0] * len(points)
     names = draw(st.permutations(list(columns)))
