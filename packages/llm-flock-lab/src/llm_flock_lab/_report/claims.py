@@ -7,6 +7,7 @@ o3-mini was not flown; a claim that compares named models needs these.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -80,9 +81,13 @@ class PaperEvidence:
 
     def errors(self, team: Team, models: Sequence[str], protocol: str | None = None) -> Figures:
         """Error at the end, mean over models [units]."""
-        found = [(key, t.error) for model in models for key, t in self.trials(team, model, protocol).items()]
-        known = {key: [error for other, error in found if other == key and error is not None] for key, _ in found}
-        return {key: sum(errors) / len(errors) for key, errors in known.items() if errors}
+        found: defaultdict[tuple[str, int], list[float]] = defaultdict(list)
+        for key, trial in (
+            (key, trial) for model in models for key, trial in self.trials(team, model, protocol).items()
+        ):
+            if trial.error is not None:
+                found[key].append(trial.error)
+        return {key: sum(errors) / len(errors) for key, errors in found.items()}
 
     def changes(self, team: Team) -> Figures:
         """Error at the end with consensus less that without [units]."""
@@ -106,9 +111,10 @@ class PaperEvidence:
 
     def swinging(self, trial: TrialRow) -> bool:
         """Whether a team with one plan never came to rest: its error still moves in the last rounds."""
+        if not self.faulty_plan(trial, settled=False):
+            return False
         errors = self.results.curves([trial], self.results.longest)[:, -SETTLED:]
-        moved = bool(errors.size) and float(np.ptp(errors)) > 0.01 * (trial.figures["spacing"] or 1.0)
-        return moved and self.faulty_plan(trial, settled=False)
+        return bool(errors.size) and float(np.ptp(errors)) > 0.01 * (trial.figures["spacing"] or 1.0)
 
 
 def _verdict(cells: Iterable[tuple[str, Tested]]) -> Verdict:
