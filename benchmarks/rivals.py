@@ -224,6 +224,19 @@ def side_by_side(table: Sequence[dict[str, str | int]], team: tuple[str, int]) -
     return list(found.values())
 
 
+ORCA = {
+    "method": "ORCA",
+    "assumes": "places from a station; positions and velocities of all, ten times a round",
+    "source": "van den Berg, Guy, Lin and Manocha: Reciprocal n-body collision avoidance. In: Robotics Research. "
+    "Springer, 2011",
+}
+
+
+def sources() -> list[dict[str, str | int]]:
+    """What each rival assumes beyond its own sensors and radio, and where it comes from."""
+    return [*({"method": name, "assumes": one.assumes, "source": one.source} for name, one in RIVALS.items()), {**ORCA}]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--trials", type=int, default=100)
@@ -232,6 +245,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     table = rows(given.trials, given.jobs)
     write(given.out, table)
+    write(given.out.with_stem(f"{given.out.stem}-sources"), sources())
     for team in TEAMS:
         write(given.out.with_stem(f"{given.out.stem}-{team[0]}"), side_by_side(table, team))
 

@@ -355,6 +355,10 @@ def fly_rival(name: str, mission: Mission, *, seed: int, shield: bool, trace: bo
     if name not in RIVALS:
         raise InputError("name", name, says=unknown("rival", name, RIVALS))
     rival = RIVALS[name]
+    if rival.assign is not None and mission.n_places != mission.n_robots:
+        raise InputError("places", mission.places, f"one place for each of the {mission.n_robots} robots")
+    if rival.assign is not None and mission.velocity is not None:
+        raise InputError("velocity", mission.velocity, "a formation that stands still")
     if rival.all_hear_all:
         mission = mission.change(comm_range=math.dist(*mission.arena), sense_range=mission.sensing)
 

@@ -281,6 +281,37 @@ def test_an_auction_without_a_team_sends_less() -> None:
     assert size("cbaa") < size("auction")
 
 
-def test_an_unknown_rival_is_refused() -> None:
+def test_an_unknown_rival_and_unfit_missions_are_refused() -> None:
     with pytest.raises(InputError, match=r"CAPTT.*CAPT"):
         fly_rival("CAPTT", CIRCLE, seed=0, shield=True)
+    with pytest.raises(InputError, match=r"places.*10 robots"):
+        fly_rival("CAPT", Mission(n_robots=10, places=8), seed=0, shield=True)
+    with pytest.raises(InputError, match=r"velocity.*stands still"):
+        fly_rival("CAPT", Mission(n_robots=10, velocity=(1.0, 0.0)), seed=0, shield=True)
+
+
+def test_a_station_without_a_plan_leaves_all_where_they_are() -> None:
+    flown = fly_rival("CAPT", Mission(shape="text:a heart", n_robots=3), seed=0, shield=False)
+    assert not flown.formed and flown.plans == (None,) * 3 and (flown.positions == flown.positions[0]).all()
+
+
+def test_only_the_leader_assigns_all() -> None:
+    plan = Plan.of([[0, 0], [10, 0]])
+
+    def owners(robot: int) -> list[int]:
+        """Owners of the places for a robot at the second place; robot 0, whose plan it is, would rather have that."""
+        now = AssignmentInput(
+            robot=robot,
+            position=(10.0, 0.0),
+            plan=plan,
+            spacing=10.0,
+            chosen=None,
+            adopted=robot > 0,
+            heard=(),
+            sensed={},
+            origin=origin(0),
+            positions=(2**23, (0, 1), ((10.0, 0.0), (20.0, 0.0))),
+        )
+        return [owner for _, _, owner in LeaderAssignment().take(now).table or ()]
+
+    assert owners(0) == [0, 1] and owners(1) == [-1, 1]
