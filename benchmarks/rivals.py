@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from benchmarks import figures
 from benchmarks.arrivals import measure, orca
 from benchmarks.readings import text, write
 from benchmarks.scenes import Scene
@@ -68,7 +69,7 @@ Method: TypeAlias = Callable[[Mission, bool, int], Flown | None]
 """Flies a mission with the shield or without it, from the starts of a seed; None where its conditions do not hold."""
 
 
-def figures(result: RunResult, messages: float, size: float) -> Flown:
+def figures_of(result: RunResult, messages: float, size: float) -> Flown:
     summary, plan = result.summary, result.plans[0]
     ratio = detour = math.nan
     if summary.formed and plan is not None:
@@ -99,12 +100,12 @@ def ours(options: Mapping[str, Any], mission: Mission, shield: bool, seed: int) 
     there = {name: value for name, value in filled.items() if name in Mission.model_fields}
     rest = {name: value for name, value in filled.items() if name not in there}
     result = llm_flock.run(mission.change(**there), seed=seed, trace=False, **rest)
-    return figures(result, *Rival(source="", assumes="").traffic(result))
+    return figures_of(result, *Rival(source="", assumes="").traffic(result))
 
 
 def rival(name: str, mission: Mission, shield: bool, seed: int) -> Flown | None:
     result = fly_rival(name, mission, seed=seed, shield=shield)
-    return figures(result, *RIVALS[name].traffic(result))
+    return figures_of(result, *RIVALS[name].traffic(result))
 
 
 def capt_by_its_conditions(mission: Mission, shield: bool, seed: int) -> Flown | None:
@@ -113,7 +114,9 @@ def capt_by_its_conditions(mission: Mission, shield: bool, seed: int) -> Flown |
     plan = result.plans[0]
     assert plan is not None
     near = min(metrics.min_separation(result.positions[0]), metrics.min_separation(plan.array))
-    return None if near < math.sqrt(2.0) * mission.safe_distance else figures(result, *RIVALS["CAPT"].traffic(result))
+    return (
+        None if near < math.sqrt(2.0) * mission.safe_distance else figures_of(result, *RIVALS["CAPT"].traffic(result))
+    )
 
 
 def by_orca(horizon: float, mission: Mission, shield: bool, seed: int) -> Flown:
@@ -193,9 +196,9 @@ def rows(trials: int, jobs: int) -> list[dict[str, str | int]]:
         for team in TEAMS:
             for name in METHODS:
                 for shield in (True, False):
-                    one, seeds = partial(fly, name, team, shield), range(trials)
-                    found = map(one, seeds) if pool is None else pool.map(one, seeds, chunksize=5)
-                    if flown := [figures for figures in found if figures is not None]:
+                    trial, seeds = partial(fly, name, team, shield), range(trials)
+                    found = map(trial, seeds) if pool is None else pool.map(trial, seeds, chunksize=5)
+                    if flown := [one for one in found if one is not None]:
                         table.append(row(name, team, shield, flown))
                         print(*table[-1].values(), sep=" | ", flush=True)
     return table
@@ -248,6 +251,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write(given.out.with_stem(f"{given.out.stem}-sources"), sources())
     for team in TEAMS:
         write(given.out.with_stem(f"{given.out.stem}-{team[0]}"), side_by_side(table, team))
+    if given.out == OUT:
+        figures.stamp("rivals.csv", "rivals-sources.csv", *(f"rivals-{shape}.csv" for shape, _ in TEAMS))
 
 
 if __name__ == "__main__":

@@ -27,13 +27,13 @@ def test_distance_and_rounds_count_up_to_the_formation():
     mission = Mission(shape="line", n_robots=2)
     below = [[45.0, 20.0], [55.0, 20.0]]
     straight = llm_flock.run(mission, start_positions=below, **given)
-    found = rivals.figures(straight, 3.0, 40.0)
+    found = rivals.figures_of(straight, 3.0, 40.0)
     assert (found.formed, found.ratio, found.messages, found.bytes) == (True, 1.0, 3.0, 40.0)
     assert found.detour == pytest.approx(1.0, abs=0.01) and found.separation == pytest.approx(10.0)
     crossed = llm_flock.run(mission, start_positions=below[::-1], **given)
-    found = rivals.figures(crossed, 0.0, 0.0)
+    found = rivals.figures_of(crossed, 0.0, 0.0)
     assert found.ratio == pytest.approx(6 / 5) and found.detour == pytest.approx(np.hypot(30, 10) / 30, abs=0.01)
-    lost = rivals.figures(llm_flock.run(mission, start_positions=below, rounds=3, **given), 0.0, 0.0)
+    lost = rivals.figures_of(llm_flock.run(mission, start_positions=below, rounds=3, **given), 0.0, 0.0)
     assert not lost.formed and np.isnan(lost.ratio)
 
 
