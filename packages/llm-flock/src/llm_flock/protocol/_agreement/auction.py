@@ -85,12 +85,14 @@ class AuctionAssignment:
     with a raised version cannot be outbid by a robot that has not heard of it. A robot that finds itself on several
     slots, after a late acceptance for instance, keeps one by a fixed order and releases the rest.
 
-    Positions of robots in touch, where they are known, are assigned together (`joint`), and replace bids.
+    Positions of robots in touch, where they are known, are assigned together (`joint`), and replace bids. Without
+    `team`, robots count no heartbeats, report no positions, and look for nobody.
     """
 
     name: str = "auction"
     swaps: bool = True
     joint: bool = True
+    team: bool = True
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
@@ -225,7 +227,7 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now, there, claim.slot, slot, straight=flown_straight(claim.table, claim.slot))
+    return gain(now, there, claim.slot, slot, straight=now.straight or flown_straight(claim.table, claim.slot))
 
 
 def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
