@@ -29,9 +29,6 @@ TEAMS = (Team(3, "triangle"), Team(6, "triangle"), Team(8, "square"), Team(10, "
 FLIGHTS = (Team(3, "triangle"), Team(4, "square"), Team(5, "cross"), Team(5, "circle"))
 """The paper's flights (line 544)."""
 
-DRIVERS = ("crazyflie", "mavlink")
-"""Drivers of real drones."""
-
 STRONG, GENERAL = ("o3-mini", "deepseek"), ("claude", "llama", "qwen")
 """Parts of the names of the paper's models: those that it calls strong in reasoning, and the others."""
 
@@ -82,12 +79,10 @@ class PaperEvidence:
     def errors(self, team: Team, models: Sequence[str], protocol: str | None = None) -> Figures:
         """Error at the end, mean over models [units]."""
         found: defaultdict[tuple[str, int], list[float]] = defaultdict(list)
-        for key, trial in (
-            (key, trial) for model in models for key, trial in self.trials(team, model, protocol).items()
-        ):
-            if trial.error is not None:
-                found[key].append(trial.error)
-        return {key: sum(errors) / len(errors) for key, errors in found.items()}
+        for model in models:
+            for key, trial in self.trials(team, model, protocol).items():
+                found[key] += [] if trial.error is None else [trial.error]
+        return {key: sum(errors) / len(errors) for key, errors in found.items() if errors}
 
     def changes(self, team: Team) -> Figures:
         """Error at the end with consensus less that without [units]."""
@@ -250,8 +245,9 @@ def team_of(record: RunRecord) -> Team:
 
 
 def drones_of(record: RunRecord) -> str:
-    """What flew."""
-    return "drones" if dict(record.run.config.get("fleet") or {}).get("robot") in DRIVERS else "stand-ins"
+    """What flew, by its driver."""
+    driver = dict(record.run.config.get("fleet") or {}).get("robot")
+    return "drones" if driver in ("crazyflie", "mavlink") else "stand-ins"
 
 
 def _flown(evidence: PaperEvidence) -> Verdict:

@@ -76,9 +76,8 @@ def _value(configs: Mapping[ResultCell, Mapping[str, Any]], section: str, field:
 def _plain(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(_plain, cast('Sequence[object]', value)))}]"
-    return {True: "on", False: "off", None: "none"}[value] if value is None or isinstance(value, bool) else (
-        f"{value:g}" if isinstance(value, float) else str(value)
-    )  # fmt: skip
+    words = {"True": "on", "False": "off", "None": "none"}
+    return f"{value:g}" if isinstance(value, float) else words.get(str(value), str(value))
 
 
 def _rules(results: Results, configs: Mapping[ResultCell, Mapping[str, Any]]) -> Sheet:

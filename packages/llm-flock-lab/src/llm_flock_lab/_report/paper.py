@@ -64,11 +64,8 @@ def draw_paper(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[D
         yield from (drawing for team in teams for drawing in _snapshots(first, team, fly_again))
         yield from _influence(first, fly_again)
         flown = {team_of(record): record for record in first.flights}
-        rows = [
-            (f"{team.shape}, {team.n_robots} {drones_of(flown[team])}", flown[team], FLIGHT_STEPS)
-            for team in FLIGHTS
-            if team in flown
-        ]
+        found = [(team, flown[team]) for team in FLIGHTS if team in flown]
+        rows = [(f"{team.shape}, {team.n_robots} {drones_of(one)}", one, FLIGHT_STEPS) for team, one in found]
         if rows:
             words = "By the records of the flights (line 544). One that ended earlier shows its last round."
             yield _drawing("flights", "The paper's four flights", words, sheet(rows))
