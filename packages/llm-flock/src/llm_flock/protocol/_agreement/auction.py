@@ -91,6 +91,7 @@ class AuctionAssignment:
     name: str = "auction"
     swaps: bool = True
     joint: bool = True
+    path_cost: bool = True  #: Whether exchanges count ways along the formation; straight ones if not.
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
@@ -124,8 +125,9 @@ class AuctionAssignment:
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
-        claim = _accept(claim, now) or claim
-        return claim if claim.offer is not None else _make_offer(claim, now)
+        straight = not self.path_cost
+        claim = _accept(claim, now, straight) or claim
+        return claim if claim.offer is not None else _make_offer(claim, now, straight)
 
 
 def reclaim(robot: int, claim: Claim, table: BidTable) -> BidTable:
@@ -220,15 +222,15 @@ def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight
     return keep**2 + their_keep**2 - take**2 - their_take**2
 
 
-def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
+def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int, straight: bool) -> float:
     """The gain of an exchange with a peer on `slot`; minus infinity if the peer is not sensed."""
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now, there, claim.slot, slot, straight=flown_straight(claim.table, claim.slot))
+    return gain(now, there, claim.slot, slot, straight=straight or flown_straight(claim.table, claim.slot))
 
 
-def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
+def _accept(claim: Claim, now: AssignmentInput, straight: bool) -> Claim | None:
     """Accept the best offer heard, if one is good enough and no offer of its own binds this robot."""
     table = claim.table or ()
     good: list[tuple[float, int, Offer]] = []
@@ -244,7 +246,7 @@ def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
             continue
         if max(offer.give_version, offer.take_version) >= LAST_EXCHANGED:
             continue
-        worth = _worth(claim, now, message.sender, offer.give)
+        worth = _worth(claim, now, message.sender, offer.give, straight)
         if worth >= SWAP_GAIN * now.spacing**2:
             good.append((worth, -message.sender, offer))
     if not good:
@@ -259,7 +261,7 @@ def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
     return Claim(slot=offer.give, table=changed(table, exchanged), bids=claim.bids)
 
 
-def _make_offer(claim: Claim, now: AssignmentInput) -> Claim:
+def _make_offer(claim: Claim, now: AssignmentInput, straight: bool) -> Claim:
     """Offer the best exchange to a neighbour without an offer, if one is good enough."""
     table, slot = claim.table or (), claim.slot
     assert slot is not None and claim.bids is not None
@@ -270,7 +272,7 @@ def _make_offer(claim: Claim, now: AssignmentInput) -> Claim:
             continue
         if max(table[theirs][0], table[slot][0]) >= LAST_EXCHANGED:
             continue
-        worth = _worth(claim, now, message.sender, theirs)
+        worth = _worth(claim, now, message.sender, theirs, straight)
         if worth >= SWAP_GAIN * now.spacing**2:
             good.append((worth, -message.sender, theirs))
     if not good:
