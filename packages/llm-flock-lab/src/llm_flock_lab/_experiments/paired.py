@@ -14,21 +14,30 @@ from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_int
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedMeans:
-    """A figure of two protocols: mean of first - second, in standard deviations too (Hedges' g of pairs) if defined."""
+    """A figure of two protocols: mean of first - second, in standard deviations too (Hedges' g of pairs) if defined.
+
+    `p_value` is that of Wilcoxon's signed-rank test (Individual comparisons by ranking methods, Biometrics Bulletin
+    1945), two-sided: that the differences lie around 0.
+    """
 
     pairs: int
     difference: Estimate
     effect: Estimate | None
+    p_value: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedShares:
-    """Success of two protocols on the same seeds: on how many one alone succeeded, and first share minus second."""
+    """Success of two protocols on the same seeds: on how many one alone succeeded, and first share minus second.
+
+    `p_value` is that of McNemar's exact test (Psychometrika 1947), two-sided: that both succeed as often.
+    """
 
     pairs: int
     only_first: int
     only_second: int
     difference: Estimate
+    p_value: float
 
 
 def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans | None:
@@ -41,7 +50,8 @@ def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans
     mean = mean_interval(differences)
     if mean is None:
         return None
-    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences))
+    p_value = float(scipy.stats.wilcoxon(differences).pvalue) if any(differences) else 1.0
+    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences), p_value=p_value)
 
 
 def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares | None:
@@ -57,6 +67,7 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
     one, two = wilson(sum(first), n), wilson(sum(second), n)
     both = sum(a and b for a, b in zip(first, second, strict=True))
     only_first, only_second = sum(first) - both, sum(second) - both
+    alone = only_first + only_second
     correlation = _correlation(both, only_first, only_second, n - both - only_first - only_second)
     difference = one.value - two.value
     (below_one, above_one), (below_two, above_two) = _arms(one), _arms(two)
@@ -67,6 +78,7 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
         only_first=only_first,
         only_second=only_second,
         difference=Estimate(value=difference, low=max(-1.0, difference - down), high=min(1.0, difference + up)),
+        p_value=float(scipy.stats.binomtest(only_first, alone).pvalue) if alone else 1.0,
     )
 
 

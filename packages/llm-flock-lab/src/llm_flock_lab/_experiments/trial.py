@@ -11,12 +11,16 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import msgspec
+import numpy as np
+import scipy
 
 from llm_flock import runtime
+from llm_flock.arrays import Points
 from llm_flock.cancellation import is_cancelled
 from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, Spent, habits_of
-from llm_flock.record import Entry, MetricsRow, SummaryMessage
+from llm_flock.mission import Mission
+from llm_flock.record import Entry, MetricsRow, PlanInfo, State, SummaryMessage
 from llm_flock.runtime import RECORD_NAME, run_async
 from llm_flock.user_code import describe_exception
 from llm_flock_lab._experiments.grid import Earlier, TrialSpec
@@ -73,12 +77,31 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 class _Metrics:
     """Collects the figures of each round and of the whole trial from the entries of its record."""
 
+    mission: Mission
     rows: list[MetricsRow] = field(default_factory=list[MetricsRow])
     result: Mapping[str, Any] | None = None
+    states: list[State] = field(default_factory=list[State])
+    plans: dict[str | None, Points] = field(default_factory=dict[str | None, Points])
+
+    def distances(self) -> dict[str, float | None]:
+        """Distance flown by all robots, and the least from their starts to one plan that stands still [units]."""
+        if not self.states:
+            return {}
+        track, last = np.array([state.positions for state in self.states]), self.states[-1]
+        flown = float(np.linalg.norm(np.diff(track, axis=0), axis=2).sum())
+        least, places = None, self.plans.get(last.plan_ids[0])
+        if places is not None and len({*last.plan_ids}) == 1 and self.mission.velocity is None:
+            ways = self.mission.shortest_ways(track[0], places)
+            least = float(ways[scipy.optimize.linear_sum_assignment(ways)].sum())
+        return {"distance_flown": flown, "distance_least": least}
 
     def write(self, entry: Entry) -> None:
         """Keep the figures; the summary also comes where a run broke off."""
-        if isinstance(entry, MetricsRow):
+        if isinstance(entry, State):
+            self.states.append(entry)
+        elif isinstance(entry, PlanInfo):
+            self.plans[entry.plan_id] = np.array(entry.points)
+        elif isinstance(entry, MetricsRow):
             self.rows.append(entry)
         elif isinstance(entry, SummaryMessage):
             self.result = entry.result
@@ -101,7 +124,7 @@ async def fly(
         out = None if keep == "none" else str(scratch)
     lane = lane or CallLane()
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
-    metrics, error = _Metrics(), None
+    metrics, error = _Metrics(spec.config.mission), None
     try:
         await run_async(config=config, sink=metrics, lane=lane, progress=False, trace=False)
     except (Exception, asyncio.CancelledError) as reason:  # it is stored, counted and shown
@@ -110,7 +133,7 @@ async def fly(
         ):
             raise
         error = describe_exception(reason)
-    summary = None if metrics.result is None else {**metrics.result, "record": None}
+    summary = None if metrics.result is None else {**metrics.result, "record": None, **metrics.distances()}
     formed = summary is not None and summary["formed"] and error is None
     record = None if out is None or (formed and keep == "failed") else Path(out) / RECORD_NAME
     record = record if record is not None and record.exists() else None

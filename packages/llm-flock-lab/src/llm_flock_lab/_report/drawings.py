@@ -148,8 +148,7 @@ def _error_difference(line: PairLine) -> Estimate | None:
 
 
 def _percent(share: Estimate) -> Estimate:
-    low, high = (None if end is None else 100 * end for end in (share.low, share.high))
-    return Estimate(value=100 * share.value, low=low, high=high)
+    return share.times(100)
 
 
 def _limits(found: Found) -> tuple[float, float]:

@@ -91,8 +91,6 @@ class Summary:
     formed: bool
     #: Formed, with the plan of a model, without any waypoint of geometry, and with no circuit breaker ever open.
     formed_by_models: bool
-    formed_half_tolerance: bool  #: The same with both tolerances halved, by the end of a run that ends as usual.
-    formed_twice_tolerance: bool  #: The same with both tolerances doubled.
     rounds_to_formed: int | None  #: The first of those 3 rounds; None if it never came.
     #: Bottleneck assignment distance from the start to the agreed plan, in steps of max_step, less the 0.05 spacing at
     #: which a robot counts as at its goal, rounded up; None without one plan.
@@ -143,6 +141,8 @@ class Summary:
     missions: tuple[MissionOutcome, ...] = ()  #: Every mission of the run, the first one first.
     gaps: int | None = None  #: Slots of the plan that no robot owns at the end; None without one plan.
     spares: int | None = None  #: Robots awake at the end without a slot; None without one plan.
+    formed_half_tolerance: bool = False  #: As `formed`, with both tolerances halved; the run ends as always.
+    formed_twice_tolerance: bool = False  #: As `formed`, with both tolerances doubled.
     flight: FlightFigures | None = None  #: The figures of a flight; None in simulation.
 
     def to_dict(self) -> dict[str, Any]:
