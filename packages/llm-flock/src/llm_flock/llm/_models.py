@@ -36,7 +36,7 @@ def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
     for part in _NEXT_RANGE.split(text):
         robots, _, value = part.partition("=")
         low, dash, high = robots.partition("-")
-        first, last = int(low), int(high or (n - 1 if dash else low))
+        first, last = int(low), int(high.strip() or (n - 1 if dash else low))
         if first > last or last >= n:
             raise InputError(field, part.strip(), f"a range of robots within 0..{n - 1}, lower id first")
         if not value.strip():
