@@ -19,6 +19,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks import figures
+
 import llm_flock
 from llm_flock_lab._experiments.statistics import Estimate, mean_interval, wilson
 
@@ -126,6 +128,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write(given.out, table)
     write(given.out.with_stem(f"{given.out.stem}-formed"), pivot(table, FORMED))
     write(given.out.with_stem(f"{given.out.stem}-error"), pivot(table, LOWER))
+    if given.out == OUT:
+        figures.stamp("readings.csv", "readings-formed.csv", "readings-error.csv")
 
 
 if __name__ == "__main__":

@@ -132,7 +132,7 @@ def main(arguments: Sequence[str]) -> int:
         case ["sbom", file]:
             Path(file).write_text(bill(requirements) + "\n", encoding="utf-8")
             return 0
-        case ["audit", database] if Path(database).exists():
+        case ["audit", database] if database and Path(database).exists():
             lines = audit(requirements, Path(database))
             print("\n".join(lines) or f"none of {len(pins(requirements))} parts is named by an advisory")
             return 1 if lines else 0

@@ -5,6 +5,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+from sphinx.util import logging
+
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE / "_ext"), *map(str, HERE.parent.glob("packages/*/src"))]
 
@@ -44,6 +46,16 @@ _CODE_SPAN = re.compile(r"(`+[^`]*`+)")
 _COLON = "\N{OBJECT REPLACEMENT CHARACTER}"
 
 
+def _name_stale_figures(app):
+    root = str(HERE.parent)
+    sys.path.append(root)
+    from benchmarks import figures
+
+    for name in figures.stale():
+        logging.getLogger(__name__).info("docs/data/%s: older than the code, or undated", name)
+    sys.path.remove(root)
+
+
 def _before_napoleon(app, what, name, obj, options, lines):
     """Docstrings are plain prose with `code`: bars, stars and colons in them are not markup."""
     for i, line in enumerate(lines):
@@ -69,5 +81,6 @@ def _before_build(app):
 
 def setup(app):
     app.connect("builder-inited", _before_build)
+    app.connect("builder-inited", _name_stale_figures)
     app.connect("autodoc-process-docstring", _before_napoleon, priority=400)
     app.connect("autodoc-process-docstring", _after_napoleon, priority=600)

@@ -16,16 +16,20 @@ from command_line import ENV, Done, flock, flock_process
 from llm_flock.record._reader import read_record
 from llm_flock.runtime._result import Summary
 
+ROOT = Path(__file__).parents[2]
+DEMO = re.compile(r"^\t\$\(BIN\)/llm-flock ((?:run|figure|animate) .*runs/demo.*)$", re.MULTILINE)
+
 
 def test_run_figure_animate_inspect(tmp_path: Path) -> None:
-    run = ("run", "--shape", "circle", "--robots", "5", "--seed", "7", "--out", "demo")
-    done = flock_process(*run, cwd=tmp_path)
+    run, figure, animate = DEMO.findall((ROOT / "Makefile").read_text(encoding="utf-8"))
+    done = flock_process(*run.replace("runs/demo", "demo").split(), cwd=tmp_path)
     assert "simulated" in done.stdout and "yes, in round" in done.stdout
-    assert flock("figure", "demo", cwd=tmp_path).stdout.strip() == "demo/snapshots.png"
+    assert flock(*figure.replace("runs/", "").split(), cwd=tmp_path).stdout.strip() == "demo/snapshots.png"
     written = ["demo/animation.gif", *(["demo/animation.mp4"] if shutil.which("ffmpeg") else [])]
-    assert flock("animate", "demo", cwd=tmp_path).stdout.split() == written
+    assert flock(*animate.replace("runs/", "").split(), cwd=tmp_path).stdout.split() == written
     assert (tmp_path / "demo/snapshots.png").stat().st_size > 20_000
-    assert (tmp_path / "demo/animation.gif").stat().st_size > 20_000
+    shown = ROOT / "docs/images/circle.gif"  # `python docs/gallery_images.py demo` draws it
+    assert (tmp_path / "demo/animation.gif").read_bytes() == shown.read_bytes(), "the README shows another run"
     overview = flock("inspect", "demo/run.mcap", cwd=tmp_path).stdout
     assert "complete" in overview and "simulated" in overview
     talk = flock("inspect", "demo", "--robot", "3", "--round", "1", cwd=tmp_path).stdout
@@ -222,3 +226,9 @@ def test_ctrl_c_ends_a_comparison_at_once_and_leaves_no_process(tmp_path: Path) 
     assert errors == "interrupted; finished trials are in a.csv\n"
     assert path.read_text().count("\n") > 3
     assert gone(running.pid)
+
+
+@pytest.mark.parametrize("command", ["inspect", "report", "run --prompts"])
+def test_a_path_that_is_too_long_is_refused_in_one_line(command: str, tmp_path: Path) -> None:
+    done = flock(*command.split(), "x" * 5_000, cwd=tmp_path, check=False)
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and "Traceback" not in done.stderr

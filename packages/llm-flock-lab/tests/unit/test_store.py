@@ -12,6 +12,7 @@ from sample_trials import stored_trial
 
 from llm_flock.errors import InputError, RecordError
 from llm_flock.llm._limits import Spent
+from llm_flock_lab._cli.report import report
 from llm_flock_lab._experiments.grid import Earlier
 from llm_flock_lab._experiments.store import SpendingLog, Store, read_trial, trial_files, write_whole
 
@@ -125,3 +126,13 @@ def test_a_linked_folder_of_results_is_refused(name: str, tmp_path: Path) -> Non
     (tmp_path / "results" / name).symlink_to(elsewhere)
     with pytest.raises(InputError, match="not a link"):
         Store(tmp_path / "results")
+
+
+def test_a_report_is_written_through_no_link_of_a_stranger(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "report").symlink_to(elsewhere)
+    with pytest.raises(InputError, match="not a link"):
+        report(tmp_path / "results")
+    assert not list(elsewhere.iterdir())

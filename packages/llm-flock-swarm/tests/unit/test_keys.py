@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -140,6 +141,12 @@ def test_sessions_rise_even_where_the_clock_goes_back(folder: Path) -> None:
         next_session(folder, 1, 501.0)
     with pytest.raises(InputError, match=r"session.*No such file"):
         next_session(folder, 7, 501.0)
+
+
+def test_starts_at_the_same_time_get_different_sessions(folder: Path) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        numbers = list(pool.map(lambda _: next_session(folder, 2, 500.0), range(160)))
+    assert len(set(numbers)) == 160
 
 
 def test_members_have_names() -> None:

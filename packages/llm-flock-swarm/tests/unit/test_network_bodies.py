@@ -36,6 +36,14 @@ def test_a_command_is_flown_at_the_speed_and_answered() -> None:
     assert world.positions[0] == pytest.approx([1.2, 0.0])
 
 
+def test_bodies_go_on_where_the_clock_is_set_back() -> None:
+    world = bodies((0.0, 0.0), (50.0, 0.0))
+    world.advance(3600.0)
+    assert world.command(0, order(1, 100.0, (0.0, 0.0), (1.2, 0.0)), 100.0)
+    world.advance(100.05)
+    assert world.positions[0] == pytest.approx([0.6, 0.0])
+
+
 def test_commands_follow_each_other_on_the_way() -> None:
     world = bodies((0.0, 0.0), (50.0, 0.0))
     world.command(0, order(1, 0.0, (0.0, 0.0), (1.2, 0.0)), 0.02)

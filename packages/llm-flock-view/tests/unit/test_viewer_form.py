@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from pathlib import Path
 from typing import Any
 
@@ -135,3 +136,9 @@ def test_the_first_run_finds_the_simulation_loaded(tmp_path: Path, monkeypatch: 
     assert began == [(launcher.WARM_AFTER_S, launcher.fly_nothing)], "once"
     launcher.fly_nothing()
     assert not list(tmp_path.iterdir()), "nothing is recorded"
+
+
+def test_the_name_of_a_wrong_field_can_be_sent_back(tmp_path: Path) -> None:
+    answer = asked(tmp_path, **{"\ud800": 1})
+    assert "error" in answer
+    json.dumps(answer, ensure_ascii=False).encode()

@@ -35,6 +35,9 @@ def _run() -> None:
         print(printable(f"error: {error}"), file=sys.stderr, flush=True)
         sys.exit(EXIT_INPUT if isinstance(error, InputError) else EXIT_FAILED)
     except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            print(printable(f"error: {error.filename!s:.60}...: {error.strerror}"), file=sys.stderr, flush=True)
+            sys.exit(EXIT_INPUT)
         if error.errno not in FULL:
             raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # at the exit, the rest of the output would fail again

@@ -8,11 +8,11 @@ except ImportError:  # pragma: no cover - systems without flock cannot tell that
     fcntl = None
 
 
-def lock_file(handle: int) -> bool:
+def lock_file(handle: int, *, wait: bool = False) -> bool:
     """Lock an open file until it is closed; the system unlocks it when the process ends.
 
     Call it with the number of a file that is written for long, and before a file is deleted or continued. File systems
-    that know no locks count as unlocked.
+    that know no locks count as unlocked. With `wait`, it returns once the lock is free.
 
     Returns:
         whether the lock is held now; False while another open file, in this process or another one, has it.
@@ -20,7 +20,7 @@ def lock_file(handle: int) -> bool:
     if fcntl is None:  # pragma: no cover
         return True
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
         return False
     except OSError:  # this file system has no locks

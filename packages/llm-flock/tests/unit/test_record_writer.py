@@ -298,3 +298,10 @@ def test_plans_keep_their_colours_when_the_mission_changes(tmp_path: Path) -> No
 def test_checking_a_new_record_creates_its_folder_only(tmp_path: Path) -> None:
     check_new(tmp_path / "new" / "run.mcap")
     assert (tmp_path / "new").is_dir() and not (tmp_path / "new" / "run.mcap").exists()
+
+
+def test_a_record_that_was_removed_meanwhile_is_missed(tmp_path: Path) -> None:
+    writer = RecordWriter(tmp_path / "run.mcap")
+    (tmp_path / "run.mcap").unlink()
+    with pytest.raises(RecordError, match="removed while it was written"):
+        writer.close()

@@ -40,6 +40,8 @@ def report(
     require("sweep", "report")
     if not folder.is_dir():  # at once, before anything heavy is loaded
         raise InputError("dir", str(folder), "a directory of results, as `llm-flock sweep` makes it")
+    if out is None and (folder / "report").is_symlink():  # what comes from a stranger leads nowhere else
+        raise InputError("dir", str(folder / "report"), "a folder, not a link")
     from llm_flock_lab._report.page import write_report
 
     written = write_report(

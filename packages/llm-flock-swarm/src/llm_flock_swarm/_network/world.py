@@ -67,6 +67,8 @@ class WorldBodies:
 
     def advance(self, now: float) -> None:
         """Fly until now, and measure the separation on the way."""
+        if now < self._now - self._lag_s:  # the clock was set back; bodies do not wait until it has caught up
+            self._now = now
         while self._now < now:
             step = min(SUBSTEP_S, now - self._now)
             if not any(self._paths):

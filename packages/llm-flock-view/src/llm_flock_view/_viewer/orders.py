@@ -59,7 +59,8 @@ class PageOrders:
             field = error.field if isinstance(error, InputError) and order.get("order") != "read" else None
             # Neither form has a field for the arena: the centre is what moves a formation away from its walls.
             field = "center" if field == "arena" else field
-            return {"error": printable(_in_form_words(error, at_field=field is not None)), "field": field}
+            said = printable(_in_form_words(error, at_field=field is not None))
+            return {"error": said, "field": field if field is None else printable(field)}
 
     async def _order(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         order = asked.get("order")

@@ -115,7 +115,10 @@ class PromptSet:
                 raise InputError("answers", "json", "text: the prompts 'letters' ask for one letter")
             return cls(json=json, reasons=prompts == "full", letters=letters, wish=wish, templates=_packaged(prompts))
         folder = Path(prompts)
-        replaced = [name for name in VARIABLES if (folder / name).is_file()]
+        try:
+            replaced = [name for name in VARIABLES if (folder / name).is_file()]
+        except OSError:  # its name is too long for a folder
+            replaced = []
         if not replaced:
             raise InputError("prompts", str(folder), f"a folder with at least one of {', '.join(VARIABLES)}")
         logger.info("prompt templates from %s: %s", folder, ", ".join(replaced))

@@ -173,6 +173,8 @@ class RecordWriter:
             with self._file:
                 if not self._broken:  # a message may have been written in part
                     self._mcap.finish()
+                if not os.fstat(self._file.fileno()).st_nlink:
+                    raise RecordError(f"{self.path}: was removed while it was written")
         except OSError as error:
             raise self._failure(error) from error
 
