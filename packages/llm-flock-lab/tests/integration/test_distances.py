@@ -1,0 +1,42 @@
+"""What a trial of a sweep measures beyond its run's own summary."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+import llm_flock
+from llm_flock.runtime import build_config
+from llm_flock_lab._experiments.grid import Cell
+from llm_flock_lab._experiments.trial import fly
+
+
+def summary(**options: Any) -> dict[str, Any]:
+    result, _ = asyncio.run(fly(Cell(config=build_config(**options)).trial(options["seed"])))
+    assert result.summary is not None
+    return result.summary
+
+
+def test_distance_flown_and_the_least_from_start_to_plan() -> None:
+    options: dict[str, Any] = {"shape": "triangle", "n_robots": 3, "seed": 4}
+    found, run = summary(**options), llm_flock.run(**options)
+    assert found["distance_flown"] == pytest.approx(np.linalg.norm(np.diff(run.positions, axis=0), axis=2).sum())
+    plan = run.plans[0]
+    assert plan is not None
+    apart = np.linalg.norm(run.positions[0][:, None] - plan.array, axis=2)
+    least = min(
+        apart[[0, 1, 2], order].sum() for order in ([0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0])
+    )
+    assert found["distance_least"] == pytest.approx(least)
+    assert found["distance_flown"] >= found["distance_least"] - 3 * 0.05 * run.mission.spacing
+
+
+def test_without_one_plan_that_stands_there_is_no_least_distance() -> None:
+    assert summary(n_robots=3, shape="triangle", seed=1, protocol="baseline", rounds=2)["distance_least"] is None
+    moving = summary(n_robots=3, shape="triangle", seed=1, velocity=(1.0, 0.0))
+    assert moving["distance_least"] is None and math.isfinite(moving["distance_flown"])
