@@ -29,9 +29,7 @@ def test_distance_flown_and_the_least_from_start_to_plan() -> None:
     plan = run.plans[0]
     assert plan is not None
     apart = np.linalg.norm(run.positions[0][:, None] - plan.array, axis=2)
-    least = min(
-        apart[[0, 1, 2], order].sum() for order in ([0, 1, 2], [0, 2, 1], [1, 0, 2], [1, 2, 0], [2, 0, 1], [2, 1, 0])
-    )
+    least = min(apart[[0, 1, 2], list(order)].sum() for order in itertools.permutations(range(3)))
     assert found["distance_least"] == pytest.approx(least)
     assert found["distance_flown"] >= found["distance_least"] - 3 * 0.05 * run.mission.spacing
 

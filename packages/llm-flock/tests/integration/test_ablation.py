@@ -47,8 +47,7 @@ def test_models_that_err_alike_distort_their_plans_alike() -> None:
     assert alike.summary.plans_in_use == 1 and apart.summary.plans_in_use == 6
 
 
-def test_a_run_says_whether_it_formed_by_other_tolerances() -> None:
-    for seed in range(4):
-        summary = fly(seed, n_robots=6, model="simulated:overshoot@0.5")[0].summary
-        assert summary.formed_twice_tolerance >= summary.formed >= summary.formed_half_tolerance
-    assert summary.formed
+@pytest.mark.parametrize("seed", range(4))
+def test_a_run_says_whether_it_formed_by_other_tolerances(seed: int) -> None:
+    summary = fly(seed, n_robots=6, model="simulated:overshoot@0.5")[0].summary
+    assert summary.formed and summary.formed_twice_tolerance >= summary.formed >= summary.formed_half_tolerance
