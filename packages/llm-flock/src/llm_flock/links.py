@@ -19,7 +19,7 @@ class LinkFaults(BaseModel):
 
     loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
     burst: float | None = Field(
-        default=None, ge=1, le=1e6, description="Mean number of messages lost in a row on a link [1 / (1 - loss)]"
+        default=None, ge=1, le=1e6, description="Mean losses in a row on a link [1 / (1 - loss)]"
     )
     delay: int = Field(
         default=0, ge=0, le=1000, description="Longest delay [communication rounds]; messages draw 0..delay"
@@ -35,10 +35,10 @@ class LinkFaults(BaseModel):
         return bool(self.loss or self.delay or self.duplicate or self.reorder)
 
     def is_lost(self, before: bool, rng: np.random.Generator) -> bool:
-        """Draw whether a link loses its next message, given whether it lost the one `before`.
+        """Draw whether a link that did or did not lose the message `before` loses the next one.
 
-        With `burst`, a link is Gilbert's (Capacity of a burst-noise channel, 1960), and Elliott's whose bad state loses
-        all: `loss` stays the share of all messages, or as much of it as bursts of that length can make.
+        With `burst` it is Gilbert's channel (1960), Elliott's with a bad state that loses all. Where bursts of that
+        length cannot make a share as high as `loss`, it is as high as they can.
         """
         begins, goes_on = self.loss, self.loss
         if self.burst is not None and self.loss < 1.0:
@@ -79,9 +79,8 @@ class MemoryTransport:
         for receiver in receivers:
             copies = 1 + int(rng.random() < faults.duplicate)
             for _ in range(copies):
-                link = sender, receiver
-                self._lost[link] = faults.is_lost(self._lost.get(link, False), rng)
-                if self._lost[link]:
+                self._lost[sender, receiver] = faults.is_lost(self._lost.get((sender, receiver), False), rng)
+                if self._lost[sender, receiver]:
                     self.traffic.lost += 1
                     continue
                 late = int(rng.integers(0, faults.delay + 1)) if faults.delay else 0

@@ -128,7 +128,7 @@ def test_rules_are_found_by_name_or_by_address() -> None:
 
 def test_what_is_left_out_has_to_be_there() -> None:
     assert build_config(without="exchanges").protocol.rules()[1] == AuctionAssignment(swaps=False)
-    assert build_config(without="path-cost").protocol.rules()[1] == AuctionAssignment(path_cost=False)
+    assert build_config(without="path-cost").protocol.rules()[1] == AuctionAssignment(straight=True)
     for options in ({"protocol": "paper"}, {"shield": False}, {"assignment": "nearest-free"}):
         with pytest.raises(InputError, match="left out without the auction or the shield"):
             build_config(without="search", **options)

@@ -30,8 +30,8 @@ class Episode:
 
     def disturb(self, flown: int) -> None:
         """A robot died or joined, so the team has to form again."""
-        # By multiple of both tolerances; the usual one ends the run.
-        self.trackers = {k: metrics.FormedTracker(spacing=k * self.mission.spacing) for k in (1.0, 0.5, 2.0)}
+        spacing = self.mission.spacing
+        self.trackers = {k: metrics.FormedTracker(spacing=k * spacing) for k in (1.0, 0.5, 2.0)}  # by tolerance
         self.tracker = self.trackers[1.0]
         self._disturbed = flown
 

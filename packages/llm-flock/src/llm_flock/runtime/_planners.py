@@ -114,10 +114,9 @@ class TeamPlanners:
             return self._replays[name.text]
         if name.kind == "own" and self._pool.asks:
             return Limited(self._own_model(robot, name.text), self._queue_of(name))
-        alike = name.kind == "simulated" and "alike" in name.model
         model = self._pool.model(
             name.text,
-            rng=stream(self._config.trial.seed, Stream.MODEL, 0 if alike else robot),
+            rng=stream(self._config.trial.seed, Stream.MODEL, 0 if "alike" in name.model else robot),
             settings=self._settings[robot],
             base_urls=self._base_urls,
             typed=self._config.model.typed_url is not None,

@@ -33,7 +33,7 @@ LeftOut: TypeAlias = Literal["exchanges", "path-cost", "joint-assignment", "sear
 def _auction(without: LeftOut | None = None) -> AssignmentRule:
     from llm_flock.protocol._agreement.auction import AuctionAssignment
 
-    return AuctionAssignment(swaps=without != "exchanges", path_cost=without != "path-cost")
+    return AuctionAssignment(swaps=without != "exchanges", straight=without == "path-cost")
 
 
 CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(

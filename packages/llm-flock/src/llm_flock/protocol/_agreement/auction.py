@@ -91,7 +91,7 @@ class AuctionAssignment:
     name: str = "auction"
     swaps: bool = True
     joint: bool = True
-    path_cost: bool = True  #: Whether exchanges count ways along the formation; straight ones if not.
+    straight: bool = False  #: Whether exchanges count straight ways instead of those along the formation.
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
@@ -125,9 +125,8 @@ class AuctionAssignment:
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
-        straight = not self.path_cost
-        claim = _accept(claim, now, straight) or claim
-        return claim if claim.offer is not None else _make_offer(claim, now, straight)
+        claim = _accept(claim, now, self.straight) or claim
+        return claim if claim.offer is not None else _make_offer(claim, now, self.straight)
 
 
 def reclaim(robot: int, claim: Claim, table: BidTable) -> BidTable:

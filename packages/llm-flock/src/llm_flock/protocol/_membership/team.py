@@ -48,7 +48,7 @@ class TeamMembership(Membership):
     ) -> None:
         n_robots = mission.n_robots
         self.gaps: Gaps = gaps
-        self._made_of, self._searches = (robot, mission, time_out), searches
+        self._made_of = robot, mission, time_out, searches
         self.liveness = Liveness(robot, n_robots, time_out)
         self._robot, self._misfit = robot, 0  # rounds for which the plan has not fitted the team
         self._joint = JointAssignment(robot, n_robots, enabled=joint)
@@ -58,11 +58,8 @@ class TeamMembership(Membership):
 
     def with_keys(self, liars: int) -> Self:
         """The same for a team with keys, before its first round. Positions are not reported: reports are unsigned."""
-        robot, mission, time_out = self._made_of
-        searches = self._searches
-        return type(self)(
-            robot, mission, time_out=time_out, gaps=self.gaps, joint=False, liars=liars, searches=searches
-        )
+        robot, mission, wait, searches = self._made_of
+        return type(self)(robot, mission, time_out=wait, gaps=self.gaps, joint=False, liars=liars, searches=searches)
 
     @property
     def beats(self) -> tuple[int, ...]:

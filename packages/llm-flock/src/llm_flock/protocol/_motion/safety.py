@@ -25,8 +25,6 @@ class ShieldedSafety(Safety):
     `noise_bound` is the largest error of a believed position [units]. Unless it `asks`, it claims no right of way.
     """
 
-    asks = True
-
     def __init__(self, robot: int, limits: Mission, noise_bound: float, passing_distance: float | None = None) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
         # With uncertain positions the sides of cells move inwards: bodies need more room to pass each other.
@@ -34,7 +32,7 @@ class ShieldedSafety(Safety):
         passing_distance = limits.safe_distance if passing_distance is None else passing_distance
         self._right_of_way = RightOfWay(robot, limits, passing_distance + margin)
         self._gave_way: int | None = None
-        self._asked = False
+        self.asks, self._asked = True, False
 
     @property
     def course(self) -> Course | None:
