@@ -69,7 +69,7 @@ def flight_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
     note = (
         "Rounds, and rounds over the lower bound: restricted means (areas under Kaplan-Meier curves), in which a trial "
         "that formed later or never counts as the shortest deadline that a trial of its team missed, or the longest "
-        f"time if none did: {_ends(results)}. Flight: the same at {SPEED_M_S:g} m/s and {UNIT_M:g} m a unit, without the "
+        f"time if none did: {_ends(results)}. Flight: the same at {SPEED_M_S:g} m/s, {UNIT_M:g} m a unit, without the "
         "models' time. Distance: flown by all robots, over the smallest sum of ways to the places, if they formed. "
         f"Error: mean distance to the ideal shape at the end [units], {INTERVAL}, of those that have one, formed or "
         "not."
