@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 import polars as pl
@@ -193,6 +193,10 @@ class Results:
                 numeric = all(as_number(value) is not None for value in values)
                 found[name.removeprefix(tables.AXIS)] = tuple(sorted(values, key=float) if numeric else values)
         return found
+
+    def needs(self, name: Literal["protocol", "model"]) -> bool:
+        """Whether cells of one condition differ in it; otherwise the condition tells it, as where an axis sets it."""
+        return len({(cell.condition, getattr(cell, name)) for cell in self.cells}) > len(self.conditions)
 
     def axes_of(self, cell: ResultCell) -> dict[str, str | None]:
         """The value of every further axis in a cell."""

@@ -154,9 +154,9 @@ def _sheet(
     labels: dict[str, Callable[[ResultCell], str]] = {
         "shape": lambda cell: cell.team.shape,
         "N": lambda cell: str(cell.team.n_robots),
-        **({"model": lambda cell: cell.model} if len(results.models) > 1 else {}),
+        **({"model": lambda cell: cell.model} if results.needs("model") else {}),
         **({"condition": lambda cell: cell.condition} if results.conditions != ("",) else {}),
-        **({"protocol": lambda cell: cell.protocol} if len(results.protocols) > 1 else {}),
+        **({"protocol": lambda cell: cell.protocol} if results.needs("protocol") else {}),
     }
 
     def row(cell: ResultCell, found: T) -> tuple[str, ...]:
