@@ -38,3 +38,11 @@ def test_without_one_plan_that_stands_there_is_no_least_distance() -> None:
     assert summary(n_robots=3, shape="triangle", seed=1, protocol="baseline", rounds=2)["distance_least"] is None
     moving = summary(n_robots=3, shape="triangle", seed=1, velocity=(1.0, 0.0))
     assert moving["distance_least"] is None and math.isfinite(moving["distance_flown"])
+
+
+def test_a_place_that_cannot_be_reached_has_no_distance() -> None:
+    wall = {"polygon": [(49.0, -5.0), (51.0, -5.0), (51.0, 105.0), (49.0, 105.0)]}
+    area = ((5.0, 30.0), (40.0, 70.0))
+    options = {"shape": "triangle", "n_robots": 3, "seed": 1, "rounds": 3, "obstacles": [wall], "start_area": area}
+    found = summary(**options, center=(75.0, 50.0))
+    assert found["distance_least"] is None and not found["formed"]

@@ -28,6 +28,8 @@ from llm_flock_lab._experiments.grid import Earlier, TrialSpec
 KeepRecords: TypeAlias = Literal["all", "failed", "none"]
 """Trials whose record is kept."""
 
+NO_WAY = 1e6  # length that stands for a way that does not exist [units]
+
 FORMAT = 1
 """Version of the files in `trials/`."""
 
@@ -80,25 +82,26 @@ class _Metrics:
     mission: Mission
     rows: list[MetricsRow] = field(default_factory=list[MetricsRow])
     result: Mapping[str, Any] | None = None
-    states: list[State] = field(default_factory=list[State])
     plans: dict[str | None, Points] = field(default_factory=dict[str | None, Points])
+    track: list[Points] = field(default_factory=list[Points])  # positions at the start and now
+    followed: list[str | None] = field(default_factory=list[str | None])
+    flown: float = 0.0
 
     def distances(self) -> dict[str, float | None]:
         """Distance flown by all robots, and the least from their starts to one plan that stands still [units]."""
-        if not self.states:
-            return {}
-        track, last = np.array([state.positions for state in self.states]), self.states[-1]
-        flown = float(np.linalg.norm(np.diff(track, axis=0), axis=2).sum())
-        least, places = None, self.plans.get(last.plan_ids[0])
-        if places is not None and len({*last.plan_ids}) == 1 and self.mission.velocity is None:
-            ways = self.mission.shortest_ways(track[0], places)
-            least = float(ways[scipy.optimize.linear_sum_assignment(ways)].sum())
-        return {"distance_flown": flown, "distance_least": least}
+        least, places = None, self.plans.get(self.followed[0]) if len({*self.followed}) == 1 else None
+        if places is not None and self.mission.velocity is None:
+            ways = np.minimum(self.mission.shortest_ways(self.track[0], places), NO_WAY)
+            sum_of_ways = float(ways[scipy.optimize.linear_sum_assignment(ways)].sum())
+            least = sum_of_ways if sum_of_ways < NO_WAY else None
+        return {"distance_flown": self.flown, "distance_least": least}
 
     def write(self, entry: Entry) -> None:
         """Keep the figures; the summary also comes where a run broke off."""
         if isinstance(entry, State):
-            self.states.append(entry)
+            here, self.followed = np.array(entry.positions), entry.plan_ids
+            self.flown += float(np.linalg.norm(here - self.track[-1], axis=1).sum()) if self.track else 0.0
+            self.track[1:] = [here]
         elif isinstance(entry, PlanInfo):
             self.plans[entry.plan_id] = np.array(entry.points)
         elif isinstance(entry, MetricsRow):
