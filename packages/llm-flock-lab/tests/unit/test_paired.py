@@ -48,6 +48,13 @@ def test_p_values_are_those_of_wilcoxon_and_mcnemar() -> None:
     first, second = rng.normal(0.5, 1.0, 20), rng.normal(0.0, 1.0, 20)
     found = paired_means(first.tolist(), second.tolist())
     assert found is not None and found.p_value == pytest.approx(stats.wilcoxon(first, second).pvalue)
+    ties = [3.0, -1.0, 1.0, 1.0, 2.0, 0.0, -3.0, 2.0, 2.0]
+    tied = paired_means(ties, [0.0] * len(ties))
+    assert tied is not None and tied.p_value == pytest.approx(stats.wilcoxon(ties).pvalue), "all 2^8 signs, counted"
+    for count in (30, 300):  # by the normal distribution beyond 200
+        values = rng.normal(0.15, 1.0, count)
+        many = paired_means(values.tolist(), [0.0] * count)
+        assert many is not None and many.p_value == pytest.approx(stats.wilcoxon(values).pvalue)
     equal = paired_means([1.0, 2.0], [1.0, 2.0])
     assert equal is not None and equal.p_value == 1.0
     # Of 20 seeds on which one alone succeeded, 5 or fewer, or 15 or more, are the first's with this chance.

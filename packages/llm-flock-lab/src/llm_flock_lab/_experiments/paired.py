@@ -7,9 +7,13 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import scipy
 
 from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
+
+MOST_EXACT = 200
+"""Most pairs of which the distribution of rank sums is counted; beyond, the normal one is as good."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,8 +54,8 @@ def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans
     mean = mean_interval(differences)
     if mean is None:
         return None
-    p_value = float(scipy.stats.wilcoxon(differences).pvalue) if any(differences) else 1.0
-    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences), p_value=p_value)
+    effect, p_value = _effect(differences), _signed_rank_p_value(differences)
+    return PairedMeans(pairs=len(differences), difference=mean, effect=effect, p_value=p_value)
 
 
 def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares | None:
@@ -80,6 +84,22 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
         difference=Estimate(value=difference, low=max(-1.0, difference - down), high=min(1.0, difference + up)),
         p_value=float(scipy.stats.binomtest(only_first, alone).pvalue) if alone else 1.0,
     )
+
+
+def _signed_rank_p_value(differences: Sequence[float]) -> float:
+    """Wilcoxon's test without the differences that are 0, exact with ties too: each of the others has either sign.
+
+    scipy counts all signs one by one where there are ties, which takes seconds for 13 pairs.
+    """
+    apart = np.array([x for x in differences if x])
+    if len(apart) > MOST_EXACT:
+        return float(scipy.stats.wilcoxon(apart).pvalue)
+    ranks = (2 * scipy.stats.rankdata(np.abs(apart))).astype(int)  # twice each, so that those of ties are whole
+    chances = np.ones(1)  # of each sum of the ranks of positive differences
+    for rank in ranks:
+        chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
+    found = int(ranks[apart > 0].sum())
+    return min(1.0, 2 * float(min(chances[: found + 1].sum(), chances[found:].sum())))
 
 
 def _effect(differences: Sequence[float]) -> Estimate | None:
