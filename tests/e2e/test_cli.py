@@ -100,7 +100,7 @@ def test_provider_that_never_answers_ends_run_with_exit_code_1(tmp_path: Path) -
     assert read_record(tmp_path / "x/run.mcap").complete
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: signal.Signals) -> None:
     running = subprocess.Popen(
         [sys.executable, "-m", "llm_flock", "run", "--model", "simulated:slow@1.0", "--out", "x", "--rounds", "50"],
@@ -116,14 +116,17 @@ def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: sign
         time.sleep(0.2)
         if path.exists() and path.stat().st_size > 100_000:
             break
+    if sent is signal.SIGINT:
+        assert "under way" in flock("inspect", "x", cwd=tmp_path).stdout
     running.send_signal(sent)
-    _, errors = running.communicate(timeout=30)
+    shown, errors = running.communicate(timeout=30)
     record = read_record(path)
     assert len(record.states) >= 2
-    assert record.complete == (sent is signal.SIGINT)
-    if sent is signal.SIGINT:
-        assert running.returncode == 130 and "interrupted" in errors
+    assert record.complete == (sent is not signal.SIGKILL)
+    if sent is not signal.SIGKILL:
+        assert running.returncode == 130 and "interrupted" in errors and "interrupted in round" in shown
         assert record.result is not None and record.result["stopped"] == "interrupted"
+        assert record.result["model_calls"] == len(record.llm)
 
 
 def test_lists_and_help(tmp_path: Path) -> None:

@@ -36,6 +36,17 @@ Answer = Callable[[str, list[tuple[str, str]]], str]
 """The answer of a model, by its name, to the messages of a conversation."""
 
 FAULTS = ("late", "rate_limit", "server_error", "cut", "garbage")
+REFUSALS = {
+    "system": "jinja: system role is not supported by this template",
+    "turns": "Conversation roles must alternate user/assistant/user/assistant/...",
+    "response_format": "response_format of this type is not available on this server",
+    "max_tokens": "Unsupported parameter: 'max_tokens' is not known to this model. Use 'max_completion_tokens'.",
+    "temperature": "Unsupported value: 'temperature' takes only the default (1) with this model.",
+    "seed": "Unrecognized request argument supplied: seed",
+    "reasoning_effort": "extra fields not permitted: reasoning_effort",
+}
+"""What a server may refuse in a request that is right, and how real ones say so."""
+
 GARBAGE = ("html", "broken_json", "wrong_shape", "unusable")
 """What garbage is sent, in turn. The first three are no chat completion; `unusable` is one, with a useless text."""
 
@@ -60,6 +71,7 @@ class Options:
     profile: str = "ideal"
     bad_profile: str = "ideal"
     fixed_answer: str = ""
+    refuses: str = ""
 
 
 class Faults:
@@ -132,6 +144,10 @@ class Connection(asyncio.Protocol):
             self.send(404, b'{"error": {"message": "no such path"}}')
 
     def respond(self, fault: str, body: bytes) -> None:
+        if self.options.refuses and refused(self.options.refuses, json.loads(body)):
+            self.faults.counts["refused"] += 1
+            self.send(400, json.dumps({"error": {"message": REFUSALS[self.options.refuses]}}).encode())
+            return
         match fault:
             case "rate_limit":
                 wait = self.options.retry_after
@@ -155,6 +171,8 @@ class Connection(asyncio.Protocol):
                 try:
                     asked = json.loads(body)
                     messages = [(m["role"], text_of(m["content"])) for m in asked["messages"]]
+                    if messages[0][0] == "user":  # the first message says what a system message would
+                        messages.insert(0, ("system", messages[0][1]))
                     self.send(200, completion(body, self.answer(asked["model"], messages)))
                 except (FlockError, ValueError, LookupError) as error:
                     self.faults.counts["not_understood"] += 1
@@ -178,6 +196,18 @@ class Connection(asyncio.Protocol):
             self.transport.close()
         else:
             self.transport.abort()
+
+
+def refused(what: str, asked: dict[str, Any]) -> bool:
+    """Whether a request holds what a server refuses, one of REFUSALS."""
+    roles = [message["role"] for message in asked["messages"]]
+    match what:
+        case "system":
+            return "system" in roles
+        case "turns":
+            return roles != ["assistant" if number % 2 else "user" for number in range(len(roles))]
+        case _:
+            return what in asked
 
 
 def text_of(content: str | list[dict[str, str]]) -> str:
@@ -271,7 +301,9 @@ def running(**options: Any) -> Iterator[Server]:
 
 
 @contextlib.contextmanager
-def answering(body: bytes, repeat: int = 1, **headers: str) -> Iterator[tuple[str, list[dict[str, Any]]]]:
+def answering(
+    body: bytes, repeat: int = 1, status: int = 200, **headers: str
+) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """A server in a thread that gives one response to all; yields its address and the requests as they come.
 
     The body is sent `repeat` times in one response. Each request gets a field `sent`: how many times that was done.
@@ -281,7 +313,7 @@ def answering(body: bytes, repeat: int = 1, **headers: str) -> Iterator[tuple[st
     class Handler(http.server.BaseHTTPRequestHandler):
         def do_POST(self) -> None:
             seen.append(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
-            self.send_response(200)
+            self.send_response(status)
             self.send_header("Content-Type", "application/json")
             self.send_header("Content-Length", str(len(body) * repeat))
             for name, value in headers.items():

@@ -7,6 +7,7 @@ import socket
 import sys
 
 import pytest
+from integration.fault_server import running
 from typer.testing import CliRunner
 
 from llm_flock.cli import app
@@ -29,6 +30,18 @@ def test_the_doctor_says_what_is_there_and_shows_no_key(monkeypatch: pytest.Monk
     assert found["reach", f"router at {endpoint}"]["ok"]
     assert not reach_router(router=endpoint)[0].ok and not reach_router(router="nowhere")[0].ok
     assert ("reach", "browser") in found
+
+
+def test_the_doctor_asks_the_model_that_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cflib", None)  # its search leaves sockets open
+    with running(fixed_answer="Position: [1.0, 2.0]", refuses="system") as server:
+        asked = ["doctor", "--json", "--model", "openai-compatible:stand-in", "--base-url"]
+        good = CliRunner().invoke(app, [*asked, server.base_url])
+        bad = CliRunner().invoke(app, [*asked, server.base_url.removesuffix("/v1")])
+    assert (good.exit_code, bad.exit_code) == (0, 1)
+    last = json.loads(good.output)[-1]
+    assert last["ok"] and "asked without roles" in last["detail"] and "Position" in last["detail"]
+    assert "ends in /v1" in json.loads(bad.output)[-1]["detail"]
 
 
 def test_the_doctor_finds_a_drone_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:

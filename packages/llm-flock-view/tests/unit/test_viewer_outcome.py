@@ -80,6 +80,12 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     # Older records count from the last mission only.
     run.history.result = {"formed": True, "rounds_to_formed": took}
     assert mission_parts(run.history)[1].formed == 13 + took
+    # The result of a swarm says that it formed, but no round: it is measured.
+    run.open = False
+    run.history.result = {"formed": True, "mission_s": 7.5}
+    assert mission_parts(run.history)[1].formed is not None and told(run)["tone"] == "good"
+    run.history.result = {"formed": False, "mission_s": None}
+    assert mission_parts(run.history)[1].formed is None and told(run)["tone"] == "bad"
 
 
 def test_a_run_that_flies_has_not_failed(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 try:
     import fcntl
 except ImportError:  # pragma: no cover - systems without flock cannot tell that a file is in use
@@ -26,3 +28,12 @@ def lock_file(handle: int, *, wait: bool = False) -> bool:
     except OSError:  # this file system has no locks
         return True
     return True
+
+
+def is_written(path: Path) -> bool:
+    """Whether a process writes this file now, and holds its lock."""
+    try:
+        with path.open("rb") as file:
+            return not lock_file(file.fileno())
+    except OSError:
+        return False

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import gzip
+import json
 import math
 import time
 from collections import Counter
+from typing import Any
 
 import numpy as np
 import pytest
-from integration.fault_server import Server, answering, running
+from integration.fault_server import REFUSALS, Server, answering, completion, running
 from slowness import slowness
 
+import llm_flock
 from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm._limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool
@@ -88,6 +91,87 @@ def test_cut_connections_and_garbage_have_their_kinds() -> None:
         *garbage, unusable = asyncio.run(many(server))
     assert [error.kind for error in garbage if isinstance(error, ModelError)] == ["garbage"] * 3
     assert isinstance(unusable, Reply)  # a proper response: whether its text is of use is the planner's question
+
+
+@pytest.mark.parametrize("what", REFUSALS)
+def test_a_server_that_refuses_a_form_is_asked_in_another(what: str, caplog: pytest.LogCaptureFixture) -> None:
+    """A whole team flies: one question is sent twice, and the record says what was left out."""
+    with running(refuses=what) as server:
+        result = llm_flock.run(
+            Mission(shape="triangle", n_robots=3),
+            model="openai-compatible:stand-in",
+            base_url=server.base_url,
+            answers="json",
+            temperature=0.0,
+            model_seed=1,
+            reasoning_effort="low",
+            max_answer_tokens=500,
+            start="connected",
+        )
+        stats = server.stats()
+    assert result.formed and stats["refused"] == 1 and result.summary.calls_failed == 0
+    assert stats["requests"] == result.summary.model_calls + 1
+    left_out = {"turns": "roles", "system": "roles", "reasoning_effort": "reasoning"}.get(what, what)
+    assert [f"refuses {left_out}, and is asked without" in text for text in caplog.messages].count(True) == 1
+
+
+def test_what_an_address_refuses_is_known_from_then_on() -> None:
+    async def both(server: Server) -> list[Reply | ModelError]:
+        return [await ask_once(server), await ask_once(server)]
+
+    with running(fixed_answer=ANSWER, refuses="system") as server:
+        replies = asyncio.run(both(server))
+        stats = server.stats()
+    assert [reply.settings for reply in replies if isinstance(reply, Reply)] == [{"without": ["roles"]}] * 2
+    assert stats["refused"] == 1
+
+
+def test_a_request_that_is_too_large_is_asked_no_other_way() -> None:
+    body = json.dumps({"error": {"message": "max_tokens exceeds the context size of 2048"}}).encode()
+    with answering(body, status=400) as (url, requests):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and error.kind == "refused" and len(requests) == 1
+
+
+@pytest.mark.parametrize(
+    ("headers", "body", "wait"),
+    [
+        ({"Retry_After": "1.5"}, {}, 1.5),
+        ({"retry_after_ms": "2500"}, {}, 2.5),
+        ({"Retry_After": "900"}, {}, 900.0),
+        ({}, {"error": {"details": [{"@type": "RetryInfo", "retryDelay": "34.5s"}]}}, 34.5),
+        ({}, {"error": {"message": "retry in 3s"}}, None),
+    ],
+)
+def test_every_form_of_a_wait_is_read(headers: dict[str, str], body: dict[str, Any], wait: float | None) -> None:
+    with answering(json.dumps(body).encode(), 1, 429, **headers) as (url, _):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and (error.kind, error.retry_after_s) == ("rate_limit", wait)
+
+
+@pytest.mark.parametrize(
+    ("status", "message", "advice"),
+    [
+        (400, "the request exceeds the available context size (4096 tokens)", "give it a larger one"),
+        (404, "model 'qwen' not found, try pulling it first", "check --model"),
+        (404, "Not Found", "check --base-url"),
+        (401, "no key", None),
+    ],
+)
+def test_a_refusal_says_what_to_change(status: int, message: str, advice: str | None) -> None:
+    with answering(json.dumps({"error": {"message": message}}).encode(), 1, status) as (url, _):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and error.kind == "refused" and message in error.detail
+    assert (advice is None) == error.detail.startswith("status_code") and (advice or "") in error.detail
+
+
+def test_tokens_that_a_server_does_not_report_are_estimated() -> None:
+    whole = json.loads(completion(b"", ANSWER))
+    del whole["usage"]
+    with answering(json.dumps(whole).encode()) as (url, _):
+        reply = asyncio.run(ask_once(url))
+    assert isinstance(reply, Reply) and reply.settings == {"usage": "estimated"}
+    assert (reply.usage.input, reply.usage.output) == (7, 5)
 
 
 def test_a_body_without_end_is_not_read_to_its_end() -> None:

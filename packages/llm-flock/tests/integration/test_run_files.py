@@ -8,6 +8,7 @@ import pytest
 
 import llm_flock
 from llm_flock.errors import InputError
+from llm_flock.runtime import _trial
 from llm_flock.runtime._trial import TrialProgress
 
 
@@ -41,6 +42,17 @@ def test_cancelling_leaves_a_readable_record(tmp_path: Path) -> None:
     record = llm_flock.read_record(tmp_path / "run.mcap")
     assert record.complete and len(record.states) >= 4
     assert record.result is not None and record.result["stopped"] == "interrupted"
+
+
+def test_robots_that_wait_for_their_models_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_trial, "WAIT_S", 0.01)
+    heard: list[TrialProgress] = []
+    mission = llm_flock.Mission(shape="line", n_robots=2)
+    llm_flock.run(mission, model="simulated:brisk", rounds=1, seed=1, on_round=heard.append)
+    *late, last = heard
+    assert late and not last.waiting and last.round == 1
+    assert late[0].waiting == (0, 1) and late[0].text.startswith("round 1 · no answer for 0 s: 2 of 2 robots (0, 1)")
+    assert [now.model_calls for now in heard] == sorted(now.model_calls for now in heard)
 
 
 def test_nothing_is_written_when_something_is_wrong(tmp_path: Path) -> None:

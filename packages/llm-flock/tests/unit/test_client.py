@@ -318,3 +318,16 @@ def test_any_exception_of_an_sdk_is_a_failed_call() -> None:
 
     with pytest.raises(ModelError, match="garbage: RuntimeError while reading the response"):
         asyncio.run(model(trip).ask(call()))
+
+
+@pytest.mark.parametrize(("answers_as", "said"), [("o3-mini-2025-01-31", 0), ("another.gguf", 1)])
+def test_a_server_that_answers_to_any_name_is_named(
+    answers_as: str, said: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def answer(messages: list[ModelMessage], info: AgentInfo) -> ModelResponse:
+        return ModelResponse(parts=[TextPart("Position: [1, 2]")])
+
+    asked = PydanticModel(FunctionModel(answer, model_name=answers_as), name="openai:o3-mini")
+    for _ in range(2):
+        assert ask(asked).model == f"openai:{answers_as}"
+    assert sum("answers as another.gguf" in text for text in caplog.messages) == said

@@ -111,12 +111,27 @@ def test_waits_double_within_their_jitter_and_stop_growing() -> None:
     assert len(set(time.sleeps)) == 7
 
 
-@pytest.mark.parametrize(("asked", "low", "high"), [(3.0, 3.0, 3.3), (1000.0, 60.0, 66.0), (0.0, 0.0, 0.0)])
-def test_retry_after_is_honoured_up_to_a_limit(asked: float, low: float, high: float) -> None:
+@pytest.mark.parametrize(("asked", "low", "high"), [(3.0, 3.0, 3.3), (60.0, 60.0, 66.0), (0.0, 0.0, 0.0)])
+def test_retry_after_is_honoured(asked: float, low: float, high: float) -> None:
     time = FakeTime()
     outcomes(Scripted(ModelError("rate_limit", "x", asked)), limits(time))
     (wait,) = time.sleeps
     assert low <= wait <= high
+
+
+def test_a_wait_longer_than_a_team_waits_ends_the_call() -> None:
+    time = FakeTime()
+    (error,) = outcomes(Scripted(ModelError("rate_limit", "x", 61.0)), limits(time))
+    assert isinstance(error, ModelError) and error.retry_after_s == 61.0 and time.sleeps == []
+
+
+def test_the_time_out_follows_the_first_answer() -> None:
+    """A server that takes 0.3 s is given 0.1 s, then 0.2, then 0.4; then it is known to be that slow."""
+    shared = limits(timeout_s=0.1, patient=True)
+    first, second = outcomes(Scripted(delay_s=0.3), shared, calls=2)
+    assert isinstance(first, Reply) and first.faults == ("timeout", "timeout")
+    assert isinstance(second, Reply) and second.faults == ("timeout", "timeout")
+    assert shared.timeout_s == pytest.approx(0.4) and not shared.patient
 
 
 def test_the_same_seed_waits_the_same() -> None:

@@ -90,7 +90,8 @@ def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
     if record.result is None:
         formed = "not known: the run was stopped"
     elif result.get("formed"):
-        formed = f"yes, in round {formed_in(result)} (lower bound {result.get('lower_bound_rounds')})"
+        when = formed_in(result)  # None for a swarm, whose clock is no round
+        formed = "yes" if when is None else f"yes, in round {when} (lower bound {result.get('lower_bound_rounds')})"
     else:
         formed = f"no: {result.get('stopped')}" + (f" ({result['reason']})" if result.get("reason") else "")
     free = record.run.simulated and not result.get("cost_usd")

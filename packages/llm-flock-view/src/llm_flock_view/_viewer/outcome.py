@@ -70,11 +70,13 @@ def _formation_round(run: RunHistory, k: int, entries: Sequence[object], last: i
         formed = cast("dict[str, Any]", entries[k]).get("formed")
         return formed if isinstance(formed, int) else None
     since = max(0, run.missions[k].round - 1)
-    if run.result is not None and last is None:
-        # An older record: the result is about the last mission only, and counts from when it was given.
-        took = run.result.get("rounds_to_formed")
-        return since + took if run.result.get("formed") and isinstance(took, int) else None
-    return _formed_by_rows(run, run.missions[k].round, run.last_round if last is None else min(last, run.last_round))
+    by_rows = _formed_by_rows(run, run.missions[k].round, min(last or run.last_round, run.last_round))
+    if run.result is None or last is not None:
+        return by_rows
+    # The result is about the last mission only. That of a swarm, whose clock is no round, says no round.
+    took = run.result.get("rounds_to_formed")
+    formed = since + took if isinstance(took, int) else by_rows or run.last_round
+    return formed if run.result.get("formed") else None
 
 
 def _formed_by_rows(run: RunHistory, first: int, last: int) -> int | None:

@@ -17,6 +17,7 @@ from rich.text import Text
 from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
+from llm_flock.file_lock import is_written
 from llm_flock.printable import one_line, printable
 from llm_flock.record._words import begun, caveats, formed_in, rules_text, verdict, work_text
 
@@ -146,6 +147,11 @@ def show_overview(record: RunRecord) -> None:
     mission = record.mission.mission
     simulated = " · simulated language models" if record.run.simulated else ""
     state = "complete" if record.complete else "ends early (the run was stopped)"
+    if record.result is not None and record.result.get("stopped") == "interrupted":
+        calls, tokens = record.result["model_calls"], record.result["tokens"]
+        state = f"interrupted in round {record.rounds + 1}, after {calls} calls and {tokens:,} tokens"
+    elif not record.complete and is_written(record.path):
+        state = "under way"
     # Text(...) keeps brackets in names, answers and templates from being read as markup.
     console.print(
         Text(f"{one_line(mission['shape'])}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import platform
 import sys
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import groupby
 from typing import Annotated
@@ -17,19 +19,29 @@ from rich.table import Table
 
 from llm_flock import plugins
 from llm_flock.cli._extensions import Extension, Finding, extended
+from llm_flock.cli._options import EXIT_FAILED
 from llm_flock.cli._terminal import Screen, say
+from llm_flock.errors import InputError, ModelError
 from llm_flock.extras import EXTRAS
+from llm_flock.printable import one_line
 
 
 @extended("doctor")
 def doctor(
     json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table")] = False,
+    model: Annotated[
+        str | None, typer.Option(help="Ask this model one short question, as a run would", show_default=False)
+    ] = None,
+    base_url: Annotated[
+        str | None, typer.Option(help="Address of an OpenAI-compatible server", show_default=False)
+    ] = None,
     *,
     extensions: list[Extension],
 ) -> None:
     """Show what is installed, which extras and keys are there, and whether drones, a router and a browser are in reach.
 
-    No language model is asked, and no key is shown. What is missing is no error: a simulated run needs none of it.
+    Only the model that you name is asked, and no key is shown. What is missing is no error: a simulated run needs none
+    of it. A model that does not answer is one.
     """
     from llm_flock.llm._providers import PROVIDERS
     from llm_flock.runtime import versions
@@ -47,9 +59,13 @@ def doctor(
     ]
     for extension in extensions:
         findings += extension()
+    if model is not None:
+        findings.append(asyncio.run(_reach_model(model, base_url)))
+    elif base_url is not None:
+        raise InputError("base_url", base_url, says="has no effect without --model")
     if json_output:
         say(json.dumps([asdict(finding) for finding in findings]))
-        return
+        raise typer.Exit(_code(findings))
     for part, rows in groupby(findings, key=lambda finding: finding.part):
         table = Table("name", "there", "what", title=part, title_justify="left")
         for row in rows:
@@ -57,6 +73,34 @@ def doctor(
         Screen().show(table, copied=("name",))
     if any(extra.missing for extra in EXTRAS.values()):
         say("to add extras: pip install 'llm-flock[NAME,...]'")
+    raise typer.Exit(_code(findings))
+
+
+def _code(findings: Sequence[Finding]) -> int:
+    return EXIT_FAILED if any(finding.part == "model" and not finding.ok for finding in findings) else 0
+
+
+async def _reach_model(text: str, base_url: str | None) -> Finding:
+    """Ask a model for a position; an unknown name or address is an InputError."""
+    import numpy as np
+
+    from llm_flock.llm._models import ModelPool
+    from llm_flock.llm._port import Call, ChatMessage
+    from llm_flock.llm._providers import parse_base_urls
+
+    words = "You are one of two robots, at [1.0, 2.0]. Answer with one line: Position: [x, y]"
+    messages = (ChatMessage("system", "You control a robot."), ChatMessage("user", words))
+    call = Call(robot=0, round=0, kind="step", attempt=0, messages=messages)
+    async with ModelPool() as pool:
+        urls = parse_base_urls(base_url, [text])
+        asked = pool.model(text, rng=np.random.default_rng(0), base_urls=urls, typed=base_url is not None)
+        try:
+            reply = await asked.ask(call)
+        except ModelError as error:
+            return Finding("model", text, False, f"{error.kind}: {error.detail}")
+    without = f", asked without {', '.join(reply.settings['without'])}" if "without" in reply.settings else ""
+    said = one_line(reply.text, 60)
+    return Finding("model", text, True, f"{reply.model} says {said!r} after {reply.latency_s:.1f} s{without}")
 
 
 def is_set(variable: str) -> bool:

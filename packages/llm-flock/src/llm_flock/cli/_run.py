@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+import signal
 from typing import Annotated, Any
 
 import typer
 
-from llm_flock.cli._display import live_line, no_success, summary_table
+from llm_flock.cli._display import live_line, no_success, show_overview, summary_table
 from llm_flock.cli._extensions import PACE, Extension, Pacer, chosen, extended, refuse, showing
 from llm_flock.cli._options import (
     EXIT_FAILED,
@@ -70,6 +71,7 @@ def run(
         return
     from llm_flock.runtime._api import run as run_trial
 
+    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))  # keeps the round's answers
     bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
     try:
         with showing(sinks, settings) as sink, bar:
@@ -77,8 +79,12 @@ def run(
             steer = None if pace is None else Pacer(pace)
             result = run_trial(config=settings, on_round=on_round, sink=sink, steer=steer, trace=False)
     except KeyboardInterrupt:
-        where = f"; what was flown is in {settings.trial.out}" if settings.trial.out else ""
-        say(f"interrupted{where}", error=True)
+        say("interrupted", error=True)
+        if settings.record is not None:
+            from llm_flock.record import read_record
+
+            show_overview(read_record(settings.record))
+            say(f"what was flown is in {settings.trial.out}", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_output:
         say(json.dumps(result.summary.to_dict(), allow_nan=False))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import logging
+import math
 import re
 import time
 from collections.abc import Mapping
@@ -32,9 +33,11 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import ModelError
+from llm_flock.llm._dialect import Dialect
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
+from llm_flock.printable import printable
 
 logger = logging.getLogger(__name__)
 
@@ -46,6 +49,23 @@ CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_len
 
 BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
 """Finish reasons that mean that the server broke the answer off."""
+
+ADVICE = {
+    r"context (length|size|window)|too many tokens|prompt is too long": (
+        "the question is longer than the context that the server gives: give it a larger one (servers divide it among "
+        "the questions that they answer at once), or ask with --prompts brief"
+    ),
+    r"\bmodel\b.{0,80}(not found|not exist|unknown)|(no such|unknown|invalid) model": (
+        "the server has no such model: check --model"
+    ),
+    r"status_code: 40[45]": "nothing at this address answers chats: check --base-url, which mostly ends in /v1",
+}
+"""What to change, by the words of a refusal; the first that fits."""
+
+CHARACTERS_PER_TOKEN = 4
+"""As common tokenizers have in English text, on average."""
+
+_SECONDS = re.compile(r"(?:^|retryDelay['\"]?\s*:\s*['\"])([0-9]{1,9}(?:\.[0-9]{1,9})?)s")
 
 _FINISH_REASON = re.compile(r"[a-z][a-z_]{0,39}")
 
@@ -90,31 +110,35 @@ class PydanticModel:
         settings: CallSettings | None = None,
         secrets: tuple[str, ...] = (),
         priced: bool = False,
+        dialect: Dialect | None = None,
     ) -> None:
         self._model = model
+        self._dialect = dialect or Dialect(str(model.base_url), model.model_name)
         self.name = name
         self._provider = name.partition(":")[0]
         self._secrets = secrets
         self._price_list = self._provider if priced else None
-        settings = settings or CallSettings()
-        self._asked = settings.plain()
-        self._settings = _model_settings(settings, self._provider)
-        self._words = ModelRequestParameters()
+        self._settings = (settings or CallSettings()).plain()
 
     async def ask(self, call: Call) -> Reply:
-        """Answer one call, in one attempt. Every failure is a ModelError, whose text holds no key."""
+        """Answer one call, in one attempt, or more where the server refuses its form (`Dialect`).
+
+        Every failure is a ModelError, whose text holds no key.
+        """
+        first = await self._dialect.turn()
+        try:
+            return await self._ask(call)
+        finally:
+            if first:
+                self._dialect.learned()
+
+    async def _ask(self, call: Call) -> Reply:
         started = time.perf_counter()
         try:
-            response = await model_request(
-                self._model,
-                to_model_messages(call.messages),
-                model_settings=self._settings,
-                model_request_parameters=self._parameters(call.schema),
-            )
-            reply = self._reply(response, time.perf_counter() - started)
+            response = await self._request(call)
+            reply = self._reply(response, call, time.perf_counter() - started)
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
-            retry_after = error.retry_after if isinstance(error, pai.ModelAPIError) else None
-            raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after) from None
+            raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after_s(error)) from None
         except Exception as error:  # noqa: BLE001 - SDKs may raise anything; it is logged, recorded and counted
             # A malformed body that the SDK's parser cannot read must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
@@ -128,28 +152,55 @@ class PydanticModel:
             raise ModelError("server", f"the provider broke the answer off ({reply.finish_reason})")
         return reply
 
+    async def _request(self, call: Call) -> ModelResponse:
+        """Send the call; once more, in another form, for each thing that the server refuses in it."""
+        while True:
+            settings = self._dialect.settings(self._settings)
+            sent = {**settings, "roles": True} | ({"response_format": True} if call.schema is not None else {})
+            try:
+                return await model_request(
+                    self._model,
+                    to_model_messages(self._dialect.messages(call.messages)),
+                    model_settings=_model_settings(settings, self._provider),
+                    model_request_parameters=self._parameters(call.schema),
+                )
+            except pai.ModelHTTPError as error:
+                body = cast("dict[str, Any] | None", error.body)
+                words = body.get("message") if isinstance(body, dict) else None
+                if not self._dialect.refuses(self._clean(str(words or error)), sent):
+                    raise
+
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
-        if schema is None:
-            return self._words
+        if schema is None or "response_format" in self._dialect.without:
+            return ModelRequestParameters()
         answer = OutputObjectDefinition(json_schema=dict(schema), name="answer")
         # DeepSeek and older Claude models accept no JSON schema: they are asked for JSON, and get the schema as text.
         native = self._model.profile.get("supports_json_schema_output", False)
         return ModelRequestParameters(output_mode="native" if native else "prompted", output_object=answer)
 
-    def _reply(self, response: ModelResponse, latency_s: float) -> Reply:
+    def _reply(self, response: ModelResponse, call: Call, latency_s: float) -> Reply:
         used = response.usage
         usage = Usage.reported(used.input_tokens, used.output_tokens, used.cache_read_tokens)
+        settings = self._dialect.settings(self._settings)
+        if self._dialect.without:
+            settings["without"] = [*self._dialect.without]
+        if not usage.total:
+            usage, settings["usage"] = estimated(call, response.text or ""), "estimated"
+            self._dialect.say_once("reports no tokens: they are estimated at one for four characters")
         answer = spoken(response.text or "")
         # An unfinished thought stays, with its mark: the record shows the rejected text.
         raw = answer.text.lstrip() if answer.thought and not answer.unfinished else response.text or ""
         text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
         answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:100])
-        answered_by = answered_by or self.name.partition(":")[2]
+        asked = self.name.partition(":")[2]
+        answered_by = answered_by or asked
+        if asked not in answered_by and answered_by not in asked:  # some servers answer to any name
+            self._dialect.say_once(f"answers as {printable(answered_by)}, which the record has")
         return Reply(
             text=text,
             model=f"{self._provider}:{answered_by}",
-            settings=self._asked,
+            settings=settings,
             usage=usage,
             cost_usd=cost_usd(self._price_list, answered_by, usage),
             latency_s=latency_s,
@@ -212,12 +263,31 @@ def error_kind(error: Exception) -> str:
             return "garbage"
 
 
+def retry_after_s(error: Exception) -> float | None:
+    """The wait that a provider asks for [s]: in a header, or in the body as Gemini's `retryDelay`; None without one."""
+    if not isinstance(error, pai.ModelAPIError) or error.retry_after is not None:
+        return error.retry_after if isinstance(error, pai.ModelAPIError) else None
+    if isinstance(error, pai.ModelHTTPError):
+        header = (error.headers or {}).get("retry-after", "") + "s"  # pydantic-ai reads whole seconds and dates
+        for text in (header, str(error.body)):
+            if found := _SECONDS.search(text):
+                return float(found[1])
+    return None
+
+
+def estimated(call: Call, answer: str) -> Usage:
+    """Tokens of a call whose server reports none: a token for each four characters."""
+    asked = sum(len(message.text) for message in call.messages)
+    return Usage.reported(math.ceil(asked / CHARACTERS_PER_TOKEN), math.ceil(len(answer) / CHARACTERS_PER_TOKEN))
+
+
 def _describe(error: Exception) -> str:
     """One line about an exception, with the transport's cause if pydantic-ai only has "Connection error."."""
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
-    return text
+    advice = next((advice for words, advice in ADVICE.items() if re.search(words, text, re.IGNORECASE)), None)
+    return text if advice is None or not isinstance(error, pai.ModelHTTPError) else f"{advice}: {text}"
 
 
 def _origin(error: BaseException) -> BaseException:
@@ -239,8 +309,11 @@ def to_model_messages(messages: tuple[ChatMessage, ...]) -> list[ModelMessage]:
     return out
 
 
-def _model_settings(settings: CallSettings, provider: str) -> ModelSettings | None:
-    out = settings.plain()
+def _model_settings(settings: dict[str, Any], provider: str) -> ModelSettings | None:
+    out = dict(settings)
+    limit = out.pop("max_completion_tokens", None)
+    if limit is not None:
+        out["extra_body"] = {"max_completion_tokens": limit}
     effort = out.pop("reasoning", None)
     if effort is not None and provider == "anthropic":
         out["thinking"] = False if effort == "none" else effort

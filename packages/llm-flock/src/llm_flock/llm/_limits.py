@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
@@ -18,6 +19,12 @@ from llm_flock.llm._port import Call, LanguageModel, Reply, Usage
 if TYPE_CHECKING:
     from llm_flock.llm._models import ModelPool
 
+logger = logging.getLogger(__name__)
+
+
+LONGEST_S = 600.0
+"""Longest time-out to which a first answer is waited for, unless the operator says how long [s]."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
@@ -25,7 +32,7 @@ class RetryPolicy:
 
     The wait before attempt k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
     most longest_wait_s, so that robots that were turned away together do not return together. A wait by Retry-After is
-    kept in full, up to longest_retry_after_s, with up to a tenth on top.
+    kept in full, with up to a tenth on top; one above longest_retry_after_s ends the call at once.
 
     `max_garbage` responses in a row that are not of the protocol end the call: such a server is neither busy nor away.
     """
@@ -36,14 +43,16 @@ class RetryPolicy:
     longest_wait_s: float = 30.0
     longest_retry_after_s: float = 60.0
 
-    def gives_up(self, faults: tuple[str, ...]) -> bool:
-        """Whether another attempt is useless, by the kinds of all faults of a call so far."""
+    def gives_up(self, faults: tuple[str, ...], retry_after_s: float | None = None) -> bool:
+        """Whether another attempt is useless, by the kinds of all faults of a call and the wait that was asked for."""
+        if retry_after_s is not None and retry_after_s > self.longest_retry_after_s:
+            return True
         return len(faults) >= self.max_tries or faults[-self.max_garbage :] == ("garbage",) * self.max_garbage
 
     def wait_s(self, failed: int, retry_after_s: float | None, rng: np.random.Generator) -> float:
         """Draw the wait before the next attempt, after `failed` >= 1 failed ones [s]."""
         if retry_after_s is not None:
-            return min(retry_after_s, self.longest_retry_after_s) * rng.uniform(1.0, 1.1)
+            return retry_after_s * rng.uniform(1.0, 1.1)
         # 2.0 ** 40 is longer than any useful longest_wait_s, and does not overflow.
         scale = min(self.first_wait_s * 2.0 ** min(failed - 1, 40), self.longest_wait_s)
         return scale * rng.uniform(0.5, 1.0)
@@ -140,6 +149,7 @@ class CallLimits:
     rng: np.random.Generator  #: Chance for the jitter of waits.
     max_concurrent: int = 256  #: Calls under way at once; `slots` holds as many.
     timeout_s: float = 120.0  #: Longest attempt, without the queue [s].
+    patient: bool = False  #: Whether the time-out doubles, up to LONGEST_S, until there is a first answer.
     retry: RetryPolicy = field(default_factory=RetryPolicy)
     meter: BudgetMeter = field(default_factory=BudgetMeter)
     lane: CallLane = field(default_factory=CallLane)
@@ -149,6 +159,12 @@ class CallLimits:
 
     def __post_init__(self) -> None:
         self.slots = asyncio.Semaphore(self.max_concurrent)
+
+    def note_late(self, allowed_s: float) -> None:
+        """There was no answer within this time, which others may have noted already [s]."""
+        if self.patient and allowed_s == self.timeout_s < LONGEST_S:
+            self.timeout_s = min(2.0 * allowed_s, LONGEST_S)
+            logger.warning("no model answered within %g s: they now have %g s", allowed_s, self.timeout_s)
 
 
 class Limited:
@@ -188,13 +204,15 @@ class Limited:
                 if started is None:
                     started = limits.clock()
                 outcome: Reply | ModelError | None = None
+                allowed_s = limits.timeout_s
                 try:
-                    async with asyncio.timeout(limits.timeout_s):
+                    async with asyncio.timeout(allowed_s):
                         outcome = await self._model.ask(call)
                 except ModelError as error:  # its wait happens outside the slot
                     outcome = error
                 except TimeoutError:
-                    outcome = ModelError("timeout", f"no answer within {limits.timeout_s:g} s")
+                    outcome = ModelError("timeout", f"no answer within {allowed_s:g} s")
+                    limits.note_late(allowed_s)
                 except FlockError:
                     raise
                 except Exception as error:  # noqa: BLE001 - an answer that a client cannot take; its text may hold a key
@@ -204,12 +222,17 @@ class Limited:
                         used = (outcome.usage, outcome.cost_usd) if isinstance(outcome, Reply) else (None, None)
                         lane.gate.leave(ticket, *used)
             if isinstance(outcome, Reply):
+                limits.patient = False
                 limits.meter.spent += Spent(tokens=outcome.usage.total, cost_usd=outcome.cost_usd or 0.0)
                 if not faults and outcome.latency_s:
                     return outcome  # a single attempt, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            if call.probe or outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults):
+            if (
+                call.probe
+                or outcome.kind in ("refused", "budget")
+                or limits.retry.gives_up(faults, outcome.retry_after_s)
+            ):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Self, get_args
 import numpy as np
 
 from llm_flock.errors import InputError, unknown
+from llm_flock.llm._dialect import Dialect
 from llm_flock.llm._port import Call, CallSettings, Effort, LanguageModel, Reply, Usage
 from llm_flock.llm._providers import PROVIDERS, ModelHost, ModelName, cost_usd, parse_model, source_of
 
@@ -159,7 +160,7 @@ class ModelPool:
     def __init__(self, *, environ: Mapping[str, str] | None = None, asks: bool = True) -> None:
         self.asks = asks
         self._environ = os.environ if environ is None else environ
-        self._models: dict[tuple[str, str, str, float], Model[Any]] = {}
+        self._models: dict[tuple[str, str, str, float], tuple[Model[Any], Dialect]] = {}
         self._http: httpx2.AsyncClient | None = None
         self._hosts: dict[str, ModelHost] = {}
 
@@ -210,18 +211,19 @@ class ModelPool:
             from llm_flock.llm._simulated.profiles import parse_profile
 
             return SimulatedModel(parse_profile(name.model), rng, settings)
-        hosted = self._hosted_model(name, base_urls, timeout_s, typed)
+        hosted, dialect = self._hosted_model(name, base_urls, timeout_s, typed)
         # pydantic-ai takes about a second to import: wrong input is reported without it.
         from llm_flock.llm._client import PydanticModel
 
         # An error of one provider may quote the key of another.
         keys = (self._environ.get(info.key_env, "").strip() for info in PROVIDERS.values())
         priced = name.provider not in base_urls
-        return PydanticModel(
-            hosted, name=name.text, settings=settings, secrets=tuple(filter(None, keys)), priced=priced
-        )
+        secrets = tuple(filter(None, keys))
+        return PydanticModel(hosted, name=name.text, settings=settings, secrets=secrets, priced=priced, dialect=dialect)
 
-    def _hosted_model(self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float, typed: bool) -> Model[Any]:
+    def _hosted_model(
+        self, name: ModelName, base_urls: Mapping[str, str], timeout_s: float, typed: bool
+    ) -> tuple[Model[Any], Dialect]:
         info = name.info
         address = base_urls.get(name.provider, info.base_url)
         if address is None:
@@ -239,7 +241,8 @@ class ModelPool:
             self._http = hosted.new_http_client()
         key_of_model = (name.provider, name.model, address, timeout_s)
         if key_of_model not in self._models:
-            self._models[key_of_model] = hosted.build_model(
+            built = hosted.build_model(
                 name.provider, name.model, base_url=address, key=key, http=self._http, timeout_s=timeout_s
             )
+            self._models[key_of_model] = built, Dialect(address, name.text)
         return self._models[key_of_model]

@@ -220,7 +220,10 @@ def check_url(url: str) -> str:
         raise InputError("base_url", f"{parts.scheme}://{host}...?...", "an address without a query or a fragment")
     if parts.scheme not in {"http", "https"} or not host or port == 0:
         raise InputError("base_url", url, "http://HOST[:PORT]/PATH or https://...")
-    return url.rstrip("/")
+    bare = url.rstrip("/").removesuffix("/chat/completions")
+    if bare != url.rstrip("/"):
+        raise InputError("base_url", url, f"{bare}, to which this path is added")
+    return bare
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -182,7 +182,7 @@ def run(mission: Mission | None = None, **given: Unpack[Parameters]) -> RunResul
     Args:
         mission: the team's task; the paper's circle of ten if left out.
         config: a whole configuration (`RunConfig`), instead of a mission and fields.
-        on_round: called after each round, in the thread that flies.
+        on_round: called after each round, and now and then while robots wait, in the thread that flies.
         progress: shows a line of progress in notebooks, when the run takes longer than half a second.
         trace: keeps what the result needs to draw itself and to give frames; a few hundred bytes a robot and round.
         sink: takes every message of a record, whether a record is written or not.

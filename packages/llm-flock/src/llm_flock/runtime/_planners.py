@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from llm_flock.errors import InputError
-from llm_flock.llm._limits import Budget, BudgetMeter, CallLane, CallLimits, Limited, RetryPolicy
+from llm_flock.llm._limits import LONGEST_S, Budget, BudgetMeter, CallLane, CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool, check_priced, parse_history, parse_models, parse_settings
 from llm_flock.llm._port import Attempt, AttemptSink, LanguageModel
 from llm_flock.llm._providers import ModelName, habits_of, parse_base_urls, parse_model, source_of
@@ -73,6 +73,11 @@ class TeamPlanners:
         self._history = parse_history(model.history)
         self._planners = [self._planner_of(robot, text) for robot, text in enumerate(self.names)]
 
+    @property
+    def _patient(self) -> bool:
+        """Whether nobody said how long an answer may take."""
+        return "timeout_s" not in self._config.limits.model_fields_set
+
     def _prompts_of(self, text: str) -> PromptSet:
         if text in self._prompts:
             return self._prompts[text]
@@ -98,6 +103,7 @@ class TeamPlanners:
             self._queues[queue] = CallLimits(
                 max_concurrent=at_once,
                 timeout_s=limits.timeout_s,
+                patient=self._patient,
                 retry=RetryPolicy(max_tries=limits.max_tries),
                 meter=self._meter,
                 lane=self._lane,
@@ -120,7 +126,7 @@ class TeamPlanners:
             settings=self._settings[robot],
             base_urls=self._base_urls,
             typed=self._config.model.typed_url is not None,
-            timeout_s=2 * self._config.limits.timeout_s,
+            timeout_s=2 * (LONGEST_S if self._patient else self._config.limits.timeout_s),
         )
         return Limited(model, self._queue_of(name))
 

@@ -7,7 +7,7 @@ import re
 import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self, TypeAlias, TypeVar
 
 import msgspec
@@ -31,13 +31,20 @@ from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
 
+WAIT_S = 10.0
+"""Time between two notes of who waits for a model [s]."""
+
 STEP_TOLERANCE = 1e-3
 """Share of the step limit that a step may be longer by: waypoints are rounded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialProgress:
-    """The figures that a live display shows after each round."""
+    """The figures that a live display shows after each round, and every WAIT_S while robots wait for their models.
+
+    `round` is the last one flown; `waiting` has the robots that wait for an answer of the next one, and `waited_s` how
+    long they have waited [s].
+    """
 
     round: int
     rounds: int
@@ -49,10 +56,16 @@ class TrialProgress:
     model_calls: int
     tokens: int
     cost_usd: float | None
+    waiting: tuple[int, ...] = ()
+    waited_s: float = 0.0
 
     @property
     def text(self) -> str:
         """The figures in a line."""
+        if self.waiting:
+            robots = ", ".join(map(str, self.waiting[:10])) + (", ..." if len(self.waiting) > 10 else "")
+            late = f"no answer for {self.waited_s:.0f} s: {len(self.waiting)} of {self.n_robots} robots ({robots})"
+            return f"round {self.round + 1} · {late} · calls {self.model_calls} · tokens {self.tokens:,}"
         error = "" if self.error is None else f" · error {self.error:.2f}"
         cost = "" if not self.cost_usd else f" · {self.cost_usd:.4f} USD"
         return (
@@ -216,7 +229,8 @@ class Trial:
 
     async def _fly_round(self, number: int) -> None:
         questions = self.plan_questions(number)
-        plans = await _all({robot: self.planners[robot].plan(asked) for robot, asked in questions.items()})
+        asked = {robot: self.planners[robot].plan(question) for robot, question in questions.items()}
+        plans = await _all(asked, self._report)
         self.journal.flush_attempts()
         self.take_plans(plans)
         asking = self.step_questions()
@@ -286,7 +300,8 @@ class Trial:
 
     async def ask_steps(self, asking: Mapping[int, StepQuestion]) -> dict[int, StepAnswer | NoAnswer]:
         """Put each robot's question to its planner, all at once."""
-        return await _all({robot: self.planners[robot].step(asked) for robot, asked in asking.items()})
+        asked = {robot: self.planners[robot].step(question) for robot, question in asking.items()}
+        return await _all(asked, self._report)
 
     def take_steps(self, answers: Mapping[int, StepAnswer | NoAnswer]) -> dict[int, MoveTo]:
         """Give the robots that asked their answers; returns the move of each robot that is awake."""
@@ -331,10 +346,11 @@ class Trial:
                     self.journal.record_proposal(self.round + 1, self.roster.agents[robot], by)
         return [effect for effect in effects if not isinstance(effect, Note)]
 
-    def _report(self) -> None:
+    def _report(self, waiting: tuple[int, ...] = (), waited_s: float = 0.0) -> None:
         if self._on_round is not None and self.journal.row is not None:
-            robots = len(self.roster.awake)
-            self._on_round(TrialProgress.of(self.journal.row, rounds=self.rounds, n_robots=robots))
+            now = TrialProgress.of(self.journal.row, rounds=self.rounds, n_robots=len(self.roster.awake))
+            calls, tokens = self.journal.calls, self.journal.usage.total
+            self._on_round(replace(now, model_calls=calls, tokens=tokens, waiting=waiting, waited_s=waited_s))
 
 
 def commonest(reasons: Sequence[str]) -> tuple[int, str]:
@@ -344,13 +360,23 @@ def commonest(reasons: Sequence[str]) -> tuple[int, str]:
     return count, reasons[kinds.index(kind)]
 
 
-async def _all(asking: dict[int, Coroutine[Any, Any, T]]) -> dict[int, T]:
-    """Await the answers of all robots at once. The first error of a planner is raised, and cancels the others."""
+async def _all(
+    asking: Mapping[int, Coroutine[Any, Any, T]], tell: Callable[[tuple[int, ...], float], None]
+) -> dict[int, T]:
+    """Await the answers of all robots at once, and `tell` now and then which wait and how long [s].
+
+    The first error of a planner is raised, and cancels the others.
+    """
     if not asking:
         return {}
+    began = time.perf_counter()
     try:
         async with asyncio.TaskGroup() as group:
             tasks = {robot: group.create_task(question) for robot, question in asking.items()}
+            while waiting := [task for task in tasks.values() if not task.done()]:
+                if (await asyncio.wait(waiting, timeout=WAIT_S))[1]:
+                    late = tuple(robot for robot, task in tasks.items() if not task.done())
+                    tell(late, time.perf_counter() - began)
     except ExceptionGroup as errors:
         raise errors.exceptions[0] from None
     return {robot: task.result() for robot, task in tasks.items()}
