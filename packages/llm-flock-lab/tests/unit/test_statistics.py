@@ -75,7 +75,8 @@ def test_restricted_mean_of_a_hand_example() -> None:
 def test_restricted_mean_is_scipys_area_under_the_curve(durations: list[Duration], until: float) -> None:
     times = [time for time, formed in durations if formed]
     stopped = [time for time, formed in durations if not formed]
-    curve = stats.ecdf(stats.CensoredData(times, right=stopped)).sf
+    sample: Any = stats.CensoredData(times, right=stopped)
+    curve = stats.ecdf(sample).sf
     edges = np.array([0.0, *(x for x in np.unique(curve.quantiles) if x < until), until])
     expected = (np.asarray(curve.evaluate(edges[:-1])) * np.diff(edges)).sum()
     found = restricted_mean(durations, until)
