@@ -51,6 +51,7 @@ from llm_flock.message import Message, decode
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepQuestion
+from llm_flock.point_files import load_points
 from llm_flock.protocol._verification.validator import Validator
 from llm_flock.record._reader import read_record
 from llm_flock.record._writer import RecordWriter
@@ -58,7 +59,6 @@ from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._forecast import expect_run
 from llm_flock.runtime._planners import check_planners
 from llm_flock.runtime._rules import PRESETS, assignment_rule, consensus_rule
-from llm_flock.shapes import load_points
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_lab._experiments.sweep_file import SweepFile, load_sweep
 from llm_flock_onboard._local.gguf import read_header
@@ -277,10 +277,19 @@ def test_the_head_of_a_model_is_read_or_rejected(part: int) -> None:
             tried(read, InputError)
 
 
+GOOD_POINTS = {
+    "a.csv": b"x,y\n1,2\n3.5,-40\n7,8\n",
+    "b.csv": b"id;x;y\n1;2,5;3\n2;3,5;-40\n",
+    "a.json": b"[[1, 2], [3.5, -40], [7, 8]]",
+    "b.json": b'{"A": {"x": 1, "y": 2}, "B": [3.5, -40]}',
+    "a.svg": b'<svg><g transform="translate(1 2) rotate(30)"><polygon points="1,2 3.5,-40 7e1,8"/></g></svg>',
+}
+
+
 def test_a_file_of_points_is_taken_or_rejected() -> None:
     for seed in seeds("points", CASES // 8):
         with drawn(seed) as rng:
-            for name, good in (("a.csv", b"x,y\n1,2\n3.5,-40\n7,8\n"), ("a.json", b"[[1, 2], [3.5, -40], [7, 8]]")):
+            for name, good in GOOD_POINTS.items():
                 path = Path(name)
                 path.write_bytes(mangled_json(good, rng) if name.endswith("json") else changed_bytes(good, rng))
                 tried(lambda path=path: load_points(path), InputError)

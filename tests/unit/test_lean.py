@@ -157,6 +157,7 @@ def test_a_missing_extra_is_named_in_one_line(name: str, monkeypatch: pytest.Mon
         ("PIL", "animate no-such-file", "figures"),
         ("zenoh", "keys no-such-folder --robots 2", "network"),
         ("starlette", "view no-such-file", "view"),
+        ("mcp", "mcp", "mcp"),
         ("openai", "run --robots 3 --shape triangle --model vllm:x --no-record", "openai"),
         ("anthropic", "run --robots 3 --shape triangle --model anthropic:x --no-record", "anthropic"),
     ],

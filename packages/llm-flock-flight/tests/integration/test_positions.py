@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import math
 import re
 import socket
 import sys
@@ -22,6 +24,7 @@ from llm_flock.record._reader import read_record
 from llm_flock.robots._base import Pose, PoseFrame
 from llm_flock.testing._robots import wait_until
 from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import with_drones
 from llm_flock_flight._positions.mocap import MocapPoses
 from llm_flock_flight._positions.udp import UdpPoses, datagram_of
 from llm_flock_flight._testing.crtp import StandIns
@@ -60,7 +63,15 @@ def free_port() -> int:
 def config_of(uris: list[str], port: int, **fields: Any) -> FlightConfig:
     mission = {"shape": "triangle", "n_robots": 3, "center": [15, 15], "arena": [[0, 0], [30, 30]], "comm_range": 40}
     drones = [{"name": n, "uri": uri, "start": at} for n, uri, at in zip(NAMES, uris, STARTS, strict=True)]
-    return FlightConfig.build({"mission": mission}, **{**FLIGHT, "drones": drones, "pose_port": port, **fields})
+    if "crazyflies" in fields:  # a file to write, in which all initial positions are zero
+        robots = {
+            name: {"enabled": True, "uri": uri, "initial_position": [0.0, 0.0, 0.0], "type": "cf"}
+            for name, uri in zip(NAMES, uris, strict=True)
+        }
+        Path(fields["crazyflies"]).write_text(json.dumps({"robots": robots, "robot_types": {"cf": {}}}))
+        drones = []
+    given = {**FLIGHT, "drones": drones, "pose_port": port, **fields}
+    return with_drones(FlightConfig.build({"mission": mission}, **given))
 
 
 async def fly(config: FlightConfig, stream: PoseStream, act: Act | None, after_s: float) -> Any:
@@ -130,6 +141,16 @@ def test_noise_drop_out_and_a_strange_flood_are_flown_through(tmp_path: Path) ->
     assert (flight.poses_refused or {})["second_sender"] > 100
     kinds = [event.kind for event in read_record(tmp_path / "run.mcap").flight]
     assert kinds.count("poses") == 1
+
+
+def test_drones_begin_where_they_are_measured(tmp_path: Path) -> None:
+    result, _, _ = flown(crazyflies=str(tmp_path / "crazyflies.yaml"), at_end="return", out=str(tmp_path))
+    flight = figures(result)
+    assert result.result.formed and flight.ended == "mission" and flight.safe
+    starts = [check.found for check in result.report.checks if check.name == "start position"]
+    assert starts == ["not given"] * 3
+    landed = read_record(tmp_path / "run.mcap").bodies[-1].measured
+    assert all(math.dist(at[:2], start) < 0.15 for at, start in zip(landed, STARTS, strict=True))
 
 
 def test_two_motion_captures_are_named_and_prevent_take_off() -> None:

@@ -79,6 +79,23 @@ def test_batteries_limit_what_takes_off_and_what_lands(tmp_path):
     assert (second.ready_battery_v, second.low_battery_v) == (7.6, pytest.approx(3.2))
 
 
+ZEROS = TEXT.replace("[0.0, 0.5, 0]", "[0, 0.0, 0]").replace("[1e-1, 5e-1, 0.0]", "[0.0, 0.0, 0.0]")
+
+
+def test_starts_that_are_all_zero_are_measured(tmp_path, caplog):
+    """With positions from outside only, and not where one start is known."""
+    path = tmp_path / "crazyflies.yaml"
+    path.write_text(ZEROS)
+    config = flight_config(2, "line", crazyflies=str(path), pose_source="udp", robot="crazyflie")
+    assert [drone.start for drone in config.fleet.drones] == [None, None]
+    assert "drones start where they are measured" in caplog.text
+    with pytest.raises(InputError, match=r"starts at least .* m apart"):
+        flight_config(2, "line", crazyflies=str(path))
+    path.write_text(ZEROS.replace("[0, 0.0, 0]", "[1.0, 0.5, 0]"))
+    placed = flight_config(2, "line", crazyflies=str(path), pose_source="udp", robot="crazyflie")
+    assert [drone.start for drone in placed.fleet.drones] == [(1.0, 0.5, 0.0), (0.0, 0.0, 0.0)]
+
+
 def test_numbers_that_yaml_takes_for_text_are_numbers():
     assert content()["all"]["firmware_params"]["locSrv"]["extPosStdDev"] == "1e-3"
     assert parse_crazyflies(content())[1].home == (0.1, 0.5, 0.0)

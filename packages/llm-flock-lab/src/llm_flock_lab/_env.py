@@ -20,6 +20,7 @@ except ImportError as error:
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
+from llm_flock.llm import CallLane, ModelPool
 from llm_flock.metrics import ROUNDING, segment_separation
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
@@ -346,7 +347,7 @@ def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedRea
     rng = stream(given.seed, Stream.START)
     start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
     readings = RememberedReadings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
-    planners = TeamPlanners(config)
+    planners = TeamPlanners(config, CallLane(pool=ModelPool(environ={}, asks=False)))  # copies take no keys along
     journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan", trace=trace)
     trial = Trial(config, rules, planners, InstantBodies(readings), journal, start)
     trial.begin()

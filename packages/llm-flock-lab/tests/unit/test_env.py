@@ -1,6 +1,8 @@
 """The PettingZoo environment: PettingZoo's own checks, and that good policies fly as good models do."""
 
+import copy
 import importlib
+import pickle
 import sys
 from typing import Any
 
@@ -70,6 +72,41 @@ def test_a_robot_that_dies_is_terminated_and_the_others_go_on() -> None:
         seen, _, over, _, _ = env.step({agent: towards_goal(env, seen[agent]) for agent in env.agents})
         gone += [agent for agent, ended in over.items() if ended]
     assert gone == ["robot_1"]
+
+
+def rest_of(env: FlockEnv, seen: dict[str, Any], most: int = 100) -> list[str]:
+    """All that the next steps return, as text."""
+    told: list[str] = []
+    while env.agents and len(told) < most:
+        seen, *others = env.step({agent: towards_goal(env, seen[agent]) for agent in env.agents})
+        told.append(repr((seen, others, env.state().tolist())))
+    return told
+
+
+@pytest.mark.parametrize(
+    "fields", [{}, {"protocol": "released"}, {"gaps": "replan", "render_mode": "rgb_array"}], ids=str
+)
+@pytest.mark.parametrize("control", CONTROLS)
+def test_copies_go_on_as_the_original_does(control: Any, fields: dict[str, Any]) -> None:
+    """Made after `reset` or in the middle, in a process or between two; none changes another's episode."""
+    hard: dict[str, Any] = {"noise": 0.2, "loss": 0.2, "delay": 1, "kill": "1@6", "rounds": 12}
+    env = parallel_env(**SQUARE, control=control, **hard, **fields)
+    seen, _ = env.reset(seed=4)
+    at_start = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    for _ in range(5):
+        seen, *_ = env.step({agent: towards_goal(env, seen[agent]) for agent in env.agents})
+    halfway = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    expected = rest_of(env, seen)
+    assert len(expected) > 5
+    for one in halfway:
+        assert rest_of(one, seen) == expected
+    again = parallel_env(**SQUARE, control=control, **hard, **fields)
+    first, _ = again.reset(seed=4)
+    whole = rest_of(again, first)
+    assert whole[5:] == expected
+    for one in at_start:
+        assert rest_of(one, first) == whole
+        assert repr(one.reset(seed=9)) == repr(env.reset(seed=9)), "a copy can begin again"
 
 
 def test_the_seed_decides_the_start() -> None:

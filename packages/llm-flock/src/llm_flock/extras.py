@@ -43,6 +43,7 @@ _TABLE = (
     Extra("view", "view", ("llm_flock_view", "starlette", "uvicorn"), ("view",)),
     Extra("notebook", "notebooks: frames of pandas, pictures and animations", ("ipykernel", "pandas", "polars", "PIL")),
     Extra("env", "an environment of PettingZoo", ("llm_flock_lab", "gymnasium", "pettingzoo")),
+    Extra("mcp", "tools for agents, by the Model Context Protocol", ("llm_flock_lab", "mcp"), ("mcp",)),
     Extra(
         "network",
         "swarm, robot, world, watch, mission, keys",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TypeAlias, cast
@@ -14,6 +15,8 @@ from llm_flock.simulate import draw_start
 from llm_flock.user_code import load_own
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.sections import DroneConfig
+
+logger = logging.getLogger(__name__)
 
 Driver: TypeAlias = Callable[[FlightConfig, Sequence[DroneConfig]], Sequence[Robot]]
 """Makes the robots of a flight, one for each drone, in order."""
@@ -37,16 +40,22 @@ def with_drones(config: FlightConfig) -> FlightConfig:
     if config.fleet.crazyflies is not None:
         from llm_flock_flight._crazyflie.crazyflies_yaml import read_crazyflies
 
+        drones = read_crazyflies(Path(config.fleet.crazyflies))
+        unplaced = config.positions.outside and len(drones) > 1 and not any(any(drone.home) for drone in drones)
+        if unplaced:
+            logger.warning(
+                "all initial positions are zero: drones start where they are measured, and swapped ones pass"
+            )
         found = [
             {
                 "name": drone.name,
                 "uri": drone.uri,
-                "start": drone.home,
+                "start": None if unplaced else drone.home,
                 "parameters": drone.parameters,
                 "ready_battery_v": drone.battery.voltage_warning,
                 "low_battery_v": _voltage_under_load(drone.battery.voltage_critical, config.safety.low_battery_v),
             }
-            for drone in read_crazyflies(Path(config.fleet.crazyflies))
+            for drone in drones
         ]
     else:
         rows = draw_start(

@@ -172,9 +172,9 @@ def _corners(field: str, text: str) -> tuple[tuple[float, ...], tuple[float, ...
 
 
 def _points(field: str, name: str) -> Any:
-    from llm_flock.shapes import load_points
+    from llm_flock.point_files import load_points
 
-    return load_points(Path(name), field)
+    return load_points(name, field)
 
 
 def _json_list(field: str, text: str) -> list[Any]:

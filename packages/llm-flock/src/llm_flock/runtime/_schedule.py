@@ -7,7 +7,6 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
@@ -235,9 +234,9 @@ def load_points(fields: dict[str, Any]) -> bool:
     shape = fields.get("shape")
     if not isinstance(shape, str) or not shape.startswith("points:"):
         return False
-    from llm_flock.shapes import load_points as read_file
+    from llm_flock.point_files import load_points as read_file
 
     if not (name := shape.partition(":")[2].strip()):
         raise InputError("shape", shape, "points:FILE, with the name of a file")
-    fields.update(shape="points", points=read_file(Path(name), "shape"))
+    fields.update(shape="points", points=read_file(name, "shape"))
     return True

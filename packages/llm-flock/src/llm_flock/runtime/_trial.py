@@ -8,12 +8,14 @@ import time
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Self, TypeAlias, TypeVar
 
 import msgspec
 import numpy as np
 
 from llm_flock import events
+from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError, unknown
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
@@ -90,6 +92,10 @@ class TrialProgress:
         )
 
 
+def _new_agent(config: RunConfig, rules: Rules, robot: int) -> Agent:
+    return make_agent(config, robot, parts_of(config, rules, robot))
+
+
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
@@ -110,9 +116,7 @@ class Trial:
         n_robots = config.mission.n_robots
         self.config = config
         self.schedule = config.schedule()
-        self.roster = Roster(
-            lambda robot: make_agent(config, robot, parts_of(config, rules, robot)), n_robots, self.schedule.asleep
-        )
+        self.roster = Roster(partial(_new_agent, config, rules), n_robots, self.schedule.asleep)
         self.planners = planners
         self.bodies = bodies
         self.transport = MemoryTransport(n_robots, config.links, stream(config.trial.seed, Stream.LINKS))
