@@ -177,7 +177,7 @@ def test_a_row_says_what_its_trials_did() -> None:
     assert found.rounds is not None and found.ratio is not None
     # The horizon is 12 rounds: seed 7 flew no more, and seed 8 broke off, which is never.
     assert (found.horizon, found.rounds.value) == (12.0, pytest.approx((10 + 12 + 12 + 12) / 4))
-    assert found.ratio.value == pytest.approx((10 / 8 + 2 + 2 + 2) / 4)
+    assert found.ratio.value == pytest.approx((10 / 8 + 2 + 2 * 44 / 8) / 4)
     assert (found.min_separation, found.violations) == (2.9, 1)
     assert found.calls is not None and found.calls.value == pytest.approx((13 + 15 + 13) / 3)
     assert found.waypoints == {"hold": 3, "model": 230, "shield": 10}

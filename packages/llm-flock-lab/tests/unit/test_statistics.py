@@ -112,7 +112,9 @@ def test_durations_and_their_horizon() -> None:
     assert duration(lost, over_bound=True) == (math.inf, False), "a team without one plan has no bound"
     assert duration(row("formed", 3, 1, bound=0), over_bound=True) == (1.0, True)
     assert horizon([formed, missed, lost, hopeless, poor]) == 40.0, "a budget is no deadline"
-    assert horizon([formed, hopeless]) == 10.0 and horizon([poor]) == 0.0
+    assert horizon([formed, hopeless]) == 35.0, "three times the bound and 20"
+    assert horizon([formed, hopeless], over_bound=True) == 7.0
+    assert horizon([formed]) == 10.0 and horizon([poor]) == 0.0 and horizon([row("no_plan", 7, bound=None)]) == 0.0
 
 
 def test_holm_adjusts_a_family_of_tests() -> None:

@@ -130,7 +130,7 @@ def test_what_is_left_out_has_to_be_there() -> None:
     assert build_config(without="exchanges").protocol.rules()[1] == AuctionAssignment(swaps=False)
     assert build_config(without="path-cost").protocol.rules()[1] == AuctionAssignment(straight=True)
     for options in ({"protocol": "paper"}, {"shield": False}, {"assignment": "nearest-free"}):
-        with pytest.raises(InputError, match="left out without the auction or the shield"):
+        with pytest.raises(InputError, match="away from the auction and the shield only"):
             build_config(without="search", **options)
     with pytest.raises(InputError, match="without"):
         build_config(without="rendezvous")

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import csv
 import itertools
-import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -164,9 +163,8 @@ def row(cell: Cell, results: dict[int, TrialResult], beside: Sequence[TrialResul
     """The figures of one cell from at least one trial, by seed; all trials of the team, `beside`, share a horizon."""
     known = [r.summary for r in results.values() if r.summary is not None and r.error is None]
     formed = sum(s["formed"] for s in known)
-    never = [(math.inf, False)] * (len(results) - len(known))
-    all_known = [r.summary for r in beside or results.values() if r.summary is not None and r.error is None]
-    until, most = horizon(all_known), horizon(all_known, over_bound=True)
+    own, every = ([_figures(r) for r in found] for found in (results.values(), beside or results.values()))
+    until, most = horizon(every), horizon(every, over_bound=True)
     separations = [s["min_separation"] for s in known if s["min_separation"] is not None]
     later = [s["min_separation_after_start"] for s in known if s["min_separation_after_start"] is not None]
     limit = cell.config.mission.safe_distance - ROUNDING
@@ -186,8 +184,8 @@ def row(cell: Cell, results: dict[int, TrialResult], beside: Sequence[TrialResul
         formed=wilson(formed, len(results)),
         by_models=wilson(sum(s["formed_by_models"] for s in known), len(results)),
         broken=len(results) - len(known),
-        rounds=restricted_mean([*map(duration, known), *never], until),
-        ratio=restricted_mean([*(duration(s, over_bound=True) for s in known), *never], most),
+        rounds=restricted_mean([duration(s) for s in own], until),
+        ratio=restricted_mean([duration(s, over_bound=True) for s in own], most),
         horizon=until,
         min_separation=min(separations, default=None),
         violations=sum(separation < limit for separation in separations),
@@ -198,6 +196,12 @@ def row(cell: Cell, results: dict[int, TrialResult], beside: Sequence[TrialResul
         failed_seeds=tuple(seed for seed, result in results.items() if not result.formed),
         errors=tuple(errors.values()),
     )
+
+
+def _figures(result: TrialResult) -> Mapping[str, Any]:
+    """The summary of a trial; one that broke off has formed nothing, whatever it had come to."""
+    broken = {"stopped": "failed", "formed": False, "lower_bound_rounds": None, "rounds": None}
+    return broken if result.summary is None or result.error is not None else result.summary
 
 
 COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (

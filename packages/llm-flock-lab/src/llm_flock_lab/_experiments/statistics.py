@@ -11,6 +11,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from llm_flock.metrics import deadline
+
 CONFIDENCE = 0.95
 
 NOT_KNOWN = "-"
@@ -114,10 +116,15 @@ def duration(figures: Mapping[str, Any], *, over_bound: bool = False) -> Duratio
 def horizon(trials: Iterable[Mapping[str, Any]], *, over_bound: bool = False) -> float:
     """The time up to which trials are compared: the shortest deadline that one missed, else the longest success; or 0.
 
-    Both are as in `duration`. Up to there it is known of every trial that had its time whether it formed.
+    Both are as in `duration`. Up to there it is known of every trial that had its time whether it formed. Where those
+    that missed theirs have none, the usual one for the smallest lower bound counts.
     """
-    found = [duration(t, over_bound=over_bound) for t in trials if t["stopped"] not in ("budget", "interrupted")]
+    rows = [t for t in trials if t["stopped"] not in ("budget", "interrupted")]
+    found = [duration(row, over_bound=over_bound) for row in rows]
+    bound = min((max(1, b) for row in rows if (b := row["lower_bound_rounds"]) is not None), default=None)
     missed = [time for time, formed in found if not formed and time < math.inf]
+    if bound is not None and not missed and (math.inf, False) in found:
+        missed = [deadline(bound) / bound if over_bound else float(deadline(bound))]
     return min(missed, default=max((time for time, formed in found if formed), default=0.0))
 
 

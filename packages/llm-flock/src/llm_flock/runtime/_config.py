@@ -114,7 +114,7 @@ class ProtocolConfig(ConfigSection):
         if self.fallback != "hold" and not self.verify:
             raise InputError("fallback", self.fallback, "'hold' while verify is off")
         if self.without is not None and (self.assignment, self.shield) != ("auction", True):
-            raise InputError("without", self.without, "left out without the auction or the shield")
+            raise InputError("without", self.without, says="takes something away from the auction and the shield only")
         return self
 
     def rules(self) -> Rules:
