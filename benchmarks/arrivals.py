@@ -205,12 +205,13 @@ STRAY_RAD = 0.1
 """Standard deviation by which wanted directions are off: robots on perfectly symmetric ways would wait for ever."""
 
 
-def orca(scene: Scene, horizon: float) -> Flight | None:
+def orca(scene: Scene, horizon: float, *, shielded: bool = False) -> Flight | None:
     """ORCA with centrally assigned goals, and velocities that are safe for a `horizon` [rounds].
 
     None with obstacles, and in space.
 
-    Every robot knows the positions and velocities of all, and chooses a velocity `SUBSTEPS` times a round.
+    Every robot knows the positions and velocities of all, and chooses a velocity `SUBSTEPS` times a round. Under the
+    shield, robots fly straight to where ORCA would lead them within the round, as far as that is safe.
     """
     if scene.mission.obstacles or scene.mission.dim != 2:
         return None
@@ -226,9 +227,14 @@ def orca(scene: Scene, horizon: float) -> Flight | None:
             speeds[:] = orca_velocities(here, speeds, wishes, **limits, horizon=horizon, period=period)
             here = [x + period * v for x, v in zip(here, speeds, strict=True)]
             track.append(np.array([(x.real, x.imag) for x in here]))
-        return track
+        if not shielded:
+            return track
+        rows, ends = _rows(positions), _rows(track[-1])
+        flown = [_shielded(mission, rows, robot, ends[robot]) for robot in range(len(rows))]
+        speeds[:] = [complex(*to) - complex(*x) for x, to in zip(rows, flown, strict=True)]
+        return [np.array(flown)]
 
-    return fly(scene, goals, advance, SUBSTEPS)
+    return fly(scene, goals, advance, 1 if shielded else SUBSTEPS)
 
 
 METHODS: dict[str, Method] = {

@@ -12,15 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 import llm_flock
-from llm_flock import metrics
 from llm_flock.arrays import Points
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
 from llm_flock.runtime._result import RunResult
+from llm_flock_lab._rivals import smallest_longest_way
 
 HARD = Path(__file__).parents[1] / "experiments" / "hard.toml"
 
@@ -46,14 +45,7 @@ class Scene:
         if self.fixed:
             return self.places
         ways = self.mission.shortest_ways(self.start, self.places)
-        return self.places[bottleneck_assignment(ways)]
-
-
-def bottleneck_assignment(distances: Points) -> list[int]:
-    """The place of each robot: the longest way is as short as possible, then the sum of squares is the smallest."""
-    longest = metrics.bottleneck_distance(distances, distances, lambda ways, _: ways)
-    too_long = 1.0 + len(distances) * longest**2
-    return linear_sum_assignment(np.where(distances <= longest, distances**2, too_long))[1].tolist()
+        return self.places[smallest_longest_way(ways)]
 
 
 def places_of(result: RunResult) -> Points:

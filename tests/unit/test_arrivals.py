@@ -7,7 +7,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from benchmarks import arrivals, scenes
+from benchmarks import arrivals
 from benchmarks.orca import orca_line, orca_velocities, orca_velocity
 
 from llm_flock.mission import Mission
@@ -96,13 +96,6 @@ def test_orca_takes_nearest_grid_velocity_else_the_least_bad():
             assert violation(found) <= violation(grid).min() + 1e-9
         kinds.add(bool(len(allowed)))
     assert kinds == {True, False}
-
-
-def test_the_bottleneck_comes_before_the_sum_of_squares():
-    # The sum of squares alone would send one robot 10 far and the other not at all.
-    distances = np.array([[0.0, 7.9], [7.9, 10.0]])
-    assert scenes.bottleneck_assignment(distances) == [1, 0]
-    assert scenes.bottleneck_assignment(np.array([[0.0, 2.0], [2.0, 1.0]])) == [0, 1]
 
 
 def test_capt_flies_only_under_its_conditions_never_colliding():

@@ -8,3 +8,6 @@ from ._experiments.sweep_file import load_sweep as load_sweep
 from ._experiments.tables import read_rounds as read_rounds
 from ._experiments.tables import read_trials as read_trials
 from ._report.page import write_report as write_report
+from ._rivals import RIVALS as RIVALS
+from ._rivals import Rival as Rival
+from ._rivals import fly_rival as fly_rival

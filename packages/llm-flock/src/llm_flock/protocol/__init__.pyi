@@ -11,8 +11,10 @@ from ._agreement.auction import changed as changed
 from ._agreement.auction import rank as rank
 from ._agreement.consensus import ConsensusRule as ConsensusRule
 from ._agreement.consensus import InfluenceConsensus as InfluenceConsensus
+from ._agreement.consensus import PlanKey as PlanKey
 from ._agreement.consensus import ProvenanceConsensus as ProvenanceConsensus
 from ._agreement.consensus import Standing as Standing
+from ._agreement.consensus import plan_key as plan_key
 from ._geometry import GeometryPlanner as GeometryPlanner
 from ._geometry import geometric_plan as geometric_plan
 from ._geometry import straight_path as straight_path

@@ -9,7 +9,7 @@ from llm_flock.agent import Agent
 from llm_flock.protocol._parts import Checker, Membership, Parts, Safety
 from llm_flock.record._schema import ASLEEP, DEAD
 from llm_flock.runtime._config import RunConfig
-from llm_flock.runtime._rules import Rules, are_the_papers
+from llm_flock.runtime._rules import Rules, know_no_team
 from llm_flock.simulate import Bodies
 
 
@@ -27,7 +27,7 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
     protocol, mission = config.protocol, config.mission
     any_size = protocol.gaps == "replan"
     team, safety, verifier = Membership(), Safety(), Checker(any_size=any_size)
-    if any_size or not are_the_papers(rules):  # the paper's rules know of no team
+    if any_size or not know_no_team(rules):
         from llm_flock.protocol._membership.team import TeamMembership
 
         parts = {"joint": protocol.without != "joint-assignment", "searches": protocol.without != "search"}

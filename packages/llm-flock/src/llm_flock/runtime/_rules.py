@@ -73,11 +73,12 @@ def assignment_rule(name: str | AssignmentRule, without: LeftOut | None = None) 
     return _auction(without) if name == "auction" else _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 
-def are_the_papers(rules: Rules) -> bool:
-    """Whether these rules are those of the paper or its baseline, in any of their readings."""
+def know_no_team(rules: Rules) -> bool:
+    """Whether these rules are those of the paper or its baseline, in any reading, or others that know of no team."""
     consensus, assignment = rules
     papers = IndexAssignment | NearestAssignment | NearestFreeAssignment
-    return isinstance(consensus, NoConsensus | InfluenceConsensus) and isinstance(assignment, papers)
+    alone = isinstance(assignment, papers) or not getattr(assignment, "team", True)
+    return isinstance(consensus, NoConsensus | InfluenceConsensus) and alone
 
 
 def own_rules(rules: Rules) -> list[str]:

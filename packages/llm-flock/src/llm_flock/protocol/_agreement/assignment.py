@@ -67,6 +67,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     #: Whether this version of a slot was freed by witnesses that the robot can name; None without keys.
     freed: Callable[[int, int], bool] | None = None
     exchanges: bool = True  #: Whether the robot may exchange slots.
+    straight: bool = False  #: Whether exchanges weigh straight distances, not ways along the formation.
 
 
 class AssignmentRule(Protocol):

@@ -85,13 +85,15 @@ class AuctionAssignment:
     with a raised version cannot be outbid by a robot that has not heard of it. A robot that finds itself on several
     slots, after a late acceptance for instance, keeps one by a fixed order and releases the rest.
 
-    Positions of robots in touch, where they are known, are assigned together (`joint`), and replace bids.
+    Positions of robots in touch, where they are known, are assigned together (`joint`), and replace bids. Without
+    `team`, robots count no heartbeats, report no positions, and look for nobody.
     """
 
     name: str = "auction"
     swaps: bool = True
     joint: bool = True
-    straight: bool = False  #: Whether exchanges count straight ways instead of those along the formation.
+    team: bool = True
+    straight: bool = False  #: Whether exchanges weigh straight distances, not ways along the formation.
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
@@ -125,8 +127,9 @@ class AuctionAssignment:
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
-        claim = _accept(claim, now, self.straight) or claim
-        return claim if claim.offer is not None else _make_offer(claim, now, self.straight)
+        now = replace(now, straight=True) if self.straight else now
+        claim = _accept(claim, now) or claim
+        return claim if claim.offer is not None else _make_offer(claim, now)
 
 
 def reclaim(robot: int, claim: Claim, table: BidTable) -> BidTable:
@@ -221,15 +224,15 @@ def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight
     return keep**2 + their_keep**2 - take**2 - their_take**2
 
 
-def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int, straight: bool) -> float:
+def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     """The gain of an exchange with a peer on `slot`; minus infinity if the peer is not sensed."""
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now, there, claim.slot, slot, straight=straight or flown_straight(claim.table, claim.slot))
+    return gain(now, there, claim.slot, slot, straight=now.straight or flown_straight(claim.table, claim.slot))
 
 
-def _accept(claim: Claim, now: AssignmentInput, straight: bool) -> Claim | None:
+def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:
     """Accept the best offer heard, if one is good enough and no offer of its own binds this robot."""
     table = claim.table or ()
     good: list[tuple[float, int, Offer]] = []
@@ -245,7 +248,7 @@ def _accept(claim: Claim, now: AssignmentInput, straight: bool) -> Claim | None:
             continue
         if max(offer.give_version, offer.take_version) >= LAST_EXCHANGED:
             continue
-        worth = _worth(claim, now, message.sender, offer.give, straight)
+        worth = _worth(claim, now, message.sender, offer.give)
         if worth >= SWAP_GAIN * now.spacing**2:
             good.append((worth, -message.sender, offer))
     if not good:
@@ -260,7 +263,7 @@ def _accept(claim: Claim, now: AssignmentInput, straight: bool) -> Claim | None:
     return Claim(slot=offer.give, table=changed(table, exchanged), bids=claim.bids)
 
 
-def _make_offer(claim: Claim, now: AssignmentInput, straight: bool) -> Claim:
+def _make_offer(claim: Claim, now: AssignmentInput) -> Claim:
     """Offer the best exchange to a neighbour without an offer, if one is good enough."""
     table, slot = claim.table or (), claim.slot
     assert slot is not None and claim.bids is not None
@@ -271,7 +274,7 @@ def _make_offer(claim: Claim, now: AssignmentInput, straight: bool) -> Claim:
             continue
         if max(table[theirs][0], table[slot][0]) >= LAST_EXCHANGED:
             continue
-        worth = _worth(claim, now, message.sender, theirs, straight)
+        worth = _worth(claim, now, message.sender, theirs)
         if worth >= SWAP_GAIN * now.spacing**2:
             good.append((worth, -message.sender, theirs))
     if not good:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
@@ -97,22 +97,23 @@ class ProvenanceConsensus:
     Plans of one class (`_verification.plans.PlanClass`, which every receiver determines itself) are ordered first by
     the influence that the proposer had when it proposed. This keeps the paper's idea, but influence belongs to the plan
     and travels with it, and the proposer's id breaks ties. On a connected graph without loss all robots agree within
-    its diameter in communication rounds, because the highest key spreads and never changes. In a team that replans, the
-    plan of the later epoch comes first, and within an epoch the one for more robots.
+    its diameter in communication rounds: the highest key spreads and never changes, as with any total `order`. In a
+    team that replans, the plan of the later epoch comes first, and within an epoch the one for more robots.
     """
 
     name: str = "provenance"
+    order: Callable[[Plan, Provenance, int], PlanKey] = plan_key
 
     def choose(self, own: Standing, heard: Sequence[Message]) -> Message | None:
         """Adopt the plan of highest key, if that is higher than the own key."""
         best: Message | None = None
         best_key = (
-            None if own.plan is None or own.provenance is None else plan_key(own.plan, own.provenance, own.plan_class)
+            None if own.plan is None or own.provenance is None else self.order(own.plan, own.provenance, own.plan_class)
         )
         for message in heard:
             if message.plan is None or message.provenance is None:
                 continue
-            key = plan_key(message.plan, message.provenance, message.plan_class)
+            key = self.order(message.plan, message.provenance, message.plan_class)
             if best_key is None or key > best_key:
                 best, best_key = message, key
         return best
