@@ -117,7 +117,14 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "trials"),
-    [("paper", 800), ("paper-figures", 800), ("simulated", 1200), ("faults", 800), ("scale", 200)],
+    [
+        ("paper", 800),
+        ("paper-figures", 800),
+        ("simulated", 1200),
+        ("faults", 800),
+        ("scale", 200),
+        ("evidence", 13_400),
+    ],
 )
 def test_the_experiments_are_what_they_say(name: str, trials: int) -> None:
     sweep = load_sweep(EXPERIMENTS / f"{name}.toml")
