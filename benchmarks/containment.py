@@ -52,7 +52,8 @@ def cases(trials: int, jobs: int) -> None:
             good = row.formed.value >= 0.999 and not row.violations and calls <= bar * ideal_calls
             print(
                 f"{shape:>8} {n:2}  {name:22} formed {row.formed.value:7.2%}  by models {row.by_models.value:7.2%}  "
-                f"ratio {row.ratio or 0:.2f}  separation {row.min_separation or 0:.6f} ({row.violations} violations)  "
+                f"ratio {row.ratio.value if row.ratio else 0:.2f}  "
+                f"separation {row.min_separation or 0:.6f} ({row.violations} violations)  "
                 f"calls/robot {calls:5.2f} = {calls / ideal_calls:.2f} x ideal (bar {bar:g})  "
                 f"{'ok' if good else f'MISSED, seeds {row.failed_seeds[:5]}'}",
                 flush=True,

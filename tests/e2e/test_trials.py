@@ -29,7 +29,9 @@ def test_pool_gives_single_run_results_by_cells_and_seeds() -> None:
     assert [(shape, seed) for shape, seed, _ in told] == [(shape, seed) for shape, _, seed in order]
     for (_, _, result), (shape, n, seed) in zip(told, order, strict=True):
         alone = llm_flock.run(config=build_config(shape=shape, n_robots=n, seed=seed, loss=0.2)).summary
-        assert timeless(result.summary) == timeless(alone.to_dict())
+        assert result.summary is not None
+        measured = {"distance_flown", "distance_least"}
+        assert timeless(alone.to_dict()) == timeless({k: v for k, v in result.summary.items() if k not in measured})
     assert [(row.shape, row.trials) for row in rows] == [("square", 2), ("triangle", 2), ("triangle", 2)]
     assert rows[1] == rows[2], "the same cell may be asked for twice"
     assert multiprocessing.active_children() == []

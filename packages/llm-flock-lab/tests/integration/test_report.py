@@ -81,7 +81,11 @@ def test_pairs_share_a_seed_and_broken_trials_count_in_success(results: Results)
     assert means is not None and means.pairs == SEEDS - 1
     expected = np.mean([20 * 0.5 ** (seed + 4) - (20 * 0.5**10 + 3) for seed in range(SEEDS - 1)])
     assert means.difference.value == pytest.approx(expected)
-    assert flock.means["rounds to the formation"] is None
+    rounds = flock.means["rounds to the formation"]
+    assert results.horizons[flock.cell.team] == (10.0, 8.0), "the others flew 10 rounds in vain, without a bound"
+    # Seed 0 of the baseline lost its budget, seed 5 broke off and never formed; flock took seed + 4.
+    assert rounds is not None and rounds.pairs == SEEDS and rounds.difference.value == pytest.approx(-3.5)
+    assert rounds.p_value == pytest.approx(2 / 2**6) and flock.formed.p_value == pytest.approx(2 / 2**6)
 
 
 def test_tables_say_how_trials_ended(results: Results) -> None:
@@ -260,7 +264,7 @@ def test_report_rejects_bad_input_and_writes_nothing(results: Results, tmp_path:
         write_report(tmp_path / "empty", tmp_path / "out")
     with pytest.raises(InputError, match="formats"):
         write_report(results.folder, tmp_path / "out", formats=["bmp"])
-    with pytest.raises(InputError, match="a protocol of these results"):
+    with pytest.raises(InputError, match="unknown protocol or AXIS=VALUE"):
         write_report(results.folder, tmp_path / "out", reference="nobody's")
     assert not (tmp_path / "out").exists()
 

@@ -14,6 +14,7 @@ from llm_flock.runtime._config import build_config
 from llm_flock.runtime._result import Summary
 from llm_flock_lab._experiments.compare import build_cells, compare, markdown, row, trial_file
 from llm_flock_lab._experiments.grid import Cell, fitted_arena, parse_teams
+from llm_flock_lab._experiments.statistics import Estimate
 from llm_flock_lab._experiments.trial import TrialResult
 
 SUMMARY = Summary(
@@ -168,12 +169,15 @@ def test_a_row_says_what_its_trials_did() -> None:
     results = {
         5: good(),
         6: good(rounds_to_formed=16, min_separation=2.9, model_calls=150),
-        7: good(formed=False, rounds_to_formed=None, lower_bound_rounds=None, waypoints={"hold": 3}),
+        7: good(formed=False, stopped="rounds", rounds_to_formed=None, lower_bound_rounds=None, waypoints={"hold": 3}),
         8: broken(),
     }
     found = row(CELL, results)
     assert (found.trials, found.formed.value, found.broken) == (4, 0.5, 1)
-    assert (found.rounds, found.ratio) == (13.0, pytest.approx((10 / 8 + 2) / 2))
+    assert found.rounds is not None and found.ratio is not None
+    # The horizon is 12 rounds: seed 7 flew no more, and seed 8 broke off, which is never.
+    assert (found.horizon, found.rounds.value) == (12.0, pytest.approx((10 + 12 + 12 + 12) / 4))
+    assert found.ratio.value == pytest.approx((10 / 8 + 2 + 2 * 44 / 8) / 4)
     assert (found.min_separation, found.violations) == (2.9, 1)
     assert found.calls is not None and found.calls.value == pytest.approx((13 + 15 + 13) / 3)
     assert found.waypoints == {"hold": 3, "model": 230, "shield": 10}
@@ -205,7 +209,9 @@ def test_starts_too_near_are_counted_apart_from_violations() -> None:
 
 
 def test_a_team_in_place_from_the_start_has_a_ratio() -> None:
-    assert row(CELL, from_zero(good(rounds_to_formed=1, lower_bound_rounds=0))).ratio == 1.0
+    assert row(CELL, from_zero(good(rounds_to_formed=1, lower_bound_rounds=0))).ratio == Estimate(
+        value=1.0, low=1.0, high=1.0
+    )
 
 
 def test_a_row_of_broken_trials_has_no_figures() -> None:
@@ -219,7 +225,7 @@ def test_table_lists_the_first_failed_seeds_and_says_simulated() -> None:
     text = markdown([row(CELL, {99: good()}), row(CELL, {**bad, 77: broken("Oops: x")})])
     lines = text.splitlines()
     assert len({len(line) for line in lines[:4]}) == 1 and lines[1].startswith("|---")
-    assert "100.0 [20.7, 100.0]" in lines[2] and "| 13.00 " in lines[2]
+    assert "100.0 [20.7, 100.0]" in lines[2] and "| 13.00 " in lines[2] and "| 10.0 [10.0, 10.0] " in lines[2]
     assert "simulated language models" in text
     assert "26 of 26 not formed, seeds 0, 1, " in text and ", 19, and 6 more" in text
     assert "1 of these broke off: seed 77: Oops: x" in text

@@ -43,6 +43,27 @@ def test_effect_interval_covers_the_true_effect() -> None:
     assert 0.92 <= hits / 400 <= 0.98
 
 
+def test_p_values_are_those_of_wilcoxon_and_mcnemar() -> None:
+    rng = np.random.default_rng(3)
+    first, second = rng.normal(0.5, 1.0, 20), rng.normal(0.0, 1.0, 20)
+    found = paired_means(first.tolist(), second.tolist())
+    assert found is not None and found.p_value == pytest.approx(stats.wilcoxon(first, second).pvalue)
+    ties = [3.0, -1.0, 1.0, 1.0, 2.0, 0.0, -3.0, 2.0, 2.0]
+    tied = paired_means(ties, [0.0] * len(ties))
+    assert tied is not None and tied.p_value == pytest.approx(stats.wilcoxon(ties).pvalue), "all 2^8 signs, counted"
+    for count in (30, 300):  # by the normal distribution beyond 200
+        values = rng.normal(0.15, 1.0, count)
+        many = paired_means(values.tolist(), [0.0] * count)
+        assert many is not None and many.p_value == pytest.approx(stats.wilcoxon(values).pvalue)
+    equal = paired_means([1.0, 2.0], [1.0, 2.0])
+    assert equal is not None and equal.p_value == 1.0
+    # Of 20 seeds on which one alone succeeded, 5 or fewer, or 15 or more, are the first's with this chance.
+    shares = paired_shares(*pairs(30, 5, 15, 10))
+    assert shares is not None and shares.p_value == pytest.approx(0.0413895, abs=1e-7)
+    alike = paired_shares(*pairs(3, 0, 0, 2))
+    assert alike is not None and alike.p_value == 1.0
+
+
 def test_pairs_without_spread_or_too_few_have_no_effect_size() -> None:
     assert paired_means([], []) is None and paired_shares([], []) is None
     equal = paired_means([2.1, 3.1, 4.1], [1.0, 2.0, 3.0])

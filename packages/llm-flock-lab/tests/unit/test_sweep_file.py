@@ -115,7 +115,9 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         load_sweep(tmp_path / "bad.toml")
 
 
-@pytest.mark.parametrize(("name", "trials"), [("paper", 80), ("simulated", 1200), ("faults", 800), ("scale", 200)])
+@pytest.mark.parametrize(
+    ("name", "trials"), [("paper", 80), ("simulated", 1200), ("faults", 800), ("scale", 200), ("evidence", 13_400)]
+)
 def test_the_experiments_are_what_they_say(name: str, trials: int) -> None:
     sweep = load_sweep(EXPERIMENTS / f"{name}.toml")
     assert sweep.file.sweep.name == name and len(sweep.trials) == trials

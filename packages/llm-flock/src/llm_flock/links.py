@@ -18,6 +18,9 @@ class LinkFaults(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     loss: Share = Field(default=0.0, description="Probability that a message is lost on a link")
+    burst: float | None = Field(
+        default=None, ge=1, le=1e6, description="Mean losses in a row on a link [1 / (1 - loss)]"
+    )
     delay: int = Field(
         default=0, ge=0, le=1000, description="Longest delay [communication rounds]; messages draw 0..delay"
     )
@@ -30,6 +33,17 @@ class LinkFaults(BaseModel):
     def any(self) -> bool:
         """Whether anything can go wrong."""
         return bool(self.loss or self.delay or self.duplicate or self.reorder)
+
+    def is_lost(self, before: bool, rng: np.random.Generator) -> bool:
+        """Draw whether a link that did or did not lose the message `before` loses the next one.
+
+        With `burst` it is Gilbert's channel (1960), Elliott's with a bad state that loses all. Where bursts of that
+        length cannot make a share as high as `loss`, it is as high as they can.
+        """
+        begins, goes_on = self.loss, self.loss
+        if self.burst is not None and self.loss < 1.0:
+            begins, goes_on = self.loss / (self.burst * (1.0 - self.loss)), 1.0 - 1.0 / self.burst
+        return bool(rng.random() < (goes_on if before else begins))
 
 
 @dataclass(slots=True)
@@ -51,9 +65,10 @@ class MemoryTransport:
         self._rng = rng
         self._tick = 0
         self._due: defaultdict[int, list[tuple[int, bytes]]] = defaultdict(list)
+        self._lost: dict[tuple[int, int], bool] = {}  # whether a link has lost its last message
         self.traffic = Traffic()
 
-    def broadcast(self, payload: bytes, receivers: tuple[int, ...]) -> None:
+    def broadcast(self, payload: bytes, receivers: tuple[int, ...], sender: int = 0) -> None:
         """Send one payload to every receiver in range."""
         self.traffic.sent += 1
         self.traffic.bytes += len(payload)
@@ -64,7 +79,8 @@ class MemoryTransport:
         for receiver in receivers:
             copies = 1 + int(rng.random() < faults.duplicate)
             for _ in range(copies):
-                if rng.random() < faults.loss:
+                self._lost[sender, receiver] = faults.is_lost(self._lost.get((sender, receiver), False), rng)
+                if self._lost[sender, receiver]:
                     self.traffic.lost += 1
                     continue
                 late = int(rng.integers(0, faults.delay + 1)) if faults.delay else 0

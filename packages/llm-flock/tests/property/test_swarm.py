@@ -1,6 +1,7 @@
 """Many agents over a fake link, without a clock: what must hold with any loss, delay or repetition of messages."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -152,6 +153,31 @@ def test_links_lose_delay_duplicate_and_reorder_as_configured() -> None:
     assert traffic.delivered == sum(arrivals) == pytest.approx(2000 * 1.5 * 0.7, rel=0.05)
     assert traffic.lost == pytest.approx(2000 * 1.5 * 0.3, rel=0.1)
     assert max(arrivals) > 2
+
+
+@pytest.mark.parametrize(("loss", "burst"), [(0.3, 1.0), (0.3, 5.0), (0.7, 20.0)])
+def test_bursts_are_as_long_and_losses_as_many_as_asked(loss: float, burst: float) -> None:
+    transport = MemoryTransport(3, LinkFaults(loss=loss, burst=burst), np.random.default_rng(1))
+    lost: list[bool] = []
+    for _ in range(40_000):
+        transport.broadcast(b"x", (1,), 0)
+        lost.append(not transport.deliver())
+        transport.broadcast(b"x", (1,), 2)  # another link, which breaks no burst of the first
+        transport.deliver()
+    begins = sum(now and not before for before, now in pairwise(lost))
+    assert sum(lost) / len(lost) == pytest.approx(loss, rel=0.07)
+    assert sum(lost) / begins == pytest.approx(burst, rel=0.1)
+
+
+def test_bursts_that_cannot_be_as_many_leave_a_message_between() -> None:
+    transport = MemoryTransport(2, LinkFaults(loss=0.9, burst=1.0), np.random.default_rng(0))
+    arrivals: list[int] = []
+    for _ in range(6):
+        transport.broadcast(b"x", (1,))
+        arrivals.append(len(transport.deliver()))
+    assert arrivals in ([0, 1, 0, 1, 0, 1], [1, 0, 1, 0, 1, 0])
+    everything = LinkFaults(loss=1.0, burst=3.0)
+    assert all(everything.is_lost(before, np.random.default_rng(0)) for before in (True, False))
 
 
 def test_reordering_keeps_every_message() -> None:

@@ -126,6 +126,16 @@ def test_rules_are_found_by_name_or_by_address() -> None:
             consensus_rule(name)
 
 
+def test_what_is_left_out_has_to_be_there() -> None:
+    assert build_config(without="exchanges").protocol.rules()[1] == AuctionAssignment(swaps=False)
+    assert build_config(without="path-cost").protocol.rules()[1] == AuctionAssignment(straight=True)
+    for options in ({"protocol": "paper"}, {"shield": False}, {"assignment": "nearest-free"}):
+        with pytest.raises(InputError, match="away from the auction and the shield only"):
+            build_config(without="search", **options)
+    with pytest.raises(InputError, match="without"):
+        build_config(without="rendezvous")
+
+
 HUGE = "0x" + "f" * 20_000
 ODD_FILES = {
     "nested lists": "a = " + "[" * 100 + "]" * 100,

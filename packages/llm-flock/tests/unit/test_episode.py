@@ -36,6 +36,18 @@ def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:
     return episode.bound
 
 
+def test_a_team_is_judged_by_three_tolerances() -> None:
+    """Goals are missed by 4 % of the spacing, then by 7 % and by 2 %: half of 5 % is met last, twice 5 % at once."""
+    episode = Episode(LINE, 0, START)
+    for first, share, formed in ((1, 0.07, {2.0}), (4, 0.04, {1.0, 2.0}), (7, 0.02, {0.5, 1.0, 2.0})):
+        for number in range(first, first + 3):
+            for tracker in episode.trackers.values():
+                away = [share * LINE.spacing] * 3
+                tracker.update(number, plan_ids=["p"] * 3, slots=[0, 1, 2], goal_distances=away, residual=None)
+        assert {k for k, tracker in episode.trackers.items() if tracker.formed_at is not None} == formed
+    assert episode.formed_at == 4
+
+
 def test_bound_starts_where_robots_were_given_the_mission() -> None:
     episode = Episode(LINE, 0, START)
     assert bound(episode, [0, 1, 2], Mind(PLAN), Mind(PLAN), Mind(PLAN)) == 5

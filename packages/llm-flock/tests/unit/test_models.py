@@ -42,6 +42,8 @@ def test_models_per_robot() -> None:
     assert parse_models("2=openai:b, 0-1=openai:a", 3) == ("openai:a", "openai:a", "openai:b")
     mixed = parse_models("0-1=simulated:distorted@0.3,overshoot@0.3,2-3=ollama:qwen3:8b", 4)
     assert mixed == ("simulated:distorted@0.3,overshoot@0.3",) * 2 + ("ollama:qwen3:8b",) * 2
+    assert parse_models("0=geometry,1-=openai:a", 3) == ("geometry", "openai:a", "openai:a")
+    assert parse_models("2 - =geometry,0-1=openai:a", 3) == ("openai:a", "openai:a", "geometry")
     assert parse_models("simulated:distorted@0.3,overshoot@0.3", 1) == ("simulated:distorted@0.3,overshoot@0.3",)
 
 
@@ -52,6 +54,8 @@ def test_models_per_robot() -> None:
         ("0=geometry", "none for 1, 2"),
         ("0-3=geometry", "within 0..2"),
         ("2-0=geometry", "within 0..2"),
+        ("3-=geometry", "within 0..2"),
+        ("0-=geometry,2=geometry", "robot 2 is named twice"),
         ("0-2=", "value after"),
         ("0-2=nobody:x", "unknown provider 'nobody'"),
         ("0-1=openai:a,2=", "value after"),

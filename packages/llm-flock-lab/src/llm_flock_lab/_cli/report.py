@@ -16,7 +16,11 @@ def report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Directory of results, as `llm-flock sweep` writes it")],
     out: Annotated[Path | None, typer.Option(help="Folder to write [DIR/report]", show_default=False)] = None,
     reference: Annotated[
-        str | None, typer.Option(help="Protocol that the others are compared with [baseline]", show_default=False)
+        str | None,
+        typer.Option(
+            help="Protocol, or AXIS=VALUE, that the others are compared with [AXIS=default, or baseline]",
+            show_default=False,
+        ),
     ] = None,
     gallery: Annotated[int, typer.Option(min=0, help="Trials in the gallery of failures")] = 6,
     formats: Annotated[str, typer.Option(help="Files of each figure: some of svg, pdf, png")] = "svg,pdf,png",

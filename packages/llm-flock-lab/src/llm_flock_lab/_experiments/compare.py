@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import csv
 import itertools
-from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -19,7 +19,16 @@ from llm_flock.record import check_new
 from llm_flock.runtime import load_config
 from llm_flock_lab._experiments.executors import Display, Session, fly_in_pool
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, models_of, naming_team
-from llm_flock_lab._experiments.statistics import Estimate, interval, mean_interval, median, number, wilson
+from llm_flock_lab._experiments.statistics import (
+    Estimate,
+    duration,
+    horizon,
+    interval,
+    mean_interval,
+    number,
+    restricted_mean,
+    wilson,
+)
 from llm_flock_lab._experiments.trial import TrialResult
 
 FIGURES = (
@@ -60,8 +69,9 @@ class Comparison:
     formed: Estimate  # share, broken trials too, with Wilson's 95 % interval
     by_models: Estimate  # share formed without help from geometry, likewise
     broken: int
-    rounds: float | None  # median of rounds_to_formed over the formed trials
-    ratio: float | None  # median of rounds_to_formed / lower_bound_rounds over these, a bound of 0 counted as 1
+    rounds: Estimate | None  # restricted mean of rounds_to_formed, up to `horizon`; None if all broke off
+    ratio: Estimate | None  # the same of rounds_to_formed / lower_bound_rounds, a bound of 0 counted as 1
+    horizon: float  # the shortest deadline [rounds] that a trial of this team missed, or else the longest success
     min_separation: float | None  # in any trial, along segments too [units]; None for teams of one
     violations: int  # trials with a separation below safe_distance - `metrics.ROUNDING`
     unsafe_starts: int  # trials with a start nearer than safe_distance
@@ -142,13 +152,19 @@ def compare(
     specs = [cell.trial(seed, str(number)) for number, (cell, seed) in enumerate(pairs)]
     fly_in_pool(specs, Session(store=None, display=display), jobs)
     results = iter(display.results)
-    return [row(cell, dict(zip(seeds, results, strict=False))) for cell in cells]
+    flown = [dict(zip(seeds, results, strict=False)) for _ in cells]
+    beside: defaultdict[tuple[str, int], list[TrialResult]] = defaultdict(list)
+    for cell, one in zip(cells, flown, strict=True):
+        beside[cell.shape, cell.n_robots].extend(one.values())
+    return [row(cell, one, beside[cell.shape, cell.n_robots]) for cell, one in zip(cells, flown, strict=True)]
 
 
-def row(cell: Cell, results: dict[int, TrialResult]) -> Comparison:
-    """The figures of one cell from at least one trial; results are given by seed."""
+def row(cell: Cell, results: dict[int, TrialResult], beside: Sequence[TrialResult] | None = None) -> Comparison:
+    """The figures of one cell from at least one trial, by seed; all trials of the team, `beside`, share a horizon."""
     known = [r.summary for r in results.values() if r.summary is not None and r.error is None]
-    flown = [(s["rounds_to_formed"] or 0, s["lower_bound_rounds"] or 0) for s in known if s["formed"]]
+    formed = sum(s["formed"] for s in known)
+    own, every = ([_figures(r) for r in found] for found in (results.values(), beside or results.values()))
+    until, most = horizon(every), horizon(every, over_bound=True)
     separations = [s["min_separation"] for s in known if s["min_separation"] is not None]
     later = [s["min_separation_after_start"] for s in known if s["min_separation_after_start"] is not None]
     limit = cell.config.mission.safe_distance - ROUNDING
@@ -165,11 +181,12 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Comparison:
         n_robots=cell.n_robots,
         simulated=any(s["simulated"] for s in known),
         trials=len(results),
-        formed=wilson(len(flown), len(results)),
+        formed=wilson(formed, len(results)),
         by_models=wilson(sum(s["formed_by_models"] for s in known), len(results)),
         broken=len(results) - len(known),
-        rounds=median([rounds for rounds, _ in flown]),
-        ratio=median([rounds / max(1, bound) for rounds, bound in flown]),
+        rounds=restricted_mean([duration(s) for s in own], until),
+        ratio=restricted_mean([duration(s, over_bound=True) for s in own], most),
+        horizon=until,
         min_separation=min(separations, default=None),
         violations=sum(separation < limit for separation in separations),
         unsafe_starts=sum(s["start_violations"] > 0 for s in known),
@@ -181,14 +198,20 @@ def row(cell: Cell, results: dict[int, TrialResult]) -> Comparison:
     )
 
 
+def _figures(result: TrialResult) -> Mapping[str, Any]:
+    """The summary of a trial; one that broke off has formed nothing, whatever it had come to."""
+    broken = {"stopped": "failed", "formed": False, "lower_bound_rounds": None, "rounds": None}
+    return broken if result.summary is None or result.error is not None else result.summary
+
+
 COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (
     ("protocol", lambda row: row.protocol),
     ("shape", lambda row: row.shape),
     ("N", lambda row: str(row.n_robots)),
     ("formed % [95 %]", lambda row: interval(row.formed, 1, 100.0)),
     ("by models %", lambda row: f"{100.0 * row.by_models.value:.1f}"),
-    ("rounds", lambda row: number(row.rounds, 1)),
-    ("ratio", lambda row: number(row.ratio, 2)),
+    ("rounds [95 %]", lambda row: interval(row.rounds, 1)),
+    ("ratio [95 %]", lambda row: interval(row.ratio, 2)),
     ("min sep.", lambda row: number(row.min_separation, 6)),
     ("violations", lambda row: str(row.violations)),
     ("calls/robot [95 %]", lambda row: interval(row.calls, 2)),
@@ -208,6 +231,9 @@ def markdown(rows: Sequence[Comparison]) -> str:
 def notes(rows: Sequence[Comparison]) -> list[str]:
     """The lines below a table of these rows: failed seeds, unsafe starts, and whether models were simulated."""
     simulated = ["simulated language models"] if any(row.simulated for row in rows) else []
+    limits = {f"{row.shape} {row.n_robots}": row.horizon for row in rows if row.rounds is not None}
+    ends = ", ".join(f"{number(until, 0)} ({team})" for team, until in limits.items())
+    simulated += [f"rounds are restricted means, in which longer ones and failures count as {ends}"] if limits else []
     found = [*simulated, *itertools.chain.from_iterable(map(_notes, rows))]
     return [line for note in found for line in ("", note)]
 

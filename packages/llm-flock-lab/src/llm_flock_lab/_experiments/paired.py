@@ -7,28 +7,41 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import scipy
 
 from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
 
+MOST_EXACT = 200
+"""Most pairs of which the distribution of rank sums is counted; beyond, the normal one is as good."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedMeans:
-    """A figure of two protocols: mean of first - second, in standard deviations too (Hedges' g of pairs) if defined."""
+    """A figure of two protocols: mean of first - second, in standard deviations too (Hedges' g of pairs) if defined.
+
+    `p_value` is that of Wilcoxon's signed-rank test (Individual comparisons by ranking methods, Biometrics Bulletin
+    1945), two-sided: that the differences lie around 0.
+    """
 
     pairs: int
     difference: Estimate
     effect: Estimate | None
+    p_value: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PairedShares:
-    """Success of two protocols on the same seeds: on how many one alone succeeded, and first share minus second."""
+    """Success of two protocols on the same seeds: on how many one alone succeeded, and first share minus second.
+
+    `p_value` is that of McNemar's exact test (Psychometrika 1947), two-sided: that both succeed as often.
+    """
 
     pairs: int
     only_first: int
     only_second: int
     difference: Estimate
+    p_value: float
 
 
 def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans | None:
@@ -41,7 +54,8 @@ def paired_means(first: Sequence[float], second: Sequence[float]) -> PairedMeans
     mean = mean_interval(differences)
     if mean is None:
         return None
-    return PairedMeans(pairs=len(differences), difference=mean, effect=_effect(differences))
+    effect, p_value = _effect(differences), _signed_rank_p_value(differences)
+    return PairedMeans(pairs=len(differences), difference=mean, effect=effect, p_value=p_value)
 
 
 def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares | None:
@@ -57,6 +71,7 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
     one, two = wilson(sum(first), n), wilson(sum(second), n)
     both = sum(a and b for a, b in zip(first, second, strict=True))
     only_first, only_second = sum(first) - both, sum(second) - both
+    alone = only_first + only_second
     correlation = _correlation(both, only_first, only_second, n - both - only_first - only_second)
     difference = one.value - two.value
     (below_one, above_one), (below_two, above_two) = _arms(one), _arms(two)
@@ -67,7 +82,24 @@ def paired_shares(first: Sequence[bool], second: Sequence[bool]) -> PairedShares
         only_first=only_first,
         only_second=only_second,
         difference=Estimate(value=difference, low=max(-1.0, difference - down), high=min(1.0, difference + up)),
+        p_value=float(scipy.stats.binomtest(only_first, alone).pvalue) if alone else 1.0,
     )
+
+
+def _signed_rank_p_value(differences: Sequence[float]) -> float:
+    """Wilcoxon's test without the differences that are 0, exact with ties too: each of the others has either sign.
+
+    scipy counts all signs one by one where there are ties, which takes seconds for 13 pairs.
+    """
+    apart = np.array([x for x in differences if x])
+    if len(apart) > MOST_EXACT:
+        return float(scipy.stats.wilcoxon(apart).pvalue)
+    ranks = (2 * scipy.stats.rankdata(np.abs(apart))).astype(int)  # twice each, so that those of ties are whole
+    chances = np.ones(1)  # of each sum of the ranks of positive differences
+    for rank in ranks:
+        chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
+    found = int(ranks[apart > 0].sum())
+    return min(1.0, 2 * float(min(chances[: found + 1].sum(), chances[found:].sum())))
 
 
 def _effect(differences: Sequence[float]) -> Estimate | None:

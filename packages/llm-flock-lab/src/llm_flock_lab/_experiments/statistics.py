@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import statistics
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy
 from numpy.typing import NDArray
+
+from llm_flock.metrics import deadline
 
 CONFIDENCE = 0.95
 
@@ -18,6 +20,9 @@ MINUS = "\N{MINUS SIGN}"
 
 RESAMPLES = 4000
 """Draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed."""
+
+Duration: TypeAlias = tuple[float, bool]
+"""How long a trial took to form, and true; or until when it is known not to have formed (for ever: inf), and false."""
 
 Column: TypeAlias = NDArray[np.float64]
 """One number for each column of a table, shape (k,)."""
@@ -30,6 +35,16 @@ class Estimate:
     value: float
     low: float | None
     high: float | None
+
+    @property
+    def alone(self) -> Estimate:
+        """The value without its interval."""
+        return Estimate(value=self.value, low=None, high=None)
+
+    def times(self, factor: float) -> Estimate:
+        """The same in another unit."""
+        low, high = (None if end is None else factor * end for end in (self.low, self.high))
+        return Estimate(value=factor * self.value, low=low, high=high)
 
 
 def wilson(successes: int, trials: int) -> Estimate:
@@ -84,9 +99,72 @@ def bootstrap_interval(values: Sequence[float]) -> Estimate:
     return Estimate(value=mean, low=float(low), high=float(high))
 
 
-def median(values: Sequence[float]) -> float | None:
-    """The middle value, or the mean of the two in the middle; None without values."""
-    return statistics.median(values) if values else None
+def duration(figures: Mapping[str, Any], *, over_bound: bool = False) -> Duration:
+    """The rounds of one trial, or with `over_bound` their ratio to its lower bound, of which 0 counts as 1.
+
+    `figures` are those of a summary or a row of the table. A trial that flew all its rounds in vain, or lost its
+    budget, is known until then; one that no model answers, or that broke off, never forms.
+    """
+    bound = max(1, figures["lower_bound_rounds"] or 0) if over_bound else 1
+    if figures["formed"] and figures["rounds_to_formed"] is not None:
+        return figures["rounds_to_formed"] / bound, True
+    rounds = figures["rounds"] if figures["stopped"] in ("rounds", "formed", "budget", "interrupted") else None
+    lacks_bound = over_bound and figures["lower_bound_rounds"] is None
+    return (math.inf if rounds is None or lacks_bound else rounds / bound), False
+
+
+def horizon(trials: Iterable[Mapping[str, Any]], *, over_bound: bool = False) -> float:
+    """The time up to which trials are compared: the shortest deadline that one missed, else the longest success; or 0.
+
+    Both are as in `duration`. Up to there it is known of every trial that had its time whether it formed. Where those
+    that missed theirs have none, the usual one for the smallest lower bound counts.
+    """
+    rows = [t for t in trials if t["stopped"] not in ("budget", "interrupted")]
+    found = [duration(row, over_bound=over_bound) for row in rows]
+    bound = min((max(1, b) for row in rows if (b := row["lower_bound_rounds"]) is not None), default=None)
+    missed = [time for time, formed in found if not formed and time < math.inf]
+    if bound is not None and not missed and (math.inf, False) in found:
+        missed = [deadline(bound) / bound if over_bound else float(deadline(bound))]
+    return min(missed, default=max((time for time, formed in found if formed), default=0.0))
+
+
+def restricted(time: Duration, until: float) -> float | None:
+    """A duration where a longer one counts as `until`; None if it is not known so far."""
+    return min(time[0], until) if time[1] or time[0] >= until else None
+
+
+def restricted_mean(durations: Sequence[Duration], until: float) -> Estimate | None:
+    """Restricted mean time to formation: its mean where a longer one counts as `until`; None without trials.
+
+    It is the area under the Kaplan-Meier curve S up to there, so trials that did not form count, and those that were
+    stopped early count as far as they went (Kaplan, Meier: JASA 1958; Royston, Parmar: BMC Medical Research Methodology
+    2013). With d_i of n_i trials formed at t_i, its variance is the sum of A_i^2 d_i / (n_i (n_i - d_i)), where A_i is
+    the area from t_i on (Klein, Moeschberger: Survival analysis, 2003, 4.5.2); the interval is the normal one.
+    """
+    if not durations or until <= 0.0:
+        return None
+    ends = np.array([min(time, until) for time, _ in durations])
+    events = np.array([formed and time <= until for time, formed in durations])
+    times, where = np.unique(ends[events], return_inverse=True)
+    formed = np.bincount(where, minlength=len(times))
+    at_risk: Column = (ends[:, None] >= times).sum(axis=0)
+    alive = np.ones(len(times) + 1)
+    alive[1:] = np.cumprod(1.0 - formed / at_risk)
+    areas = alive * np.diff([0.0, *times, until])
+    later = np.cumsum(areas[::-1])[::-1][1:]
+    left = at_risk - formed
+    variance = float((later[left > 0] ** 2 * (formed / at_risk)[left > 0] / left[left > 0]).sum())
+    mean, half = float(areas.sum()), float(scipy.special.ndtri((1 + CONFIDENCE) / 2)) * math.sqrt(variance)
+    return Estimate(value=mean, low=max(0.0, mean - half), high=min(until, mean + half))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """The p-values of a family of tests, adjusted so that all may be read at one level (Holm: Scand. J. Stat. 1979)."""
+    order = np.argsort(p_values)
+    scaled = np.array(p_values)[order] * np.arange(len(p_values), 0, -1)
+    adjusted = np.empty(len(p_values))
+    adjusted[order] = np.minimum(np.maximum.accumulate(scaled), 1.0)
+    return adjusted.tolist()
 
 
 def number(value: float | None, digits: int) -> str:

@@ -11,18 +11,24 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import msgspec
+import numpy as np
+import scipy
 
 from llm_flock import runtime
+from llm_flock.arrays import Points
 from llm_flock.cancellation import is_cancelled
 from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, Spent, habits_of
-from llm_flock.record import Entry, MetricsRow, SummaryMessage
+from llm_flock.mission import Mission
+from llm_flock.record import Entry, MetricsRow, PlanInfo, State, SummaryMessage
 from llm_flock.runtime import RECORD_NAME, run_async
 from llm_flock.user_code import describe_exception
 from llm_flock_lab._experiments.grid import Earlier, TrialSpec
 
 KeepRecords: TypeAlias = Literal["all", "failed", "none"]
 """Trials whose record is kept."""
+
+NO_WAY = 1e6  # length that stands for a way that does not exist [units]
 
 FORMAT = 1
 """Version of the files in `trials/`."""
@@ -73,12 +79,32 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
 class _Metrics:
     """Collects the figures of each round and of the whole trial from the entries of its record."""
 
+    mission: Mission
     rows: list[MetricsRow] = field(default_factory=list[MetricsRow])
     result: Mapping[str, Any] | None = None
+    plans: dict[str | None, Points] = field(default_factory=dict[str | None, Points])
+    track: list[Points] = field(default_factory=list[Points])  # positions at the start and now
+    followed: list[str | None] = field(default_factory=list[str | None])
+    flown: float = 0.0
+
+    def distances(self) -> dict[str, float | None]:
+        """Distance flown by all robots, and the least from their starts to one plan that stands still [units]."""
+        least, places = None, self.plans.get(self.followed[0]) if len({*self.followed}) == 1 else None
+        if places is not None and self.mission.velocity is None:
+            ways = np.minimum(self.mission.shortest_ways(self.track[0], places), NO_WAY)
+            sum_of_ways = float(ways[scipy.optimize.linear_sum_assignment(ways)].sum())
+            least = sum_of_ways if sum_of_ways < NO_WAY else None
+        return {"distance_flown": self.flown, "distance_least": least}
 
     def write(self, entry: Entry) -> None:
         """Keep the figures; the summary also comes where a run broke off."""
-        if isinstance(entry, MetricsRow):
+        if isinstance(entry, State):
+            here, self.followed = np.array(entry.positions), entry.plan_ids
+            self.flown += float(np.linalg.norm(here - self.track[-1], axis=1).sum()) if self.track else 0.0
+            self.track[1:] = [here]
+        elif isinstance(entry, PlanInfo):
+            self.plans[entry.plan_id] = np.array(entry.points)
+        elif isinstance(entry, MetricsRow):
             self.rows.append(entry)
         elif isinstance(entry, SummaryMessage):
             self.result = entry.result
@@ -101,7 +127,7 @@ async def fly(
         out = None if keep == "none" else str(scratch)
     lane = lane or CallLane()
     config = spec.config.model_copy(update={"trial": spec.config.trial.model_copy(update={"out": out})})
-    metrics, error = _Metrics(), None
+    metrics, error = _Metrics(spec.config.mission), None
     try:
         await run_async(config=config, sink=metrics, lane=lane, progress=False, trace=False)
     except (Exception, asyncio.CancelledError) as reason:  # it is stored, counted and shown
@@ -110,7 +136,7 @@ async def fly(
         ):
             raise
         error = describe_exception(reason)
-    summary = None if metrics.result is None else {**metrics.result, "record": None}
+    summary = None if metrics.result is None else {**metrics.result, "record": None, **metrics.distances()}
     formed = summary is not None and summary["formed"] and error is None
     record = None if out is None or (formed and keep == "failed") else Path(out) / RECORD_NAME
     record = record if record is not None and record.exists() else None

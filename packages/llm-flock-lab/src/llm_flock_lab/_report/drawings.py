@@ -19,6 +19,8 @@ from llm_flock_lab._report.results import ResultCell, Results, TrialRow, as_numb
 from llm_flock_view._figures.charts import Curve, Dot, Facet, Sample, along, bands, boxes, dots, histograms
 
 COLUMNS = 4
+EACH = "each condition"
+MOST_WORDS = 20  # values of an axis that fit under a figure; the dots of all cells show more
 _FORMED = "formed [% of all trials]"
 
 Found: TypeAlias = Sequence[tuple[ResultCell, Estimate | None]]
@@ -138,7 +140,7 @@ def draw_comparisons(results: Results, reference: str) -> Iterator[Drawing]:
                 section="paired",
                 title=f"{name.capitalize()}, difference from {reference}",
                 caption=f"This minus {reference} on the same seeds, with {how}; right of the dashed line is more.",
-                figure=_dots(results, found, x, _limits(found), without=reference),
+                figure=_dots(results, found, x, _limits(found), edge=0.0),
             )
 
 
@@ -148,8 +150,7 @@ def _error_difference(line: PairLine) -> Estimate | None:
 
 
 def _percent(share: Estimate) -> Estimate:
-    low, high = (None if end is None else 100 * end for end in (share.low, share.high))
-    return Estimate(value=100 * share.value, low=low, high=high)
+    return share.times(100)
 
 
 def _limits(found: Found) -> tuple[float, float]:
@@ -245,32 +246,32 @@ def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
         )
 
 
-def _dots(results: Results, found: Found, x: str, limits: tuple[float, float], *, without: str | None = None) -> Figure:
-    """Estimates of cells; where they are differences from the protocol left out, a line marks none."""
+def _dots(results: Results, found: Found, x: str, limits: tuple[float, float], *, edge: float | None = None) -> Figure:
+    """Estimates of cells; a line marks `edge`, such as no difference."""
 
     def dot(cell: ResultCell, estimate: Estimate | None) -> Dot:
         value, low, high = (None,) * 3 if estimate is None else (estimate.value, estimate.low, estimate.high)
-        return Dot(series=cell.protocol, row=_row(results, cell), value=value, low=low, high=high)
+        return Dot(series=_protocol(results, cell), row=_row(results, cell), value=value, low=low, high=high)
 
-    edge = None if without is None else 0.0
     teams = dict.fromkeys(cell.team for cell, _ in found)
     panels = [
         Facet(title=str(team), marks=[dot(cell, estimate) for cell, estimate in found if cell.team == team], edge=edge)
         for team in teams
     ]
-    series = [name for name in results.protocols if name != without]
+    names = {_protocol(results, cell) for cell, _ in found}
+    series = [name for name in (*results.protocols, EACH) if name in names]
     return dots(panels, series, x, _rows_are(results), limits)
 
 
 def _row(results: Results, cell: ResultCell) -> str:
     """Name of a row: its condition, and its model where there are several."""
-    model = cell.model if len(results.models) > 1 else ""
+    model = cell.model if results.needs("model") else ""
     return " · ".join(part for part in (model, cell.condition) if part)
 
 
 def _rows_are(results: Results) -> str:
     """The kind of the rows' names; with neither models nor conditions to tell apart, a row has its protocol's name."""
-    parts = ("model" if len(results.models) > 1 else "", "condition" if results.conditions != ("",) else "")
+    parts = ("model" if results.needs("model") else "", "condition" if results.conditions != ("",) else "")
     return " · ".join(filter(None, parts)) or "protocol"
 
 
@@ -287,6 +288,8 @@ def along_axes(results: Results) -> Iterator[Drawing]:
         numbers = [as_number(value) for value in values]
         where = {value: float(k) if x is None else x for k, (value, x) in enumerate(zip(values, numbers, strict=True))}
         words = None if None not in numbers else list(values)
+        if words is not None and len(words) > MOST_WORDS:
+            continue
         panels = {str(team): [t for t in results.trials if t.cell.team == team] for team in results.teams}
         yield from _along(results, axis, panels, lambda t, a=axis, w=where: w.get(t.figures[f"axis_{a}"] or ""), words)
     sizes = Counter(team.shape for team in results.teams)
@@ -355,4 +358,9 @@ def _line(
 
 def _series(results: Results, cell: ResultCell) -> str:
     """Name of a line: its protocol, and its model where there are several."""
-    return " · ".join([cell.protocol] + ([cell.model] if len(results.models) > 1 else []))
+    return " · ".join([_protocol(results, cell)] + ([cell.model] if results.needs("model") else []))
+
+
+def _protocol(results: Results, cell: ResultCell) -> str:
+    """The protocol of a cell, where its condition does not tell it."""
+    return cell.protocol if results.needs("protocol") or len(results.protocols) == 1 else EACH

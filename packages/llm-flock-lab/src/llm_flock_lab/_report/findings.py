@@ -7,11 +7,25 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from llm_flock_lab._experiments.paired import PairedMeans, PairedShares, paired_means, paired_shares
-from llm_flock_lab._experiments.statistics import Estimate, mean_interval, median, wilson
+from llm_flock_lab._experiments.statistics import (
+    Estimate,
+    duration,
+    mean_interval,
+    restricted,
+    restricted_mean,
+    wilson,
+)
 from llm_flock_lab._report.results import ResultCell, Results, TrialRow
 
 INTERVAL = "95 % Student-t interval"
 """Name of the interval of a mean."""
+
+
+UNIT_M, SPEED_M_S = 0.1, 0.3
+"""Metres of a unit, and metres a second at which a longest step is flown, to state rounds in seconds."""
+
+BIT_RATE = 2e6
+"""Bits a second at which payloads are in the air, one after the other; headers and acknowledgements are left out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,9 +36,14 @@ class CellLine:
     trials: int
     formed: Estimate
     by_models: Estimate | None  # of the trials of which it is known
+    half: Estimate | None  # share that formed by half of the usual tolerances; `twice` likewise
+    twice: Estimate | None
     outcomes: Mapping[str, int]
-    rounds: float | None  # median over trials that formed; `ratio` to the lower bound likewise
-    ratio: float | None
+    rounds: Estimate | None  # restricted mean up to the team's horizon; `ratio` to the lower bound likewise
+    ratio: Estimate | None
+    detour: Estimate | None  # distance flown over the least possible, of the trials that formed
+    flight_s: Estimate | None  # `rounds` at SPEED_M_S
+    airtime_s: Estimate | None  # of all messages of a mission at BIT_RATE
     error: Estimate | None  # at the end [units], over `errors_known` trials
     errors_known: int
     min_separation: float | None
@@ -47,35 +66,53 @@ class PairLine:
 
 ERROR = "error at the end [units]"
 
-COMPARED: Mapping[str, Callable[[TrialRow], float | None]] = {
-    ERROR: lambda trial: trial.error,
-    "smallest separation [units]": lambda trial: trial.figures["min_separation"],
-    "rounds to the formation": lambda trial: trial.figures["rounds_to_formed"] if trial.formed else None,
-    "calls a robot": lambda trial: trial.per_robot("model_calls"),
+COMPARED: Mapping[str, Callable[[TrialRow, float], float | None]] = {
+    ERROR: lambda trial, until: trial.error,
+    "smallest separation [units]": lambda trial, until: trial.figures["min_separation"],
+    "rounds to the formation": lambda trial, until: restricted(duration(trial.figures), until),
+    "calls a robot": lambda trial, until: trial.per_robot("model_calls"),
 }
-"""Figures that are compared pair by pair, besides success."""
+"""Figures that are compared pair by pair, besides success, in teams with a horizon."""
 
 
 def cell_lines(results: Results) -> list[CellLine]:
-    return [_cell_line(cell, trials) for cell, trials in results.cells.items()]
+    return [_cell_line(results, cell, trials) for cell, trials in results.cells.items()]
 
 
-def _cell_line(cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
+def _share(trials: Sequence[TrialRow], column: str) -> Estimate | None:
+    """The share of the trials of which a column is known in which it is true."""
+    found = [bool(value) for trial in trials if (value := trial.figures.get(column)) is not None]
+    return wilson(sum(found), len(found)) if found else None
+
+
+def _cell_line(results: Results, cell: ResultCell, trials: Sequence[TrialRow]) -> CellLine:
+    until, most = results.horizons[cell.team]
+    rounds = restricted_mean([duration(trial.figures) for trial in trials], until)
+    steps = known(trial.figures["max_step"] for trial in trials)
+
+    def airtime_s(trial: TrialRow) -> float | None:
+        sent, flown = trial.figures["bytes_per_robot_round"], trial.figures["rounds"]
+        return None if sent is None or flown is None else 8.0 * sent * flown * cell.team.n_robots / BIT_RATE
+
     def mean(values: Iterable[float | None]) -> Estimate | None:
         return mean_interval(known(values), least=0.0)
 
     costs = [trial.figures["cost_usd"] for trial in trials if trial.figures["model_calls"] is not None]
-    alone = [bool(by_models) for trial in trials if (by_models := trial.figures.get("formed_by_models")) is not None]
     errors = known(trial.error for trial in trials)
     calls = sum(known(trial.figures["model_calls"] for trial in trials))
     return CellLine(
         cell=cell,
         trials=len(trials),
         formed=wilson(sum(trial.formed for trial in trials), len(trials)),
-        by_models=wilson(sum(alone), len(alone)) if alone else None,
+        by_models=_share(trials, "formed_by_models"),
+        half=_share(trials, "formed_half_tolerance"),
+        twice=_share(trials, "formed_twice_tolerance"),
         outcomes=Counter(trial.outcome for trial in trials),
-        rounds=median(known(trial.figures["rounds_to_formed"] for trial in trials if trial.formed)),
-        ratio=median(known(trial.ratio for trial in trials)),
+        rounds=rounds,
+        ratio=restricted_mean([duration(trial.figures, over_bound=True) for trial in trials], most),
+        detour=mean(trial.detour for trial in trials),
+        flight_s=rounds.times(steps[0] * UNIT_M / SPEED_M_S) if rounds and steps else None,
+        airtime_s=mean(map(airtime_s, trials)),
         error=mean(errors),
         errors_known=len(errors),
         min_separation=min(known(trial.figures["min_separation"] for trial in trials), default=None),
@@ -93,29 +130,48 @@ def known(values: Iterable[float | None]) -> list[float]:
 
 
 def pair_lines(results: Results, reference: str) -> list[PairLine]:
-    """Every other protocol against the reference: same team, model and condition, seed by seed.
+    """Every other cell against the reference, as `beside` finds it, seed by seed.
 
     A trial that broke off did not form, and is a pair like any other in success; in a mean, both need the figure.
     """
     lines: list[PairLine] = []
     for cell, trials in results.cells.items():
-        others = {trial.seed: trial for trial in results.cells.get(replace(cell, protocol=reference), ())}
+        found = beside(results, cell, reference)
+        others = {trial.seed: trial for trial in results.cells.get(found, ())}
         pairs = [(trial, others[trial.seed]) for trial in trials if trial.seed in others]
         formed = paired_shares([a.formed for a, _ in pairs], [b.formed for _, b in pairs])
-        if formed is None or cell.protocol == reference:
+        if formed is None or cell == found:
             continue
-        means = {name: _pair_means(pairs, figure) for name, figure in COMPARED.items()}
+        until = results.horizons[cell.team][0]
+        means = {name: _pair_means(pairs, figure, until) for name, figure in COMPARED.items()}
         lines.append(PairLine(cell=cell, formed=formed, means=means))
     return lines
 
 
 def _pair_means(
-    pairs: Sequence[tuple[TrialRow, TrialRow]], figure: Callable[[TrialRow], float | None]
+    pairs: Sequence[tuple[TrialRow, TrialRow]], figure: Callable[[TrialRow, float], float | None], until: float
 ) -> PairedMeans | None:
-    both = [(a, b) for a, b in ((figure(x), figure(y)) for x, y in pairs) if a is not None and b is not None]
+    found = ((figure(x, until), figure(y, until)) for x, y in pairs)
+    both = [(a, b) for a, b in found if a is not None and b is not None]
     return paired_means([a for a, _ in both], [b for _, b in both])
 
 
+def beside(results: Results, cell: ResultCell, reference: str) -> ResultCell:
+    """The cell that another is compared with: of the same team, and with the protocol `reference` or AXIS=VALUE.
+
+    Everything else is the same too, but for an axis whose values set protocol or model themselves.
+    """
+    axis, _, value = reference.partition("=")
+    if reference in results.protocols:
+        return replace(cell, protocol=reference)
+    wanted = {**results.axes_of(cell), axis: value}
+    alike = [one for one in results.cells if one.team == cell.team and results.axes_of(one) == wanted]
+    same = [one for one in alike if (one.protocol, one.model) == (cell.protocol, cell.model)]
+    return next(iter((*same, *alike)), cell)
+
+
 def usual_reference(results: Results) -> str:
-    """The protocol that the others are compared with: the baseline if it was flown, else the last of the presets."""
+    """What the others are compared with: the value `default` of an axis, the baseline, or the last of the presets."""
+    if (found := next((name for name in results.references if name.endswith("=default")), None)) is not None:
+        return found
     return "baseline" if "baseline" in results.protocols else results.protocols[-1]

@@ -17,7 +17,7 @@ import jinja2
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, unknown
 from llm_flock.printable import printable
 from llm_flock_lab._experiments.store import write_whole
 from llm_flock_lab._report import sheets
@@ -92,8 +92,8 @@ def write_report(
     if not formats or any(ending not in FORMATS for ending in formats):
         raise InputError("formats", ",".join(formats), f"some of {', '.join(FORMATS)}")
     results = Results.read(folder)
-    if reference is not None and reference not in results.protocols:
-        raise InputError("reference", reference, f"a protocol of these results: {', '.join(results.protocols)}")
+    if reference is not None and reference not in results.references:
+        raise InputError("reference", reference, says=unknown("protocol or AXIS=VALUE", reference, results.references))
     written: list[Path] = []
 
     def keep(figure: Figure, name: str) -> None:

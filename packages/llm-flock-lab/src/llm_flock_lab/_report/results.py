@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, Literal, Self, cast
 
 import numpy as np
 import polars as pl
@@ -19,6 +19,7 @@ from llm_flock.metrics import ROUNDING
 from llm_flock.protocol import PRESET_RULES
 from llm_flock.record import protocol_text
 from llm_flock_lab._experiments import tables
+from llm_flock_lab._experiments.statistics import horizon
 from llm_flock_lab._experiments.store import is_inside, read_json
 from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
 
@@ -87,6 +88,12 @@ class TrialRow:
     def error(self) -> float | None:
         """Distance to the ideal shape at the end [units]."""
         return self.figures["procrustes_mean"]
+
+    @property
+    def detour(self) -> float | None:
+        """Distance flown by all robots over the least possible; None where it did not form, or that is not known."""
+        flown, least = self.figures["distance_flown"], self.figures["distance_least"]
+        return flown / least if self.formed and flown is not None and least else None
 
     def per_robot(self, column: str) -> float | None:
         """A figure of the whole team, shared out."""
@@ -186,6 +193,26 @@ class Results:
                 numeric = all(as_number(value) is not None for value in values)
                 found[name.removeprefix(tables.AXIS)] = tuple(sorted(values, key=float) if numeric else values)
         return found
+
+    def needs(self, name: Literal["protocol", "model"]) -> bool:
+        """Whether cells of one condition differ in it; otherwise the condition tells it, as where an axis sets it."""
+        return len({(cell.condition, getattr(cell, name)) for cell in self.cells}) > len(self.conditions)
+
+    def axes_of(self, cell: ResultCell) -> dict[str, str | None]:
+        """The value of every further axis in a cell."""
+        row = self.cells[cell][0].figures
+        return {name.removeprefix(tables.AXIS): row[name] for name in row if name.startswith(tables.AXIS)}
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """What cells can be compared with: a protocol, or a value of an axis as AXIS=VALUE."""
+        return (*self.protocols, *(f"{axis}={value}" for axis, values in self.axes.items() for value in values))
+
+    @cached_property
+    def horizons(self) -> dict[Team, tuple[float, float]]:
+        """Of each team, the `horizon` of its trials in rounds, and over the lower bound."""
+        rows = {team: [trial.figures for trial in self.trials if trial.cell.team == team] for team in self.teams}
+        return {team: (horizon(found), horizon(found, over_bound=True)) for team, found in rows.items()}
 
     @property
     def simulated(self) -> bool:

@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from pydantic_ai.models import Model
 
 
-_RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*[0-9]{1,9})?\s*="
+_RANGE = r"\s*[0-9]{1,9}(?:\s*-\s*(?:[0-9]{1,9})?)?\s*="
 _STARTS_WITH_RANGE = re.compile(_RANGE)
 _NEXT_RANGE = re.compile(rf",(?={_RANGE})")
 
 
 def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
-    """Assign values to robots: `A` for all, `0-4=A,5-9=B` or `3=A,0-2=B` by ranges.
+    """Assign values to robots: `A` for all, `0-4=A,5-9=B`, `3=A,0-2=B` or `0-4=A,5-=B` by ranges.
 
     Values may contain commas: only a comma before a range separates. InputError unless each robot has one value.
     """
@@ -36,8 +36,8 @@ def per_robot(field: str, text: str, n: int) -> tuple[str, ...]:
     values: list[str | None] = [None] * n
     for part in _NEXT_RANGE.split(text):
         robots, _, value = part.partition("=")
-        low, _, high = robots.partition("-")
-        first, last = int(low), int(high or low)
+        low, dash, high = robots.partition("-")
+        first, last = int(low), int(high.strip() or (n - 1 if dash else low))
         if first > last or last >= n:
             raise InputError(field, part.strip(), f"a range of robots within 0..{n - 1}, lower id first")
         if not value.strip():

@@ -26,7 +26,7 @@ from llm_flock.runtime._finish import finish_trial
 from llm_flock.runtime._journal import Journal, run_info
 from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._result import RunResult
-from llm_flock.runtime._rules import assignment_rule, consensus_rule, own_rules
+from llm_flock.runtime._rules import LeftOut, assignment_rule, consensus_rule, own_rules
 from llm_flock.runtime._schedule import Change, Stream, stream
 from llm_flock.runtime._trial import Steer, Trial, TrialProgress
 from llm_flock.simulate import InstantBodies, Readings, start_positions
@@ -105,6 +105,7 @@ class Parameters(TypedDict, total=False):
     consensus: str | ConsensusRule | None
     assignment: str | AssignmentRule | None
     ties: Ties | None
+    without: LeftOut | None
     relay: bool | None
     collision_check: str | None
     shield: bool | None
@@ -138,6 +139,7 @@ class Parameters(TypedDict, total=False):
     max_cost: float | None
     # Links.
     loss: float
+    burst: float | None
     delay: int
     duplicate: float
     reorder: float
@@ -237,7 +239,7 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         rules = objects  # the configuration has the names, old ones under their current form
     protocol = config.protocol
     consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""), protocol.ties or "keep")
-    assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""))
+    assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""), protocol.without)
 
     # Build every part first, which rejects invalid values; then open files, and fly.
     warn_of_mission(config.mission)

@@ -23,7 +23,7 @@ from llm_flock.mission import Mission
 from llm_flock.protocol._agreement.consensus import Ties
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
-from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, Rules, assignment_rule, consensus_rule
+from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, LeftOut, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points, read_points
 from llm_flock.validation import checked, fields_of, unknown_section
 
@@ -74,6 +74,7 @@ class ProtocolConfig(ConfigSection):
         description="If the most influential neighbour is only as influential, with influence: keep the own plan, or "
         "adopt that of a neighbour of lowest-id [keep]",
     )
+    without: LeftOut | None = Field(default=None, description="Part to leave out, for an ablation")
     relay: bool | None = Field(
         default=None, description="Pass broadcasts on to all robots that others can reach [preset's]"
     )
@@ -112,11 +113,14 @@ class ProtocolConfig(ConfigSection):
                 object.__setattr__(self, field, value if field != "fallback" or self.verify else "hold")
         if self.fallback != "hold" and not self.verify:
             raise InputError("fallback", self.fallback, "'hold' while verify is off")
+        if self.without is not None and (self.assignment, self.shield) != ("auction", True):
+            raise InputError("without", self.without, says="takes something away from the auction and the shield only")
         return self
 
     def rules(self) -> Rules:
         """The consensus and assignment rules by these names. InputError for an unknown one."""
-        return consensus_rule(self.consensus or "", self.ties or "keep"), assignment_rule(self.assignment or "")
+        consensus = consensus_rule(self.consensus or "", self.ties or "keep")
+        return consensus, assignment_rule(self.assignment or "", self.without)
 
 
 class ModelConfig(ConfigSection):

@@ -21,9 +21,8 @@ class Episode:
     def __init__(self, mission: Mission, flown: int, positions: Points) -> None:
         self.mission = mission
         self.flown = flown
-        self.tracker = metrics.FormedTracker(spacing=mission.spacing)
         self._start = positions
-        self._disturbed = flown
+        self.disturb(flown)
         self.bound: int | None = None  # lower bound of the rounds it takes, set by `close`; None without one plan
         self._targets: dict[int, metrics.ShapeTarget | None] = {}
         self._deadline: tuple[object, int] = (None, 0)
@@ -31,7 +30,9 @@ class Episode:
 
     def disturb(self, flown: int) -> None:
         """A robot died or joined, so the team has to form again."""
-        self.tracker = metrics.FormedTracker(spacing=self.mission.spacing)
+        spacing = self.mission.spacing
+        self.trackers = {k: metrics.FormedTracker(spacing=k * spacing) for k in (1.0, 0.5, 2.0)}  # by tolerance
+        self.tracker = self.trackers[1.0]
         self._disturbed = flown
 
     @property

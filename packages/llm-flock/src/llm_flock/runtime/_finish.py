@@ -66,6 +66,8 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         and "geometry" not in (by, *planners.names)
         and not journal.breakers_opened
         and not journal.waypoints[Origin.GEOMETRY.value],
+        formed_half_tolerance=episode.trackers[0.5].formed_at is not None,
+        formed_twice_tolerance=episode.trackers[2.0].formed_at is not None,
         rounds_to_formed=episode.rounds_to_formed,
         lower_bound_rounds=episode.bound,
         procrustes_mean=None if error is None else error.mean,

@@ -296,14 +296,16 @@ class Journal:
             residual = None if error is None else error.mean
         else:  # with gaps, the shape is measured by the places that are filled
             residual = sum(to_goals) / len(to_goals)
-        episode.tracker.update(
-            round_number,
-            plan_ids=[p if fits and episode.follows(a) else None for p, a in zip(plan_ids, agents, strict=True)],
-            slots=slots,
-            goal_distances=distances,
-            residual=residual,
-            usable=usable,
-        )
+        followed = [p if fits and episode.follows(a) else None for p, a in zip(plan_ids, agents, strict=True)]
+        for tracker in episode.trackers.values():
+            tracker.update(
+                round_number,
+                plan_ids=followed,
+                slots=slots,
+                goal_distances=distances,
+                residual=residual,
+                usable=usable,
+            )
         self.row = MetricsRow(
             round=round_number,
             procrustes_mean=None if error is None else error.mean,

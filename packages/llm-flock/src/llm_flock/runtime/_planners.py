@@ -122,7 +122,7 @@ class TeamPlanners:
             return Limited(self._own_model(robot, name.text), self._queue_of(name))
         model = self._pool.model(
             name.text,
-            rng=stream(self._config.trial.seed, Stream.MODEL, robot),
+            rng=stream(self._config.trial.seed, Stream.MODEL, 0 if "alike" in name.model else robot),
             settings=self._settings[robot],
             base_urls=self._base_urls,
             typed=self._config.model.typed_url is not None,

@@ -141,6 +141,8 @@ class Summary:
     missions: tuple[MissionOutcome, ...] = ()  #: Every mission of the run, the first one first.
     gaps: int | None = None  #: Slots of the plan that no robot owns at the end; None without one plan.
     spares: int | None = None  #: Robots awake at the end without a slot; None without one plan.
+    formed_half_tolerance: bool = False  #: As `formed`, with both tolerances halved; the run ends as always.
+    formed_twice_tolerance: bool = False  #: As `formed`, with both tolerances doubled.
     flight: FlightFigures | None = None  #: The figures of a flight; None in simulation.
 
     def to_dict(self) -> dict[str, Any]:

@@ -30,11 +30,13 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
     if any_size or not know_no_team(rules):
         from llm_flock.protocol._membership.team import TeamMembership
 
-        team = TeamMembership(robot, mission, time_out=protocol.time_out, gaps=protocol.gaps)
+        parts = {"joint": protocol.without != "joint-assignment", "searches": protocol.without != "search"}
+        team = TeamMembership(robot, mission, time_out=protocol.time_out, gaps=protocol.gaps, **parts)
     if protocol.shield:
         from llm_flock.protocol._motion.safety import ShieldedSafety
 
         safety = ShieldedSafety(robot, mission, config.trial.noise, apart)
+        safety.asks = protocol.without != "right-of-way"
     if protocol.verify:
         from llm_flock.protocol._verification.validator import Validator
 

@@ -26,10 +26,14 @@ Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
 """The two rules of an agent."""
 
 
-def _auction() -> AssignmentRule:
+LeftOut: TypeAlias = Literal["exchanges", "path-cost", "joint-assignment", "search", "right-of-way"]
+"""A part that a team with the auction and the shield can do without."""
+
+
+def _auction(without: LeftOut | None = None) -> AssignmentRule:
     from llm_flock.protocol._agreement.auction import AuctionAssignment
 
-    return AuctionAssignment()
+    return AuctionAssignment(swaps=without != "exchanges", straight=without == "path-cost")
 
 
 CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
@@ -64,9 +68,9 @@ def consensus_rule(name: str | ConsensusRule, ties: Ties = "keep") -> ConsensusR
     return _rule("consensus", name, CONSENSUS, ("choose",))
 
 
-def assignment_rule(name: str | AssignmentRule) -> AssignmentRule:
+def assignment_rule(name: str | AssignmentRule, without: LeftOut | None = None) -> AssignmentRule:
     """The assignment rule of this name, or this object itself. InputError if it is no such rule."""
-    return _rule("assignment", name, ASSIGNMENT, ("take", "update"))
+    return _auction(without) if name == "auction" else _rule("assignment", name, ASSIGNMENT, ("take", "update"))
 
 
 def know_no_team(rules: Rules) -> bool:

@@ -283,7 +283,7 @@ class Trial:
         for robot in awake:
             for effect in self._send(robot, events.CommRoundBegan(), comm_round):
                 if isinstance(effect, Broadcast):
-                    self.transport.broadcast(effect.payload, receivers(self.bodies, robot))
+                    self.transport.broadcast(effect.payload, receivers(self.bodies, robot), robot)
         for robot, payload in self.transport.deliver():
             if robot in listening:  # a message may arrive after its receiver has died
                 self._send(robot, events.Received(payload), comm_round)

@@ -61,6 +61,7 @@ class Radio:
         self._delay_s = delay_s
         self._speed = speed
         self._clock_error_s = clock_error_s
+        self._lost: dict[int, bool] = {}
         self._beacons: dict[int, Seen] = {}
         self._heard: dict[int, Seen] = {}
         self._sensed: dict[int, Seen] = {}
@@ -84,8 +85,10 @@ class Radio:
             hand_over()
             return
         copies = 1 + int(rng.random() < faults.duplicate)
-        arriving = [rng.random() >= faults.loss for _ in range(copies)]
-        for _ in range(sum(arriving)):
+        for _ in range(copies):
+            self._lost[sender] = faults.is_lost(self._lost.get(sender, False), rng)
+            if self._lost[sender]:
+                continue
             delay_s = rng.uniform(0.0, faults.delay * self._delay_s)
             if delay_s > 0.0:
                 later(delay_s, hand_over)

@@ -20,6 +20,8 @@ from llm_flock.protocol._motion.pilot import Observation, Pilot
 from llm_flock.protocol._motion.right_of_way import BETWEEN, HEEDED_ROUNDS, KEPT, RISES, RightOfWay, outside, rank
 from llm_flock.protocol._motion.safety import ShieldedSafety
 from llm_flock.protocol._parts import Parts, Safety
+from llm_flock.runtime import parts_of
+from llm_flock.runtime._config import build_config
 
 MISSION = Mission(shape="text:any", n_robots=4)
 
@@ -202,6 +204,17 @@ def test_nowhere_to_go() -> None:
         observation((50.0, 50.0), {0: (46.0, 50.0)}, courses={0: course((64.0, 50.0))}), (49.0, 50.0), leg, 0.5
     )
     assert step.origin is Origin.SHIELD and safety.course is not None and safety.course.of == 0
+
+
+def test_without_right_of_way_a_blocked_robot_asks_for_nothing() -> None:
+    for without, asks in ((None, True), ("right-of-way", False)):
+        config = build_config(without=without)
+        safety = parts_of(config, config.protocol.rules(), 1).safety
+        here, there = (50.0, 50.0), (60.0, 50.0)
+        for _ in range(6):
+            leg = leg_to(config.mission, here, there)
+            safety.step(observation(here, {0: (53.0, 50.0), 2: (53.0, 53.1), 3: (53.0, 46.9)}), there, leg, 0.5)
+        assert (safety.course is not None) is asks
 
 
 def test_way_to_a_refuge_passes_no_oncoming_robot() -> None:

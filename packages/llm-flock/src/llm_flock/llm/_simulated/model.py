@@ -40,7 +40,7 @@ from llm_flock.protocol._geometry import turned
 CHARS_PER_TOKEN = 4
 """For an estimate of the tokens."""
 
-ADDED_LATER = 7
+ADDED_LATER = 8
 """Number of the last `FAILURES` that were added after the first results were published."""
 
 CHANCE_WITHIN = 10.0

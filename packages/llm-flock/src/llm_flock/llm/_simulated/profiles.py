@@ -23,10 +23,11 @@ PROFILES: Mapping[str, str] = {
     "canonical": "no answer is wrong: plans are not turned, as one model's at temperature 0; a rate leaves slips",
     "first": "no answer is wrong: takes the first place of its plan, as the paper's example does (line 344)",
     "any": "no answer is wrong: takes a place of its plan by chance",
+    "alike": "no answer is wrong: all robots draw the same chances, so they turn plans and err alike, as one model",
 }
 """Every profile, and its failure or habit."""
 
-HABITS = frozenset({"careful", "canonical", "first", "any"})
+HABITS = frozenset({"careful", "canonical", "first", "any", "alike"})
 """Profiles without wrong answers, which do not change how a step is made, or only where others are near."""
 
 FAILURES = tuple(name for name in PROFILES if name != "ideal")

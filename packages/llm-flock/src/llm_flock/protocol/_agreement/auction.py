@@ -93,6 +93,7 @@ class AuctionAssignment:
     swaps: bool = True
     joint: bool = True
     team: bool = True
+    straight: bool = False  #: Whether exchanges weigh straight distances, not ways along the formation.
 
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
@@ -126,6 +127,7 @@ class AuctionAssignment:
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
             return claim
+        now = replace(now, straight=True) if self.straight else now
         claim = _accept(claim, now) or claim
         return claim if claim.offer is not None else _make_offer(claim, now)
 

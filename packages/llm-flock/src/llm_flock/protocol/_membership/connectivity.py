@@ -23,9 +23,9 @@ APART = 3  # rounds beyond the time-out after which living robots count as missi
 class ConnectivityRecovery:
     """Keeps a robot in touch with its team. Up to `liars` living robots may want no place."""
 
-    def __init__(self, liveness: Liveness, joint: JointAssignment, liars: int = 0) -> None:
+    def __init__(self, liveness: Liveness, joint: JointAssignment, liars: int = 0, searches: bool = True) -> None:
         self._liveness, self._joint, self._search = liveness, joint, Search()
-        self._liars, self._apart_for = liars, 0
+        self._liars, self._apart_for, self._searches = liars, 0, searches
         self._gathering = Gathering()
         self._standing: tuple[str, dict[int, int]] = "", {}
 
@@ -55,7 +55,7 @@ class ConnectivityRecovery:
             point = self._gathering.target(mission, plan, slot, here, strangers=strangers, alone=alone)
             if point is not None:
                 return point, (), []
-        notes = [] if table is None else self._look_for_others(now, places, slot, table)
+        notes = [] if table is None or not self._searches else self._look_for_others(now, places, slot, table)
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_jointly(table, slot) and (live.strangers or live.silent or lonely):

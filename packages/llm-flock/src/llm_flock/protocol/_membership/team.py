@@ -44,21 +44,22 @@ class TeamMembership(Membership):
         gaps: Gaps = "report",  # report slots that no living robot can take, or plan again
         joint: bool = True,  # whether robots report positions and are assigned together
         liars: int = 0,  # number of robots that may lie together
+        searches: bool = True,  # whether robots look for others that are missing
     ) -> None:
         n_robots = mission.n_robots
         self.gaps: Gaps = gaps
-        self._made_of = robot, mission, time_out
+        self._made_of = robot, mission, time_out, searches
         self.liveness = Liveness(robot, n_robots, time_out)
         self._robot, self._misfit = robot, 0  # rounds for which the plan has not fitted the team
         self._joint = JointAssignment(robot, n_robots, enabled=joint)
         self._seeking = Seeking(robot, liars)
-        self._connectivity = ConnectivityRecovery(self.liveness, self._joint, liars)
+        self._connectivity = ConnectivityRecovery(self.liveness, self._joint, liars, searches)
         self._unplaced: set[int] = set()
 
     def with_keys(self, liars: int) -> Self:
         """The same for a team with keys, before its first round. Positions are not reported: reports are unsigned."""
-        robot, mission, time_out = self._made_of
-        return type(self)(robot, mission, time_out=time_out, gaps=self.gaps, joint=False, liars=liars)
+        robot, mission, wait, searches = self._made_of
+        return type(self)(robot, mission, time_out=wait, gaps=self.gaps, joint=False, liars=liars, searches=searches)
 
     @property
     def beats(self) -> tuple[int, ...]:

@@ -22,7 +22,7 @@ class ShieldedSafety(Safety):
     """Turns waypoints into safe ones, gives way to others, and asks them to give way: `step` or `stay` in each round.
 
     `limits` is the mission at the start: no message changes safe distance, step limit, arena and obstacles.
-    `noise_bound` is the largest error of a believed position [units].
+    `noise_bound` is the largest error of a believed position [units]. Unless it `asks`, it claims no right of way.
     """
 
     def __init__(self, robot: int, limits: Mission, noise_bound: float, passing_distance: float | None = None) -> None:
@@ -32,7 +32,7 @@ class ShieldedSafety(Safety):
         passing_distance = limits.safe_distance if passing_distance is None else passing_distance
         self._right_of_way = RightOfWay(robot, limits, passing_distance + margin)
         self._gave_way: int | None = None
-        self._asked = False
+        self.asks, self._asked = True, False
 
     @property
     def course(self) -> Course | None:
@@ -78,7 +78,7 @@ class ShieldedSafety(Safety):
         notes: tuple[Note, ...] = ()
         if pressing:
             right.pass_on(path(), pressing[0])
-        elif right.stalled and self._is_blocked(scene, stop, safe):
+        elif self.asks and right.stalled and self._is_blocked(scene, stop, safe):
             right.ask(path())
             if not self._asked:
                 notes = (Note("deadlock", {"goal_distance": math.dist(scene.here, leg.goal), "rounds": right.waited}),)
