@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,8 +37,9 @@ def talk(
         head = (await reader.readuntil(b"\r\n\r\n")).decode()
         length = next(int(h.split(":")[1]) for h in head.lower().split("\r\n") if h.startswith("content-length"))
         got.extend([head, (await reader.readexactly(length)).decode()])
-        head = f"HTTP/1.1 {status} X\r\nContent-Type: {kind}\r\nContent-Length: {len(body)}\r\n\r\n"
-        writer.write((head + body).encode())
+        sent = body.encode()
+        head = f"HTTP/1.1 {status} X\r\nContent-Type: {kind}\r\nContent-Length: {len(sent)}\r\n\r\n"
+        writer.write(head.encode() + sent)
         await writer.drain()
         writer.close()
 
@@ -281,3 +283,19 @@ def test_a_response_that_is_stopped_is_a_failed_call(status: str, why: str | Non
     error, _, _ = talk("openai-responses:gpt-5-mini", 200, response(ANSWER, status, why), CallSettings())
     assert isinstance(error, ModelError)
     assert error.kind == kind
+
+
+BODIES: list[dict[str, Any]] = json.loads((Path(__file__).parents[1] / "cases/bodies.json").read_text(encoding="utf-8"))
+"""Bodies with status 200 and what is meant: `read`, `length` (cut off), `empty`, or the kind of an error."""
+
+
+@pytest.mark.parametrize("case", BODIES, ids=lambda case: case["kind"])
+def test_a_body_is_read_or_is_the_error_it_says(case: dict[str, Any]) -> None:
+    got, _, _ = talk("openai-compatible:stand-in", 200, case["body"], CallSettings(), case["content_type"])
+    if case["means"] in ("read", "length", "empty"):
+        assert isinstance(got, Reply), got
+        assert got.text == ("" if case["means"] == "empty" else "Position: [45.5, 51.0]")
+        assert (got.finish_reason == "length") == (case["means"] == "length")
+    else:
+        assert isinstance(got, ModelError), got
+        assert got.kind == case["means"] and case["says"].lower() in str(got).lower()

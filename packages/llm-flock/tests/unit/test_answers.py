@@ -50,7 +50,6 @@ PLAN = "[[55.77, 50], [47.11, 55], [47.11, 45]]"
         "```json\n[18.05, 67.91]\n```",
         "[18.05, 67.91]",
         "Position: [1, 2]\nNo, better:\nPosition: [18.05, 67.91]",
-        "Position: [18.05, 67.91]\nPosition: [18.0",
         "Position: [18.05, 67.91]\nPosition: [x, y]",
         "Your position: [1, 2]. Goal position: [3, 4].\nNew Position = [12 + 6, 70 - 2]\nPosition: [18.05, 67.91]",
         "Position: [18.05, 67.91]\n(Current position: [1, 2])",
@@ -71,6 +70,7 @@ def test_signs_and_dimensions() -> None:
         ("I wait.", "no complete position"),
         ("Position: [x, y]", "no complete position"),
         ("Position: [18.05, 67.91", "no complete position"),
+        ("Position: [18.05, 67.91]\nPosition: [18.0", "two different positions"),
         ("Position: [12.63 + 5.42, 67.91]", "no complete position"),
         (r"Position: [\sqrt{3}, 67.91]", "no complete position"),
         ("Position: [5*3]", "no complete position"),
@@ -110,7 +110,6 @@ def test_a_position_that_will_not_do(text: str, reason: str) -> None:
         "Final Plan: [[55.77 50] [47.11 55] [47.11 45]]\nmy plan index is 1",
         f"Plan: [[1, 2]]\nPlan: {PLAN}\nmy plan: 0\nOn reflection, my plan: 1",
         f"\\[\\boxed{{\\text{{Plan: }} {PLAN}}}\\]\\nmy plan: 1",
-        f"Plan: {PLAN}\nPlan: [[1, 2], [3,\nmy plan: 1",
         f"The places are {PLAN}.\nmy-plan = 1.0",
     ],
 )
@@ -125,6 +124,7 @@ def test_plan_is_found_in_any_wrapping(text: str) -> None:
         ("Plan: [[x, y], [x, y], ...]\nmy plan: a", "no complete plan"),
         ("Plan: [[1, 2], [3, 4], [5,", "no complete plan"),
         ("Plan: []\nmy plan: 1", "no complete plan"),
+        (f"Plan: {PLAN}\nPlan: [[1, 2], [3,\nmy plan: 1", "no complete plan"),
         ("Plan: [[1, 2]]\nmy plan: 0", "the plan holds 1 point, 3 are required"),
         ("Plan: [[1, 2], [3, 4], [5, 6], [7, 8]]\nmy plan: 0", "the plan holds 4 points, 3 are required"),
         ("Plan: [[1, 2], [3, 4], [5]]\nmy plan: 0", "point 2 of the plan has 1 number, 2 are required"),
@@ -165,13 +165,13 @@ def test_model_asked_for_json_may_answer_as_text() -> None:
         ({"plan": "here", "my_plan": 0}, '"plan" is not a list'),
         ({"plan": POINTS[:2], "my_plan": 0}, "the plan holds 2 points, 3 are required"),
         ({"plan": [*POINTS[:2], "c"], "my_plan": 0}, "point 2 of the plan is not a list of numbers"),
-        ({"plan": [*POINTS[:2], ["1", "2"]], "my_plan": 0}, "point 2 of the plan holds something that is not a number"),
+        ({"plan": [*POINTS[:2], ["1", "b2"]], "my_plan": 0}, "point 2 of the plan holds something that is not"),
         ({"plan": [*POINTS[:2], [True, 2]], "my_plan": 0}, "point 2 of the plan holds something that is not a number"),
         ({"plan": [*POINTS[:2], [float("inf"), 2]], "my_plan": 0}, "point 2 of the plan holds inf"),
         ({"plan": [*POINTS[:2], [10**400, 2]], "my_plan": 0}, "point 2 of the plan holds inf"),
         ({"plan": POINTS, "my_plan": 3}, "my plan is 3"),
         ({"plan": POINTS, "my_plan": 0.5}, "my plan is 0.5"),
-        ({"plan": POINTS, "my_plan": "0"}, "my_plan holds something that is not a number"),
+        ({"plan": POINTS, "my_plan": "zero"}, "my_plan holds something that is not a number"),
     ],
 )
 def test_json_that_will_not_do(value: dict[str, object], reason: str) -> None:
@@ -237,10 +237,10 @@ def all_readings_s(text: str) -> float:
             read(text, 3, 2)
         assert len(str(caught.value)) < 300
     for read in (parse_step, parse_step_json):
-        with pytest.raises(AnswerError, match=r"no complete position|JSON object is not complete"):
+        with pytest.raises(AnswerError, match=r"no complete position|JSON object is not complete|too long"):
             read(text, 2)
     for read in (parse_path, parse_path_json):
-        with pytest.raises(AnswerError, match=r"no complete path|JSON object is not complete"):
+        with pytest.raises(AnswerError, match=r"no complete pa|JSON object is not comp|too long|1 to 20"):
             read(text, 20, 2)
     return time.process_time() - began
 
@@ -258,9 +258,19 @@ def test_a_hostile_megabyte_is_refused_within_a_second_a_reading(unit: str) -> N
     assert all_readings_s(unit * (MAX_CHARS // len(unit))) < 6.0
 
 
-def test_the_last_of_many_thousand_candidates_wins() -> None:
-    text = "Position: [1,1] " * (MAX_CHARS // 20) + "Position: [2,2]"
+def test_the_last_of_a_thousand_candidates_wins() -> None:
+    text = "Position: [1,1]. Wait. " * 2000 + "Position: [2,2]"
     assert parse_step(text, 2) == (2.0, 2.0)
+    with pytest.raises(AnswerError, match="two different positions"):
+        parse_step(text.replace("Wait.", ""), 2)
+
+
+def test_a_megabyte_of_objects_that_differ_is_refused_at_once() -> None:
+    text = "".join(f'{{"position": [1, {k}]}} ' for k in range(40_000))
+    began = time.process_time()
+    with pytest.raises(AnswerError, match="gives 40000 JSON objects"):
+        parse_step_json(text, 2)
+    assert time.process_time() - began < 3.0
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,12 @@ USED = Usage(input=300, output=64)
             "it was cut off at 64 tokens before it was complete; answer more brief",
         ),
         (reply("Position: [1, 2]", usage=USED), "it was cut off at 64 tokens before it was complete"),
+        (reply("Position: [x, y]\nPosition: [x, y]"), "it copies the form: put numbers in place of x and y"),
+        (reply("I go. " + "I go to the goal. " * 9), "it says the same again and again"),
+        (
+            reply("Give your reason in a sentence or two, and finish with this line, numbers only:\n"),
+            "it repeats the question: give only the answer",
+        ),
         (reply("Position: [1, 2]"), "it was cut off before it was complete"),
         (reply("", usage=USED, settings=CAPPED), "thought but did not answer (a cap of 64 tokens"),
         (reply("<think>Position: [1, 2]", usage=USED), "it was cut off at 64 tokens while you were still thinking"),
@@ -149,6 +155,22 @@ def test_after_too_many_tries_there_is_no_answer(retries: int) -> None:
     assert isinstance(answer, NoAnswer) and answer.cause == "answer"
     assert f"{retries + 1} tr" in answer.reason and "no complete position" in answer.reason
     assert len(heard) == retries + 1 and not model.script
+
+
+def test_a_repeated_answer_is_not_asked_for_in_the_same_words() -> None:
+    model = Scripted("no idea", "no idea", "Position: [1, 2]")
+    thinker, heard = planner(model, max_retries=2)
+    asyncio.run(thinker.step(step_question()))
+    first, second = (attempt.call.messages[-1].text for attempt in heard[1:3])
+    assert first != second and "the same answer before, word for word" in second
+
+
+def test_a_repeated_answer_at_temperature_zero_is_the_last() -> None:
+    said = Reply(text="no idea", model="scripted:one", settings={"temperature": 0.0})
+    model = Scripted(said, said, "Position: [1, 2]")
+    thinker, heard = planner(model, max_retries=2)
+    answer = asyncio.run(thinker.step(step_question()))
+    assert isinstance(answer, NoAnswer) and "in 2 tries" in answer.reason and len(heard) == 2
 
 
 @pytest.mark.parametrize(

@@ -1,25 +1,39 @@
-r"""Read a model's answer: tolerant of its form, strict about its content.
+"""Reads a model's answer: tolerant of its form, strict about its content.
 
-The forms are the paper's `Plan: [[x, y], ...]` with `my plan: a` or `my_plan: a` (lines 118 and 391) and
-`Position: [x, y]` (line 110), and our own `Path: [[x, y], ...]`, among prose, markdown, code fences and LaTeX
-(`\boxed{\text{Position: } [x,\ y]}`, line 739). The last complete candidate counts. A list holds plain numbers: an
-expression such as `3 + 4` is no answer. The same values may come as a JSON object, see `answer_forms`.
+The forms are the paper's `Plan: [[x, y], ...]` with `my plan: a` (lines 118 and 391) and `Position: [x, y]` (line 110),
+and our own `Path: [[x, y], ...]`, among prose, markdown, code fences and LaTeX; or the same values as a JSON object.
+`_answer_items` finds the values, `_answer_claims` the ones that count, `_answer_objects` the JSON. The page
+"Forms of answers" of the documentation lists what is read and what is refused.
 
-All patterns are possessive where they repeat, and start at a label or a bracket, so the time is linear in the length of
-any answer.
+A value that is taken back is no answer. Where two values stand in answer position and no word decides, none is read.
 """
 
 from __future__ import annotations
 
-import json
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from llm_flock.arrays import MAX_COORDINATE, Point
 from llm_flock.errors import AnswerError
-from llm_flock.llm._answer_forms import REASONING
+from llm_flock.llm._answer_claims import (
+    CERTAIN,
+    PATH,
+    PLAN,
+    POSITION,
+    POSITION_OR_PATH,
+    Claim,
+    Items,
+    chosen,
+    claims,
+    counts_from_one,
+    foreign,
+    index_claims,
+    points_from,
+    start_of_clause,
+)
+from llm_flock.llm._answer_items import CUT, FOREIGN_UNITS, PLACEHOLDERS, items_of, plain
+from llm_flock.llm._answer_objects import Several, objects
 from llm_flock.llm._port import AnswerForm
 from llm_flock.llm._thoughts import spoken
 from llm_flock.plan import Plan
@@ -30,133 +44,155 @@ MAX_CHARS = 1_000_000
 MAX_DIGITS = 40
 """Longest spelling of a number."""
 
-_TYPOGRAPHY = str.maketrans(
-    dict.fromkeys("\u2010\u2011\u2012\u2013\u2212\ufe63\uff0d", "-")
-    | dict.fromkeys("\u00a0\u2002\u2003\u2007\u2008\u2009\u200a\u202f\u205f\u3000", " ")
-    | dict.fromkeys("\u200b\u2060\ufeff", "")
-    | {"\uff1a": ":", "\uff0c": ",", "\uff1b": ";", "\uff3b": "[", "\uff3d": "]", "\uff08": "(", "\uff09": ")"}
-)
-_LATEX_SPACES = ("\\ ", "\\,", "\\;", "\\:", "\\!", "\\\\")
-_LATEX_FORMATS = re.compile(
-    r"\\(?:left|right|[bB]igg?[lr]?|text(?:bf|it|rm|tt|sf)?|math(?:bf|it|rm|tt|sf)|displaystyle|q?quad|newline)"
-    r"(?![A-Za-z])"
-)
-_ESCAPED_NEWLINE = re.compile(r"\\n(?![a-ln-z])(?!m(?!y))")
-"""A backslash and an n that stand for a line break, not for the beginning of a LaTeX command."""
+MAX_OBJECTS = 100
+"""Most JSON objects with an answer that are compared."""
 
-# Possessive throughout: a repetition never gives back what it has taken.
-_NUMBER = r"[-+]?+(?:(?:[0-9]++(?:\.[0-9]*+)?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+|nan|inf(?:inity)?+)"
-_ITEM = rf"(?:[xyz]\s*+[=:]\s*+)?+{_NUMBER}"
-_LIST = rf"[\[(]\s*+{_ITEM}(?:(?:\s*+[,;]\s*+|\s++){_ITEM})*+\s*+[,;]?+\s*+[\])]"
-_LISTS = rf"[\[(]\s*+{_LIST}(?:\s*+[,;]?+\s*+{_LIST})*+\s*+[,;]?+\s*+[\])]"
-_MARKUP = r"\s*_`\"'$&{}|~>#"
-_GAP = rf"[{_MARKUP}:=≈→-]*+"
-_WRAP = r"(?:[\[(]\s*+){0,2}?"
-_LANGUAGE = rf"(?:(?:json|python|text|latex|math)(?![A-Za-z]){_GAP})?+"
-"""A language after the backticks of a code fence."""
+HERE = 0.01
+"""A position this near to the robot's own is its own [units]: prompts and models round it."""
 
-# The look-ahead to the first letter only saves time.
-_POSITION = re.compile(
-    r"(?=[nfp\\])"
-    rf"(?:(?P<certain>(?:next|new|final)[{_MARKUP}]++position|\\boxed)|(?P<plain>(?<![A-Za-z])position))(?![A-Za-z])"
-    rf"(?P<gap>{_GAP}(?:(?:is|at|will\sbe)(?![A-Za-z]){_GAP})?+){_WRAP}(?P<list>{_LIST})",
-    re.IGNORECASE,
-)
-_STATES = frozenset(":=≈→")
-"""One of these stands between a bare `Position` and the answer."""
-
-_BEFORE_POSITION = re.compile(
-    r"(?:[^A-Za-z0-9\s*_`\"']|\n|(?<![A-Za-z])(?:the|answer|so|thus|hence|therefore|chosen|proposed|updated))"
-    r"[\s*_`\"']*$",
-    re.IGNORECASE,
-)
-"""Allowed before a bare `Position:`; "Your position:" and "Goal position:" only repeat the question."""
-
-_PLAN = re.compile(rf"(?:plan(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})", re.IGNORECASE)
-_PATH = re.compile(
-    rf"(?:(?<![A-Za-z])path(?![A-Za-z])|\\boxed){_GAP}{_LANGUAGE}{_WRAP}(?P<list>{_LISTS})", re.IGNORECASE
-)
-_BARE_PLAN = re.compile(rf"(?P<list>{_LISTS})", re.IGNORECASE)
-_BARE_POSITION = re.compile(rf"[{_MARKUP}]*+{_LANGUAGE}(?P<list>{_LIST})[{_MARKUP}.]*+", re.IGNORECASE)
-_INDEX = re.compile(
-    rf"(?<![A-Za-z])my[\s_\\-]*+plan[{_MARKUP}:=]*+"
-    rf"(?:(?:is|index|number|place|location|position|point|slot)(?![A-Za-z])[{_MARKUP}:=]*+){{0,3}}+"
-    rf"(?:[\[(]\s*+(?P<wrapped>{_NUMBER})\s*+[\])]|(?P<bare>{_NUMBER})(?![A-Za-z0-9_%/^]))",
-    re.IGNORECASE,
-)
-_BRACE_OR_STRING = re.compile(r'[{}]|"(?:[^"\\]++|\\.)*+"?+', re.DOTALL)
-"""Braces structure a JSON object; strings are matched whole, as they may hold braces."""
-
-_OBJECT = re.compile(r"""\{\s*+["']""")
-_EACH_LIST = re.compile(_LIST, re.IGNORECASE)
-_EACH_NUMBER = re.compile(_NUMBER, re.IGNORECASE)
+_LANGUAGES = frozenset({"json", "python", "text", "latex", "math", "plaintext"})
+"""May stand after the backticks of a code fence, before an answer that has no label."""
 
 
 def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
     """The plan and the index of the model's own place in it; AnswerError with a reason for the model."""
     n, dim = form.n, form.dim
-    names = [f"point {i} of the plan" for i in range(n)]
     text = _without_thoughts(text)
-    answer = _json_object(text, "plan") if form.json else None
+    answer = _object(text, form, "plan")
     if answer is not None:
         rows = _list_field(answer, "plan", f"a list of {n} points")
-        _check_count(len(rows), n)
-        points = [_point(what, _row(what, row), dim) for what, row in zip(names, rows, strict=True)]
-        index = _number("my_plan", _field(answer, "my_plan", f"a whole number from 0 to {n - 1}"))
-        return Plan(tuple(points)), _index(index, n)
-    text = _plain(text)
-    match = _last(_PLAN, text) or _last(_BARE_PLAN, text)
-    if match is None:
-        required = f"a line `Plan: [[...], ...]` with {n} points of {dim} numbers is required."
-        raise AnswerError(f"it holds no complete plan; {required}")
-    lists = _EACH_LIST.findall(match["list"])
-    _check_count(len(lists), n)
-    points = [_point(what, _numbers(what, row), dim) for what, row in zip(names, lists, strict=True)]
-    index = _last(_INDEX, text)
-    if index is None:
-        required = f"a line `my plan: a` with a from 0 to {n - 1} is required."
-        raise AnswerError(f"it does not say which place is yours; {required}")
-    return Plan(tuple(points)), _index(_numbers("my plan", index["wrapped"] or index["bare"])[0], n)
+        return _plan([_row(row, f"point {i} of the plan") for i, row in enumerate(rows)], form), _index(
+            _number("my_plan", _field(answer, "my_plan", f"a whole number from 0 to {n - 1}")), n
+        )
+    text = plain(text)
+    items = Items(items_of(text), text)
+    found = claims(items, PLAN, many=True) or [one for one in _bare(items, many=True) if len(one.rows) == n]
+    for one in found:
+        one.misfit = len(one.rows) != n
+    own = index_claims(items)
+    claim = chosen(found, items, "plan", own)
+    required = f"a line `Plan: [[...], ...]` with {n} points of {dim} numbers is required."
+    claim = _complete(items, claim, "plan", required)
+    points = [_numbers(f"point {i} of the plan", row) for i, row in enumerate(claim.rows)]
+    plan = _plan(points, form)
+    if any(other.value != claim.value for other in found):
+        behind = min((other.begin for other in found if other.begin > claim.end), default=len(items.all))
+        own = [one for one in own if claim.end <= one.begin < behind]
+    return plan, _own_place(chosen(own, items, "place"), items, plan)
 
 
-def read_waypoints(text: str, form: AnswerForm) -> tuple[Point, ...]:
+def _own_place(claim: Claim | None, items: Items, plan: Plan) -> int:
+    n = len(plan)
+    if claim is None or claim.wrong == PLACEHOLDERS:
+        raise AnswerError(
+            f"it does not say which place is yours; a line `my plan: a` with a from 0 to {n - 1} is required."
+        )
+    if claim.wrong:
+        raise AnswerError(f"{claim.wrong}; a whole number from 0 to {n - 1} is required (places count from 0).")
+    (first, *place) = claim.rows
+    values = _numbers("my plan", first)
+    if len(values) > 1:
+        raise AnswerError(
+            f"it does not say which place is yours; a line `my plan: a` with a from 0 to {n - 1} is required."
+        )
+    if counts_from_one(items.text):
+        raise AnswerError(f"it counts places from 1; places count from 0: my plan is a number from 0 to {n - 1}.")
+    index = _index(values[0], n)
+    if place and plan.points[index] != tuple(_numbers("my plan", place[0])):
+        raise AnswerError(f"place {index} of the plan is not [{', '.join(place[0])}]; places count from 0.")
+    return index
+
+
+def read_waypoints(text: str, form: AnswerForm, here: Point | None = None) -> tuple[Point, ...]:
     """The 1 to `form.horizon` next positions [units]; AnswerError as in `read_plan`.
 
-    If the question is for a path, a single position is a path of length one.
+    If the question is for a path, a single position is a path of length one. `here` is where the robot is: a position
+    that is given as `[here, there]` is there.
     """
     dim, horizon = form.dim, form.horizon
     text = _without_thoughts(text)
-    answer = _json_object(text, "path", "position") if form.json else None
+    answer = _object(text, form, *(("path", "position") if horizon > 1 else ("position", "path")))
     if answer is not None:
         if horizon == 1 or ("path" not in answer and "position" in answer):
             position = _field(answer, "position", f"a list of {dim} numbers")
-            return (_point("the position", _row("the position", position), dim),)
+            return (_point("the position", _row(position, "the position"), dim),)
         rows = _list_field(answer, "path", f"a list of 1 to {horizon} positions")
-        return _path([_row("the path", row) for row in rows], horizon, dim)
-    text = _plain(text)
-    match = _last(_PATH, text) if horizon > 1 else None
-    if match is None and (row := _position_row(text)) is not None:
-        return (_point("the position", _numbers("the position", row), dim),)
-    if horizon == 1:
-        raise AnswerError(f"it holds no complete position; a line `Position: [...]` with {dim} numbers is required.")
-    match = match or _last(_BARE_PLAN, text)
-    if match is None:
-        required = f"a line `Path: [[...], ...]` with 1 to {horizon} positions of {dim} numbers is required."
-        raise AnswerError(f"it holds no complete path; {required}")
-    rows = [_numbers("the path", row) for row in _EACH_LIST.findall(match["list"])]
-    return _path(rows, horizon, dim)
+        return _path([_row(row, "the path") for row in rows], horizon, dim)
+    text = plain(text)
+    items = Items(items_of(text), text)
+    one, several = f"a line `Position: [...]` with {dim} numbers", f"with 1 to {horizon} positions of {dim} numbers"
+    claim = chosen(claims(items, PATH, many=True), items, "path") if horizon > 1 else None
+    path = claim is not None
+    if claim is None:
+        found = claims(items, POSITION if horizon > 1 else POSITION_OR_PATH, many=False)
+        for other in found:
+            other.misfit = any(len(row) != dim for row in other.rows)
+        claim = chosen(found, items, "position")
+    if claim is None:
+        path = horizon > 1
+        claim = chosen(_bare(items, many=path, first=1), items, "position")
+    path = path or (horizon > 1 and bool(claim is None or claim.wrong))
+    required = f"a line `Path: [[...], ...]` {several}" if path else one
+    claim = _complete(items, claim, "path" if path else "position", f"{required} is required.")
+    if path:
+        rows = [_numbers("the path", row) for row in claim.rows]
+        return _path(rows, horizon, dim)
+    return (_point("the position", _one_of(claim.rows, dim, here), dim),)
 
 
-def _position_row(plain: str) -> str | None:
-    """The last labelled position, or else a list that is the whole answer."""
-    row: str | None = None
-    for match in _POSITION.finditer(plain):
-        if match["certain"] is not None or _stands_alone(plain, match):
-            row = match["list"]
-    if row is None:
-        bare = _BARE_POSITION.fullmatch(plain)
-        row = None if bare is None else bare["list"]
-    return row
+def _one_of(rows: Sequence[Sequence[str]], dim: int, here: Point | None) -> Sequence[float]:
+    """The position of a claim: its only row, a column, or where it leads from `here`."""
+    values = [_numbers("the position", row) for row in rows]
+    if len(values) == dim and all(len(row) == 1 for row in values):
+        return [row[0] for row in values]
+    if len(values) == 2 and here is not None and len(values[0]) == dim and math.dist(values[0], here) < HERE:
+        return values[1]
+    if len(values) > 1:
+        raise AnswerError(f"it gives {len(values)} positions, one is required.")
+    return values[0]
+
+
+def _bare(items: Items, *, many: bool, first: int = 0) -> list[Claim]:
+    """Values without a label: lists of points, or a position that is the whole answer."""
+    found: list[Claim] = []
+    for at, item in enumerate(items.all if many else ()):
+        if item.kind in ("point", "points") and (not found or found[-1].end <= at):
+            numbered = items.kind(at - 1) == "sign" and items.kind(at - 2) == "number"
+            begin = at - 2 if numbered else at
+            row = points_from(items, begin, first)
+            scaled = items.kind(begin - 1) == "operator" and items.all[begin - 1].text != "-"
+            if row and not scaled and not foreign(list(items.words(start_of_clause(items, begin), begin))):
+                found.append(Claim(row[0], row[1], at, row[2]))
+    if found:
+        return found
+    rest = [
+        (at, item)
+        for at, item in enumerate(items.all)
+        if item.kind not in ("line", "stop", "sign") and item.text.lower() not in _LANGUAGES
+    ]
+    if many and rest and all(item.kind in ("point", "comma", "operator") for _, item in rest):
+        return [Claim(tuple(row for _, item in rest for row in item.rows), "", 0, len(items.all))]
+    if len(rest) != 1 or rest[0][1].kind not in ("point", "points", "bad", "axes"):
+        return []
+    at, item = rest[0]
+    wrong = item.text if item.kind == "bad" else PLACEHOLDERS if item.kind == "axes" else ""
+    return [Claim(item.rows, wrong, at, at + 1)]
+
+
+def _complete(items: Items, claim: Claim | None, what: str, required: str) -> Claim:
+    """The claim; AnswerError if there is none, if it is wrong, or if a list after it is cut off."""
+    last = items.all[-1].text if items.all else ""
+    if claim is None:
+        why = " (its last list is not complete)" if last == CUT else ""
+    elif claim.wrong == PLACEHOLDERS:
+        why = " (its form was copied: it holds placeholders, not numbers)"
+    elif claim.wrong:
+        why = f": it {claim.wrong}"
+    elif last == CUT:
+        why = " (its last list is not complete)"
+    else:
+        return claim
+    raise AnswerError(f"it holds no complete {what}{why}; {required}")
 
 
 def _path(rows: Sequence[Sequence[float]], horizon: int, dim: int) -> tuple[Point, ...]:
@@ -165,18 +201,11 @@ def _path(rows: Sequence[Sequence[float]], horizon: int, dim: int) -> tuple[Poin
     return tuple(_point(f"position {k} of the path", row, dim) for k, row in enumerate(rows, start=1))
 
 
-def _plain(text: str) -> str:
-    """The answer without typographic variants and without LaTeX's formatting."""
-    if not text.isascii():
-        text = text.translate(_TYPOGRAPHY)
-    if "\\" not in text:
-        return text
-    text = _ESCAPED_NEWLINE.sub("\n", text)
-    for space in _LATEX_SPACES:
-        text = text.replace(space, " ")
-    for escaped in "_[]()":
-        text = text.replace("\\" + escaped, escaped)
-    return _LATEX_FORMATS.sub(" ", text)
+def _plan(points: Sequence[Sequence[float]], form: AnswerForm) -> Plan:
+    if len(points) != form.n:
+        count = f"{len(points)} {'point' if len(points) == 1 else 'points'}"
+        raise AnswerError(f"the plan holds {count}, {form.n} are required.")
+    return Plan(tuple(_point(f"point {i} of the plan", row, form.dim) for i, row in enumerate(points)))
 
 
 def _without_thoughts(text: str) -> str:
@@ -189,62 +218,50 @@ def _without_thoughts(text: str) -> str:
     return answer.text
 
 
-def _last(pattern: re.Pattern[str], text: str) -> re.Match[str] | None:
-    last = None
-    for last in pattern.finditer(text):  # noqa: B007 - the loop's last value is what is wanted
-        pass
-    return last
-
-
-def _stands_alone(text: str, match: re.Match[str]) -> bool:
-    """Whether a bare `Position` is an answer: a colon or the like follows, and no other word qualifies it."""
-    if _STATES.isdisjoint(match["gap"]):
-        return False
-    start = match.start()
-    before = text[start - 16 : start] if start >= 16 else "\n" + text[:start]
-    return _BEFORE_POSITION.search(before) is not None
-
-
-def _json_object(text: str, *fields: str) -> Mapping[str, Any] | None:
-    """The last JSON object with one of these fields, or else the last object, or None.
-
-    AnswerError if an object is cut off, or if it holds a reasoning but is not JSON: its draft must not be read as text.
-    """
-    last, wanted, end, broken = None, None, 0, False
-    while (begin := text.find("{", end)) >= 0:
-        end = _end_of_object(text, begin)
-        if end < 0:
-            broken = _OBJECT.search(text, begin) is not None
-            break
-        try:
-            value = cast(Mapping[str, Any], json.loads(text[begin:end]))
-        except (ValueError, RecursionError):
-            broken = broken or REASONING in text[begin:end]
-            continue
-        last = value
-        if any(field in value for field in fields):
-            wanted, broken = value, False
-    if broken:
-        raise AnswerError("its JSON object is not complete, or is no JSON; one whole JSON object is required.")
-    return wanted or last
-
-
-def _end_of_object(text: str, begin: int) -> int:
-    """The index after the brace that closes the one at `begin`; -1 if none does."""
-    depth = 0
-    for token in _BRACE_OR_STRING.finditer(text, begin):
-        if token[0] == "{":
-            depth += 1
-        elif token[0] == "}":
-            depth -= 1
-            if depth == 0:
-                return token.end()
-    return -1
+def _object(text: str, form: AnswerForm, *wanted: str) -> Mapping[str, Any] | None:
+    """The fields of the JSON object that counts, or None if the answer is to be read as text."""
+    if not form.json and not any(f'"{name}"' in text for name in wanted):
+        return None
+    if text.lstrip().startswith('"{'):  # a JSON object as the text of a JSON string
+        text = text.replace('\\"', '"')
+    found = objects(text, *wanted)
+    holding = [one for one in found if any(name in one.fields for name in wanted)]
+    if not holding:
+        return found[-1].fields if found and form.json else None
+    if len(holding) > MAX_OBJECTS:
+        raise AnswerError(f"it gives {len(holding)} JSON objects; give one only.")
+    # Around objects the words decide, as around claims; each object stands for itself in that text.
+    spoken_of, outside, last = "", "", 0
+    values: list[list[object]] = []
+    for one in holding:
+        values.append([one.fields.get(name) for name in (*wanted, "my_plan")])
+        spoken_of += f"{text[last : one.start]} answer: [{values.index(values[-1])}] "
+        outside += text[last : one.start]
+        last = max(last, one.end)
+    spoken_of, outside = plain(spoken_of + text[last:]), plain(outside + text[last:])
+    around = Items(items_of(outside), outside)
+    if not form.json and (claims(around, POSITION, many=False) or claims(around, PLAN | PATH, many=True)):
+        return None
+    items = Items(items_of(spoken_of), spoken_of)
+    claim = chosen(claims(items, frozenset({"answer"}), many=False), items, "object")
+    if all(value == values[0] for value in values):
+        return holding[-1].fields
+    if claim is None or claim.wrong or len(claim.rows[0]) != 1:
+        raise AnswerError("it gives two different JSON objects and does not say which one counts; give one only.")
+    return holding[int(claim.rows[0][0])].fields
 
 
 def _field(answer: Mapping[str, Any], name: str, required: str) -> object:
     if name not in answer:
         raise AnswerError(f'the JSON object has no "{name}"; {required} is required.')
+    for key, value in answer.items():
+        if key in ("unit", "units") and str(value).lower() in FOREIGN_UNITS:
+            raise AnswerError(f'the JSON object has "{key}": "{value}"; units are not allowed.')
+        qualifier, _, rest = key.rpartition(f"_{name}")
+        if qualifier in CERTAIN and not rest and value != answer[name]:
+            raise AnswerError(f'the JSON object has "{name}" and "{key}", which differ; give one only.')
+    if isinstance(answer[name], Several):
+        raise AnswerError(f'the JSON object has "{name}" twice, with two different values; give it once.')
     return answer[name]
 
 
@@ -255,35 +272,50 @@ def _list_field(answer: Mapping[str, Any], name: str, required: str) -> list[obj
     return cast(list[object], value)
 
 
-def _numbers(what: str, row: str) -> list[float]:
-    """The numbers of a list in the form of `_LIST`."""
-    spelled = _EACH_NUMBER.findall(row)
-    for number in spelled:
+def _numbers(what: str, row: Sequence[str]) -> list[float]:
+    """The numbers of a row as they are spelled."""
+    for number in row:
         if len(number) > MAX_DIGITS:
             raise AnswerError(f"{what} holds a number of {len(number)} characters, {MAX_DIGITS} are the limit.")
-    return list(map(float, spelled))
+    return [math.inf if number == "∞" else float(number) for number in row]
 
 
-def _row(what: str, value: object) -> list[float]:
-    """The numbers of a list from JSON."""
+def _row(value: object, what: str) -> list[float]:
+    """The numbers of a point from JSON: a list, an object with the axes, or either as a text."""
+    if isinstance(value, str):
+        items = items_of(plain(value))
+        points = [item for item in items if item.kind == "point"]
+        if len(points) != 1 or len(items) != 1:
+            wrong = next((item.text for item in items if item.kind == "bad"), "is not a list of numbers")
+            raise AnswerError(f"{what} {wrong}.")
+        return _numbers(what, points[0].rows[0])
+    axes = cast(dict[str, object], value) if isinstance(value, dict) else dict[str, object]()
+    if set(axes) in ({"x", "y"}, {"x", "y", "z"}):
+        return [_number(what, axes[axis]) for axis in sorted(axes)]
     if not isinstance(value, list):
         raise AnswerError(f"{what} is not a list of numbers.")
-    return [_number(what, number) for number in cast(list[object], value)]
+    content = cast(list[object], value)
+    if len(content) == 1 and isinstance(content[0], list):
+        return _row(cast(object, content[0]), what)
+    if content and all(isinstance(one, str) and (one.strip(".<>_ ") or "x").isidentifier() for one in content):
+        raise AnswerError(f"{what} {PLACEHOLDERS}.")
+    return [_number(what, number) for number in content]
 
 
 def _number(what: str, value: object) -> float:
-    """A number from JSON."""
+    """A number from JSON, or its spelling."""
+    if isinstance(value, list) and len(cast(list[object], value)) == 1:
+        value = cast(list[object], value)[0]
+    if isinstance(value, str):
+        items = items_of(plain(value))
+        if len(items) == 1 and items[0].kind == "number":
+            return _numbers(what, [items[0].text])[0]
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise AnswerError(f"{what} holds something that is not a number.")
     try:
         return float(value)
     except OverflowError:
         return math.inf
-
-
-def _check_count(count: int, n: int) -> None:
-    if count != n:
-        raise AnswerError(f"the plan holds {count} {'point' if count == 1 else 'points'}, {n} are required.")
 
 
 def _point(what: str, values: Sequence[float], dim: int) -> Point:

@@ -15,6 +15,7 @@ import httpx2
 from pydantic_ai.models import Model
 
 from llm_flock.errors import FieldError, InputError
+from llm_flock.llm._hosted_body import chat_completion
 from llm_flock.llm._providers import LOOPBACK, PROVIDERS
 
 MAX_ANSWER_BYTES = 2 << 20
@@ -40,13 +41,22 @@ class _LimitedBody(httpx2.AsyncByteStream):
         await self._body.aclose()
 
 
-async def _limit_size(response: httpx2.Response) -> None:
-    """Reject a response before it fills the memory: one that is too large, or compressed."""
+async def _make_safe(response: httpx2.Response) -> None:
+    """Reject a response before it fills the memory: one that is too large, or compressed. Chat completions are read."""
     packed = response.headers.get("content-encoding", "identity")
     if packed != "identity":
         raise httpx2.DecodingError(f"the response is compressed ({packed[:20]}), which was not asked for")
     assert isinstance(response.stream, httpx2.AsyncByteStream)
     response.stream = _LimitedBody(response.stream)
+    if response.status_code == 200 and response.request.url.path.endswith("/chat/completions"):
+        try:
+            body = b"".join([chunk async for chunk in response.stream])
+        finally:
+            await response.stream.aclose()  # gives the connection back
+        response.status_code, plain = chat_completion(body)
+        response.headers["content-type"] = "application/json"
+        response.headers["content-length"] = str(len(plain))
+        response.stream = httpx2.ByteStream(plain)
     # All these protocols are UTF-8. Some codecs of Python take hours for a megabyte (punycode), or give no text.
     response.encoding = "utf-8"
 
@@ -64,7 +74,7 @@ def new_http_client() -> httpx2.AsyncClient:
             limits=httpx2.Limits(max_connections=None, max_keepalive_connections=None),
             headers={"Accept-Encoding": "identity"},
             cookies=CookieJar(DefaultCookiePolicy(allowed_domains=[])),
-            event_hooks={"response": [_limit_size]},
+            event_hooks={"response": [_make_safe]},
         )
     except (ImportError, ValueError) as error:
         says = f"the proxy that HTTP_PROXY, HTTPS_PROXY or ALL_PROXY names cannot be used: {error}"

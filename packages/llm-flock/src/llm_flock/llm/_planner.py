@@ -78,11 +78,15 @@ class _Exchange(Generic[Q, A]):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Outcome(Generic[A]):
-    """The result of one attempt: the reply as a message, and the answer in it; None if it cannot be read."""
+    """The result of one attempt: the reply as a message, and the answer in it; None if it cannot be read.
+
+    `fixed`: the model always takes the likeliest word.
+    """
 
     message: ChatMessage
     answer: A | None
     rejected: str | None
+    fixed: bool = False
 
     @property
     def accepted(self) -> A | None:
@@ -158,7 +162,7 @@ class LanguagePlanner:
         asked, form = frame_step(question, self._frame), self._form(question.mission, horizon=question.horizon)
 
         def read(text: str) -> StepAnswer:
-            waypoint, *path = read_waypoints(text, form)
+            waypoint, *path = read_waypoints(text, form, asked.framed.position)
             return StepAnswer(waypoint=waypoint, path=tuple(path))
 
         text = self._prompts.step(asked.framed)
@@ -197,9 +201,9 @@ class LanguagePlanner:
     async def _converse(self, exchange: _Exchange[Q, A]) -> A | NoAnswer:
         """Ask one question up to `1 + max_retries` times; a probe once."""
         call, question = self._first_call(exchange), exchange.asked.question
-        reason, last_waypoint = "", None
+        reason, last_waypoint, last_text = "", None, ""
         attempts = 1 if question.probe else 1 + self._max_retries
-        for _ in range(attempts):
+        for attempt in range(1, attempts + 1):
             try:
                 outcome = await self._ask(call, exchange)
             except ModelError as error:  # it is not repeated here: `limits` has retried transport faults already
@@ -208,6 +212,13 @@ class LanguagePlanner:
                 self._keep(ChatMessage("user", exchange.text), outcome.message)
                 return outcome.accepted
             reason = outcome.rejected or ""
+            if outcome.message.text == last_text and attempt < attempts:
+                reason = f"you gave the same answer before, word for word; {reason}"
+                if outcome.fixed:  # no recorded model ever got out of this; later attempts keep their numbers
+                    self._attempt += attempts - attempt
+                    attempts = attempt
+                    break
+            last_text = outcome.message.text
             if isinstance(outcome.answer, StepAnswer):
                 last_waypoint = outcome.answer.waypoint
             retry = ChatMessage("user", self._prompts.retry(reason, exchange.asked.framed))
@@ -247,14 +258,15 @@ class LanguagePlanner:
             raise
         answer, clipped = None, None
         try:
-            framed = exchange.read(whole_answer(reply))
+            framed = exchange.read(whole_answer(reply, exchange.text))
             answer = asked.to_world(framed)
             rejected = _rejection_reason(asked, framed, answer, exchange.check)
         except AnswerError as error:
             answer, rejected = None, str(error)
         if rejected is not None and self._will_be_clipped(asked.question, answer):
             clipped, rejected = rejected, None
-        outcome = _Outcome(message=ChatMessage("assistant", quote(reply)), answer=answer, rejected=rejected)
+        message, fixed = ChatMessage("assistant", quote(reply)), reply.settings.get("temperature") == 0
+        outcome = _Outcome(message=message, answer=answer, rejected=rejected, fixed=fixed)
         parsed = None if outcome.accepted is None else _plain(asked.question, outcome.accepted)
         self._on_attempt(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
         return outcome

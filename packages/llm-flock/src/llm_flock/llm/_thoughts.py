@@ -20,11 +20,26 @@ MAX_QUOTED = 20_000
 NO_TEXT = "(no text)"
 """Replaces an empty answer in the conversation, because providers refuse empty messages."""
 
+TAIL = 800
+"""How much of the end of an answer that was cut off is looked at [characters]."""
+
+REPEATS = 4
+MIN_REPEATED = 24
+"""How often the same words end an answer that repeats itself, and how long they are together [characters]."""
+
+ECHOED = 30
+"""Shortest line that is a repetition of the question [characters]."""
+
 _MARK = re.compile(
-    r"<\s*+(?P<close>/?)\s*+(?:seed:)?(?P<name>think(?:ing)?|thoughts?|reasoning)\s*+>"
-    r"|\[(?P<close_1>/?)(?P<name_1>think)\]"
+    r"<(?P<bar>\|?)\s*+(?P<close>/?)\s*+(?P<turn>(?:START|END|begin_of|end_of)_)?(?:[a-z]{1,12}[:_]){0,2}"
+    r"(?P<name>(?:ant)?think(?:ing)?|thoughts?|reasoning|scratch_?pad|reflection|analysis|monologue|cot)"
+    r"(?:\s[^<>]{0,80})?(?P=bar)>"
+    r"|\[(?P<close_1>/?)(?P<name_1>think|thought|reasoning)\]"
     r"|◁(?P<close_2>/?)(?P<name_2>think)▷"
-    r"|(?:<\|(?P<name_3>channel)>thought|<(?P<close_3>channel)\|>)",
+    r"|(?:<\|(?P<name_3>channel)>thought|<(?P<close_3>channel)\|>)"
+    r"|(?:<(?P<name_4>unused)94>|<(?P<close_4>unused)95>)"
+    r"|<(?P<name_5>details)[^<>]{0,80}>\s{0,20}<summary>[^<>]{0,60}(?:reason|think|thought|work)|<(?P<close_5>/details)>"
+    r"|(?P<fence>```+)(?P<name_6>think|thought|reasoning)?",
     re.IGNORECASE,
 )
 _CHANNEL = "<|channel|>"
@@ -58,6 +73,8 @@ def spoken(text: str) -> Spoken:
     inside, after = "", -1
     for mark in _MARK.finditer(text):
         closes, kind = _meaning(mark)
+        if kind in ("fence", "detai") and closes and kind != inside:
+            continue  # the end of something else
         if not inside and not closes:
             inside = kind
         elif not inside or (closes and kind == inside):
@@ -70,9 +87,13 @@ def spoken(text: str) -> Spoken:
 
 def _meaning(mark: re.Match[str]) -> tuple[bool, str]:
     """Whether a mark closes, and the kind of thought: other marks within a thought do not end it."""
-    closes = any(mark[group] for group in ("close", "close_1", "close_2", "close_3"))
-    name = mark["name"] or mark["name_1"] or mark["name_2"] or "channel"
-    return closes, name.lower()[:5]
+    found = {group: text for group, text in mark.groupdict().items() if text}
+    if "fence" in found:
+        return "name_6" not in found, "fence"
+    turn = found.pop("turn", "").lower()
+    closes = turn.startswith("end") or any(group.startswith("close") for group in found)
+    name = next((text for group, text in found.items() if group.startswith("name")), "") or found.get("close_5", "")
+    return closes, name.lower().lstrip("/")[:5] or ("unuse" if "close_4" in found else "chann")
 
 
 def _in_channels(text: str) -> Spoken:
@@ -84,8 +105,10 @@ def _in_channels(text: str) -> Spoken:
     return Spoken(answer if end is None else answer[: end.start()], thought=True)
 
 
-def whole_answer(reply: Reply) -> str:
+def whole_answer(reply: Reply, question: str = "") -> str:
     """The model's answer without thoughts; AnswerError if it was cut off, or holds only thoughts.
+
+    If it was cut off, the reason names what it did instead of answering: the `question` is known again in it.
 
     The provider's `finish_reason` decides whether it was cut off. `Path: [[51.2, 4], [` or a draft before the answer
     could still be read, and `Position: [51.2, 4]` does not show whether more was to follow.
@@ -96,10 +119,24 @@ def whole_answer(reply: Reply) -> str:
     if empty and (cut or reply.thought or answer.thought):
         raise AnswerError(_only_thoughts(reply, cut=cut))
     if cut:
-        raise AnswerError(f"it was cut off{_length(reply)} before it was complete; answer more briefly.")
+        habit = _habit(answer.text, question)
+        raise AnswerError(f"it was cut off{_length(reply)} before it was complete; {habit or 'answer more briefly'}.")
     if reply.finish_reason == "content_filter":
         raise AnswerError("the provider's content filter stopped it before it was complete.")
     return answer.text
+
+
+def _habit(text: str, question: str) -> str:
+    """What a runaway answer does, and what to do instead; empty for an answer that is only long."""
+    tail = text[-TAIL:].rstrip()
+    if any(form in "".join(tail.split()) for form in ("[x,y", "[...")):
+        return "it copies the form: put numbers in place of x and y"
+    for size in range(1, len(tail) // REPEATS + 1):
+        if tail.endswith(tail[-size:] * REPEATS) and size * REPEATS >= MIN_REPEATED:
+            return "it says the same again and again: give the answer once, and stop"
+    if any(len(line.strip()) >= ECHOED and line.strip() in question for line in text.splitlines()):
+        return "it repeats the question: give only the answer"
+    return ""
 
 
 def quote(reply: Reply) -> str:

@@ -230,9 +230,9 @@ def test_a_team_of_ten_that_agrees_sends_a_few_dozen_bytes() -> None:
     sizes: list[list[int]] = []
     broadcast = team.transport.broadcast
 
-    def spy(payload: bytes, receivers: tuple[int, ...]) -> None:
+    def spy(payload: bytes, receivers: tuple[int, ...], sender: int = 0) -> None:
         sizes.append([team.number, len(payload)])
-        broadcast(payload, receivers)
+        broadcast(payload, receivers, sender)
 
     team.transport.broadcast = spy
     team.rounds(14)
