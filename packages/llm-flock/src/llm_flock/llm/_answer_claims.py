@@ -48,7 +48,7 @@ _SOFT = _SAID["soft"] | _SAID["first"]
 
 
 @dataclass(slots=True)
-class Claim:
+class AnswerClaim:
     """A value in answer position: its rows as spelled, or what is `wrong` with it.
 
     `begin` and `end` count items. `misfit`: it has not the form that the question asks for.
@@ -102,9 +102,9 @@ class Items:
         return end
 
 
-def claims(items: Items, labels: frozenset[str], *, many: bool) -> list[Claim]:
+def claims(items: Items, labels: frozenset[str], *, many: bool) -> list[AnswerClaim]:
     """All claims under these labels, in their order; `many`: several points make one value."""
-    found: list[Claim] = []
+    found: list[AnswerClaim] = []
     taken = -1
     for at in range(len(items.all)):
         if items.kind(at) != "word":
@@ -120,7 +120,7 @@ def claims(items: Items, labels: frozenset[str], *, many: bool) -> list[Claim]:
     return found
 
 
-def _claim(items: Items, at: int, *, moves: bool, many: bool) -> Claim | None:
+def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
     label = items.word(at)
     certain = moves or label in ("answer", "boxed", "option", "candidate") or items.word(at - 1) in CERTAIN
     named = items.kind(at + 2) == "sign" and len(items.all[at + 1].text) == 1 and items.all[at + 1].text.isalnum()
@@ -141,7 +141,7 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> Claim | None:
     behind = items.sentence(end, 10)
     after = list(items.words(end, behind))
     asks = items.kind(behind) == "stop" and items.all[behind].text == "?"
-    return Claim(
+    return AnswerClaim(
         rows,
         wrong,
         begin,
@@ -370,14 +370,16 @@ def _past_label(items: Items, at: int) -> tuple[int, str | None]:
     return at, number
 
 
-def chosen(found: Sequence[Claim], items: Items, what: str, others: Sequence[Claim] = ()) -> Claim | None:
+def chosen(
+    found: Sequence[AnswerClaim], items: Items, what: str, others: Sequence[AnswerClaim] = ()
+) -> AnswerClaim | None:
     """The claim that counts, None if there is none; AnswerError if the answer does not decide.
 
     A sentence that corrects one of the `others` takes nothing back.
     """
-    current: Claim | None = None
-    rival: Claim | None = None
-    options: list[Claim] = []
+    current: AnswerClaim | None = None
+    rival: AnswerClaim | None = None
+    options: list[AnswerClaim] = []
     turned, seen = False, 0
     for claim in found:
         if claim.option:
@@ -408,13 +410,13 @@ def chosen(found: Sequence[Claim], items: Items, what: str, others: Sequence[Cla
     return current
 
 
-def _outdoes(claim: Claim, earlier: Claim) -> bool:
+def _outdoes(claim: AnswerClaim, earlier: AnswerClaim) -> bool:
     """Whether a claim counts more than one before it, though no word takes that one back."""
     misfit = earlier.misfit or claim.misfit or bool(earlier.wrong)  # the last word counts, also if it will be refused
     return misfit or (earlier.soft and claim.strength > 0) or claim.strength == 2 > earlier.strength
 
 
-def _picked(options: Sequence[Claim], current: Claim | None, items: Items, what: str) -> Claim:
+def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: Items, what: str) -> AnswerClaim:
     """The option that the answer chooses; a claim outside all options counts more."""
     if current is not None and (current.begin > options[-1].end or current.strength == 2):
         return current
@@ -473,7 +475,7 @@ def _again(items: Items, at: int) -> bool:
     )
 
 
-def _not_taken_back(current: Claim, items: Items, what: str, others: Set[int]) -> Claim:
+def _not_taken_back(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
     """The claim, unless later words take it back; a value in that sentence replaces it."""
     fresh = False
     for at in range(current.end, len(items.all)):
@@ -495,9 +497,9 @@ def _not_taken_back(current: Claim, items: Items, what: str, others: Set[int]) -
     return current
 
 
-def index_claims(items: Items) -> list[Claim]:
+def index_claims(items: Items) -> list[AnswerClaim]:
     """All claims of the model's own place: `my plan: a`, "my place is a", "I take place a"."""
-    found: list[Claim] = []
+    found: list[AnswerClaim] = []
     for at in range(len(items.all)):
         word = items.word(at)
         if word not in ("my", "i", "my_plan", "my_place", "my_index", "my_slot"):
@@ -525,7 +527,7 @@ def _index_label(items: Items, at: int) -> int:
     return here + 1 if items.word(here) in _SAID["place"] else -1
 
 
-def _index(items: Items, begin: int, at: int) -> Claim | None:
+def _index(items: Items, begin: int, at: int) -> AnswerClaim | None:
     """The claim of an index whose label ends here."""
     start = begin
     while begin - start < 20 and items.kind(start - 1) not in ("", "stop", "line"):
@@ -549,9 +551,9 @@ def _index(items: Items, begin: int, at: int) -> Claim | None:
             break
         at += 1
     if items.kind(at) == "point":
-        return Claim(items.all[at].rows, "", begin, at + 1, 1, rejected=hypothetical)
+        return AnswerClaim(items.all[at].rows, "", begin, at + 1, 1, rejected=hypothetical)
     if items.kind(at) in ("bad", "axes"):
-        return Claim((), PLACEHOLDERS, begin, at + 1, 1)
+        return AnswerClaim((), PLACEHOLDERS, begin, at + 1, 1)
     if items.kind(at) != "number":
         return None
     value, end, summed = items.all[at], at + 1, False
@@ -575,7 +577,7 @@ def _index(items: Items, begin: int, at: int) -> Claim | None:
         place = items.all[pointed].rows
     asks = items.kind(end) == "stop" and items.all[end].text == "?"
     strength = 1 if stated else 0
-    return Claim(((value.text,), *place), wrong, begin, end, strength, rejected=hypothetical or asks)
+    return AnswerClaim(((value.text,), *place), wrong, begin, end, strength, rejected=hypothetical or asks)
 
 
 def _another(items: Items, at: int) -> bool:

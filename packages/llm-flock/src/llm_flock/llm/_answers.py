@@ -22,7 +22,7 @@ from llm_flock.llm._answer_claims import (
     PLAN,
     POSITION,
     POSITION_OR_PATH,
-    Claim,
+    AnswerClaim,
     Items,
     chosen,
     claims,
@@ -81,7 +81,7 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
     return plan, _own_place(chosen(own, items, "place"), items, plan)
 
 
-def _own_place(claim: Claim | None, items: Items, plan: Plan) -> int:
+def _own_place(claim: AnswerClaim | None, items: Items, plan: Plan) -> int:
     n = len(plan)
     if claim is None or claim.wrong == PLACEHOLDERS:
         raise AnswerError(
@@ -152,9 +152,9 @@ def _one_of(rows: Sequence[Sequence[str]], dim: int, here: Point | None) -> Sequ
     return values[0]
 
 
-def _bare(items: Items, *, many: bool, first: int = 0) -> list[Claim]:
+def _bare(items: Items, *, many: bool, first: int = 0) -> list[AnswerClaim]:
     """Values without a label: lists of points, or a position that is the whole answer."""
-    found: list[Claim] = []
+    found: list[AnswerClaim] = []
     for at, item in enumerate(items.all if many else ()):
         if item.kind in ("point", "points") and (not found or found[-1].end <= at):
             numbered = items.kind(at - 1) == "sign" and items.kind(at - 2) == "number"
@@ -162,7 +162,7 @@ def _bare(items: Items, *, many: bool, first: int = 0) -> list[Claim]:
             row = points_from(items, begin, first)
             scaled = items.kind(begin - 1) == "operator" and items.all[begin - 1].text != "-"
             if row and not scaled and not foreign(list(items.words(start_of_clause(items, begin), begin))):
-                found.append(Claim(row[0], row[1], at, row[2]))
+                found.append(AnswerClaim(row[0], row[1], at, row[2]))
     if found:
         return found
     rest = [
@@ -171,15 +171,15 @@ def _bare(items: Items, *, many: bool, first: int = 0) -> list[Claim]:
         if item.kind not in ("line", "stop", "sign") and item.text.lower() not in _LANGUAGES
     ]
     if many and rest and all(item.kind in ("point", "comma", "operator") for _, item in rest):
-        return [Claim(tuple(row for _, item in rest for row in item.rows), "", 0, len(items.all))]
+        return [AnswerClaim(tuple(row for _, item in rest for row in item.rows), "", 0, len(items.all))]
     if len(rest) != 1 or rest[0][1].kind not in ("point", "points", "bad", "axes"):
         return []
     at, item = rest[0]
     wrong = item.text if item.kind == "bad" else PLACEHOLDERS if item.kind == "axes" else ""
-    return [Claim(item.rows, wrong, at, at + 1)]
+    return [AnswerClaim(item.rows, wrong, at, at + 1)]
 
 
-def _complete(items: Items, claim: Claim | None, what: str, required: str) -> Claim:
+def _complete(items: Items, claim: AnswerClaim | None, what: str, required: str) -> AnswerClaim:
     """The claim; AnswerError if there is none, if it is wrong, or if a list after it is cut off."""
     last = items.all[-1].text if items.all else ""
     if claim is None:
