@@ -13,7 +13,7 @@ BUDGETS = {
     "llm-flock-swarm": 7_100,
     "llm-flock-flight": 10_000,
     "llm-flock-view": 5_800,
-    "llm-flock-lab": 7_900,
+    "llm-flock-lab": 8_400,
     "llm-flock-onboard": 2_000,
 }
 RING_0 = (
