@@ -128,6 +128,7 @@ def kept_inside(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     try:
         with monkeypatch.context() as patch:
             patch.setattr(os, "stat", stat)
+            patch.setattr(sys, "dont_write_bytecode", True)  # of modules that are first needed here
             yield here
     finally:
         _inside.clear()
