@@ -22,7 +22,7 @@ RESAMPLES = 4000
 """Draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed."""
 
 Duration: TypeAlias = tuple[float, bool]
-"""How long a trial took to form, and true; or until when it is known not to have formed (for ever: inf), and false."""
+"""A time and whether the trial formed then. Otherwise it had not formed by then; inf: it cannot form any more."""
 
 Column: TypeAlias = NDArray[np.float64]
 """One number for each column of a table, shape (k,)."""
