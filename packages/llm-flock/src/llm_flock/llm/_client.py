@@ -265,8 +265,8 @@ def error_kind(error: Exception) -> str:
 
 def retry_after_s(error: Exception) -> float | None:
     """The wait that a provider asks for [s]: in a header, or in the body as Gemini's `retryDelay`; None without one."""
-    if not isinstance(error, pai.ModelAPIError) or error.retry_after is not None:
-        return error.retry_after if isinstance(error, pai.ModelAPIError) else None
+    if isinstance(error, pai.ModelAPIError) and error.retry_after is not None:
+        return error.retry_after
     if isinstance(error, pai.ModelHTTPError):
         header = (error.headers or {}).get("retry-after", "") + "s"  # pydantic-ai reads whole seconds and dates
         for text in (header, str(error.body)):
