@@ -1,6 +1,9 @@
 """Readings of the paper beside each other, with and without consensus: docs/explanation/readings.md.
 
-    python -m benchmarks.readings [--trials N] [--jobs J] [--out FILE]     1,000 trials of each row, one process a core
+    python -m benchmarks.readings [--trials N] [--few N] [--jobs J] [--out FILE]     one process a core
+
+A row of the four readings and of the default protocol has 1,000 trials, with random and with canonical plans; a row of
+a variation, and of robots that all take the first place, has 100.
 
 Each reading flies the paper's four shapes from the same seeded starts (uniform in the arena) with *simulated* ideal
 models of three habits. Beside the share formed stands the mean error at the end, and how much lower it is than without
@@ -31,6 +34,7 @@ HABITS = {
     "canonical, own id": "simulated:canonical",
     "canonical, first": "simulated:canonical,first",
 }
+MAIN = ("random, own id", "canonical, own id")
 ROUNDS = 60
 FORMED, LOWER = "formed (per cent)", "lower than without consensus (units)"
 
@@ -43,6 +47,7 @@ READINGS: dict[str, dict[str, Any]] = {
     "baseline": {"protocol": "baseline"},
     "flock": {"protocol": "flock", "start": "separated"},
 }
+"""Options of each reading; one with a comma in its name is a variation."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,19 +76,21 @@ def text(estimate: Estimate | None, factor: float = 1.0, digits: int = 1) -> str
     return f"{value} [{low}, {high}]"
 
 
-def rows(trials: int, jobs: int) -> list[dict[str, str | int]]:
+def rows(many: int, few: int, jobs: int) -> list[dict[str, str | int]]:
     """One row for each reading, habit and team, in this order."""
     table: list[dict[str, str | int]] = []
     with ProcessPoolExecutor(jobs) as pool:
         for habit, model in HABITS.items():
             for team in TEAMS:
-                flown = {
-                    reading: list(pool.map(partial(fly, options | {"model": model}, team), range(trials), chunksize=5))
-                    for reading, options in READINGS.items()
-                }
+                flown: dict[str, list[Flown]] = {}
+                for reading, options in READINGS.items():
+                    trial = partial(fly, options | {"model": model}, team)
+                    seeds = range(many if habit in MAIN and "," not in reading else few)
+                    flown[reading] = list(pool.map(trial, seeds, chunksize=5))
                 alone = [one.error for one in flown["baseline"]]
                 for reading, results in flown.items():
-                    lower = [b - one.error for b, one in zip(alone, results, strict=True)]
+                    trials = len(results)
+                    lower = [b - one.error for b, one in zip(alone, results, strict=False)]
                     table.append(
                         {
                             "plans and first places": habit,
@@ -106,7 +113,7 @@ def pivot(table: list[dict[str, str | int]], figure: str) -> list[dict[str, str 
     found: dict[tuple[str, str], dict[str, str | int]] = {}
     for row in table:
         key = str(row["plans and first places"]), str(row["reading"])
-        line = found.setdefault(key, {"plans and first places": key[0], "reading": key[1]})
+        line = found.setdefault(key, {"plans and first places": key[0], "reading": key[1], "trials": row["trials"]})
         line[f"{row['shape']} {row['robots']}"] = row[figure]
     return list(found.values())
 
@@ -121,10 +128,11 @@ def write(path: Path, table: list[dict[str, str | int]]) -> None:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--trials", type=int, default=1000)
+    parser.add_argument("--few", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args(arguments)
-    table = rows(given.trials, given.jobs)
+    table = rows(given.trials, given.few, given.jobs)
     write(given.out, table)
     write(given.out.with_stem(f"{given.out.stem}-formed"), pivot(table, FORMED))
     write(given.out.with_stem(f"{given.out.stem}-error"), pivot(table, LOWER))
