@@ -247,10 +247,12 @@ def test_nearly_arrived_or_blocked_robot_is_not_called_slow() -> None:
         mission=MISSION, robot=0, round=1, position=(goal[0] + 0.15, goal[1]), neighbors=(), plan=IDEAL, slot=0
     )
     for _ in range(20):
-        assert pace.too_slow(question, (goal[0] + 0.14, goal[1])) is None
+        assert pace.too_slow(question, (goal[0] + 0.14, goal[1]), lambda: 6.0) is None
     blocked = replace(question, position=(goal[0] + 20.0, goal[1]), neighbors=((goal[0] + 17.0, goal[1]),))
     for _ in range(20):
-        assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0)) is None
+        assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0), lambda: 1.4) is None
+    reasons = [pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0), lambda: 1.6) for _ in range(5)]
+    assert reasons[0] is None and "of a step nearer to the goal" in (reasons[-1] or ""), "others leave it room"
 
 
 def test_a_model_that_is_slow_between_refusals_is_found_out_too() -> None:
@@ -275,7 +277,7 @@ def test_a_place_that_travels_has_to_be_reached_not_followed() -> None:
             mission=mission, robot=0, round=1, position=(goal[0] - 2.0, goal[1]), neighbors=(), plan=IDEAL, slot=0
         )
         pace = Pace()
-        reasons.append([pace.too_slow(question, (goal[0] - after, goal[1])) for _ in range(6)][-1])
+        reasons.append([pace.too_slow(question, (goal[0] - after, goal[1]), lambda: 0.0) for _ in range(6)][-1])
     assert reasons[0] is not None and reasons[1:] == [None, None]
 
 
