@@ -72,7 +72,7 @@ def towards(question: StepQuestion, length: float = 6.0) -> Point:
 
 
 class Robot:
-    """One robot without neighbours, flown round by round with a model of the test's."""
+    """One robot without neighbours, or beside `bodies` that say nothing, flown round by round with a model of the test's."""
 
     def __init__(
         self,
@@ -96,6 +96,7 @@ class Robot:
         )
         self.model = plan, step
         self.here: Point = START
+        self.bodies: dict[int, Point] = {}
         self.number = 0
         self.asked: list[PlanQuestion | StepQuestion] = []
         self.notes: list[Note] = []
@@ -104,7 +105,7 @@ class Robot:
 
     def begin(self) -> None:
         self.number += 1
-        for effect in self.agent.handle(round_began(self.number, self.here)):
+        for effect in self.agent.handle(round_began(self.number, self.here, self.bodies)):
             if isinstance(effect, AskPlan):
                 self.asked.append(effect.question)
                 self.take(Planned(self.model[0](effect.question)))
@@ -253,6 +254,16 @@ def test_nearly_arrived_or_blocked_robot_is_not_called_slow() -> None:
         assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0), lambda: 1.4) is None
     reasons = [pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0), lambda: 1.6) for _ in range(5)]
     assert reasons[0] is None and "of a step nearer to the goal" in (reasons[-1] or ""), "others leave it room"
+
+
+@pytest.mark.parametrize(("beside", "ends"), [(2.5, "geometry"), (0.0, "model")])
+def test_a_model_that_waits_is_overruled_if_there_is_room(beside: float, ends: str) -> None:
+    """A body is in its straight way; past one that stands a little aside, the shield would let it fly."""
+    robot = Robot(step=lambda question: StepAnswer(waypoint=question.position))
+    robot.here = (IDEAL.points[1][0] - 20.0, IDEAL.points[1][1])
+    robot.bodies = {1: (robot.here[0] + 3.5, robot.here[1] + beside)}
+    robot.fly(9)
+    assert robot.origins[-1] == ends and robot.origins[0] == "model"
 
 
 def test_a_model_that_is_slow_between_refusals_is_found_out_too() -> None:
