@@ -2,9 +2,9 @@
 
     python -m benchmarks.minds [--seeds N] [--few N] [--jobs J] [--mind M,...] [--team T,...] [--share S,...]
 
-Each *simulated* mind answers one, half, all but one or all of a team, and good models the rest. A judge of its own looks
-at the flown positions: the distances between all robots have to be those of the ideal shape, about its centre, for
-three rounds. Calls are compared with those of good models on the same seeds, all rounds of a run counted.
+Each *simulated* mind answers one, half, all but one or all of a team, and good models the rest. A judge of its own
+looks at the flown positions: the distances between all robots have to be those of the ideal shape, about its centre,
+for three rounds. Calls are compared with those of good models on the same seeds, all rounds of a run counted.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def separation(positions: Points) -> float:
 
 
 def fly(team: str, mind: str, share: str, seed: int) -> Seen:
-    options = {"start": "separated"} | TEAMS[team]
+    options: dict[str, Any] = {"start": "separated"} | TEAMS[team]
     n = int(options["n_robots"])
     bad = {"none": 0, "one": 1, "half": n // 2, "all but one": n - 1, "all": n}[share]
     models: list[Any] = [Mind(mind, 1000 * seed + k) if k < bad else "simulated:ideal" for k in range(n)]
@@ -187,11 +187,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 nearest = min(one.separation for one in seen)
                 calls = sum(one.calls for one in seen) / sum(one.calls for one in good)
                 says = sum(one.says for one in seen)
-                print(
-                    f"{team},{mind},{share},{len(seeds)},{len(seeds) - len(lost)},{says},{most},{nearest:.4f},{calls:.2f},"
-                    f"{' '.join(map(str, lost[:6]))}",
-                    flush=True,
-                )
+                figures = len(seeds), len(seeds) - len(lost), says, most, f"{nearest:.4f}", f"{calls:.2f}"
+                print(team, mind, share, *figures, " ".join(map(str, lost[:6])), sep=",", flush=True)
 
 
 if __name__ == "__main__":

@@ -63,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rounds = sorted(one.rounds for one in flown if one.rounds is not None)
     lost = [seed for seed, one in enumerate(flown) if one.rounds is None]
     print(
-        f"{given.orders} orders, {given.seeds} seeds: {len(rounds)} on the last order, after {rounds[len(rounds) // 2]} "
+        f"{given.orders} orders, {given.seeds} seeds: {len(rounds)} on the last one, after {rounds[len(rounds) // 2]} "
         f"rounds (median), {rounds[-1]} (most); smallest separation {min(one.separation for one in flown):.4f}; "
         f"not: {' '.join(map(str, lost)) or 'none'}"
     )

@@ -160,7 +160,7 @@ def test_committed_path_in_a_moving_frame_is_asked_about_once() -> None:
     assert asked == 1
 
 
-def test_places_of_earlier_missions_are_remembered_where_they_stood() -> None:
+def test_places_of_earlier_missions_are_remembered() -> None:
     """The last first, and one of each group in radio range; those of a mission that travelled are nowhere now."""
     near = Mission(shape="line", n_robots=3, comm_range=21)
     east, travels = near.change(center=(85.0, 50.0)), near.change(velocity=(1.0, 0.0))

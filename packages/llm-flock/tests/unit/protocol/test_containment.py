@@ -72,7 +72,7 @@ def towards(question: StepQuestion, length: float = 6.0) -> Point:
 
 
 class Robot:
-    """One robot without neighbours, or beside `bodies` that say nothing, flown round by round with a model of the test's."""
+    """One robot without neighbours, or beside `bodies` that say nothing, flown round by round with a test's model."""
 
     def __init__(
         self,

@@ -15,7 +15,6 @@ from llm_flock.protocol._motion.leg import Leg
 from llm_flock.protocol._motion.safety import ShieldedSafety
 from llm_flock.shield import spread_coincident
 
-
 MISSION = Mission(shape="line", n_robots=3)
 
 

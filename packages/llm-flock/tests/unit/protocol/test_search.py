@@ -66,7 +66,7 @@ def test_a_full_team_stays() -> None:
     assert search.target is None
 
 
-def test_a_tour_leads_by_places_where_orders_may_have_been_missed() -> None:
+def test_a_tour_leads_by_places_of_earlier_missions() -> None:
     """Those within half the radio range of the present places are passed anyway; a formation that moves has none."""
     now = situation(table(0, 1, 2, NO_OWNER), (20.0, 0.0), slot=2)
     now.earlier = ((33.0, 5.0), (60.0, 0.0), (60.0, 20.0))
@@ -76,7 +76,7 @@ def test_a_tour_leads_by_places_where_orders_may_have_been_missed() -> None:
     assert advance(search, now, PLAN, strangers=0, silent=1).way == ((30.0, 0.0),)
 
 
-def test_a_robot_alone_at_its_place_looks_for_others_ever_more_rarely() -> None:
+def test_a_robot_alone_looks_for_others_ever_more_rarely() -> None:
     now, seeking = situation(table(0, 1, 2, 3), (0.0, 0.0)), Seeking(0)
     out: list[bool] = []
     for _ in range(140):

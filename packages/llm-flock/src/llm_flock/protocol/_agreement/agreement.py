@@ -21,7 +21,6 @@ from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
 from llm_flock.protocol._parts import Parts, Situation
 
-
 MAX_EARLIER = 64  # places of earlier missions that are remembered
 
 
