@@ -134,7 +134,8 @@ def test_a_drawing_is_read_as_it_is_seen(tmp_path: Path) -> None:
     <n:view/><title>a</title><defs><circle cx="8"/><path d="M0 0"/></defs><rect width="100%" height="100%"/>
     <g transform="translate(10,20) rotate(90)"><circle cx="5" cy="0"/><g transform="scale(2)"><circle cy="3"/></g></g>
     <circle cx="1" cy="1" transform="rotate(180 2 3)"/><circle cx="1" cy="2" transform="matrix(0 1 -1 0 4 5)"/>
-    <circle style="fill: red; display: none"/><circle visibility="hidden"/><circle style="opacity: 0"/><g display="none"><circle/></g></svg>"""
+    <circle visibility="hidden"/><circle style="opacity: 0"/>
+    <circle style="fill: red; display: none"/><g display="none"><circle/></g></svg>"""
     points = load_points(written(tmp_path, "a.svg", text))
     assert [tuple(round(axis, 9) for axis in point) for point in points] == [(10, -25), (4, -20), (3, -5), (2, -6)]
 

@@ -71,7 +71,8 @@ class Tools:
         """Fly one simulated mission and return its figures, its last positions [units] and the name of its record.
 
         Robots and models are simulated. `points`, a row of 2 or 3 coordinates for each robot, are a formation of your
-        own (10 robots without them); `spacing` is the distance of neighbours, `arena` the side of the square or cube to fly in [units].
+        own; without them there are 10 robots by default. `spacing` is the distance of neighbours, `arena` the side of
+        the square or cube to fly in [units].
         """
         corner = [0.0] * (len(points[0]) if points else 2)
         n_robots = n_robots or len(points or ()) or 10
