@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 from llm_flock.llm._port import ChatMessage
 from llm_flock.printable import printable
@@ -32,8 +32,43 @@ _NAMES = {
 }
 """What may be left out of a request, by the words with which servers refuse it."""
 
-_OTHER_FAULT = re.compile(r"context (length|size|window)|too (large|long|many)|exceeds?\b|greater than", re.IGNORECASE)
+_LARGE = re.compile(r"too (large|long|many)|exceeds?\b|greater than", re.IGNORECASE)
 """A request that names a setting because it is too large has the right form."""
+
+
+class _Fault(NamedTuple):
+    words: str
+    """A regular expression for the words of a server's refusal, whatever their case."""
+    status: int
+    """The status of HTTP that such an error has, where the server sent 200."""
+    advice: str = ""
+    """What to change."""
+
+
+CONTEXT = _Fault(
+    r"context.{0,9} (length|size|window)|too many tokens|prompt is too long",
+    400,
+    "the question is longer than the context that the server gives: give it a larger one (servers divide it among "
+    "the questions that they answer at once), or ask with --prompts brief",
+)
+FAULTS = (
+    _Fault("rate.?limit|throttl|too many requests|request limit", 429),
+    CONTEXT,
+    _Fault("quota|balance|credit|billing|payment", 402),
+    _Fault(
+        r"\bmodel\b.{0,80}(not found|not exist|unknown)|(no such|unknown|invalid) model",
+        404,
+        "the server has no such model: check --model",
+    ),
+    _Fault(
+        "status_code: 40[45]|not found|does not exist",
+        404,
+        "nothing at this address answers chats: check --base-url, which mostly ends in /v1",
+    ),
+    _Fault("api.key|unauthorized|authentication|permission", 401),
+    _Fault("context|too long|too large|policy|policies|filter|flagged|safety|blocked|invalid|unsupported", 400),
+)
+"""What servers refuse; the first that fits."""
 
 _refused: dict[tuple[str, str], list[str]] = {}
 
@@ -73,7 +108,7 @@ class Dialect:
 
         `sent` holds what was sent: the names of `plain`, with `roles` and `response_format`.
         """
-        if _OTHER_FAULT.search(reason):
+        if _LARGE.search(reason) or re.search(CONTEXT.words, reason, re.IGNORECASE):
             return False
         for name, words in _NAMES.items():
             if name in sent and name not in self.without and re.search(words, reason, re.IGNORECASE):
