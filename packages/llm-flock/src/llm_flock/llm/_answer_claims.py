@@ -8,27 +8,22 @@ differ, of which no word takes one back, are refused.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import TypeAlias
 
 from llm_flock.errors import AnswerError
-from llm_flock.llm._answer_items import EXPRESSION, FOREIGN_UNITS, PLACEHOLDERS, UNITS, Item, row_of
+from llm_flock.llm._answer_items import EXPRESSION, PLACEHOLDERS, SAID, Item, row_of
 
-_SAID = {
-    name: frozenset(text.split())
-    for name, text in tomllib.loads(Path(__file__).with_name("answer_words.toml").read_text(encoding="utf-8")).items()
-}
-"""The words that decide, by their meaning."""
+POSITION, PLAN, PATH = SAID["position"], SAID["plan"], SAID["path"]
 
-POSITION, PLAN, PATH = _SAID["position"], _SAID["plan"], _SAID["path"]
-
-_FINAL = _SAID["revised"] | _SAID["final"]
-_CERTAIN = _FINAL | _SAID["own"]
+_FINAL = SAID["revised"] | SAID["final"]
+_CERTAIN = _FINAL | SAID["own"]
 _VALUES = ("point", "points", "bad", "axes")
+_BETWEEN = frozenset({"comma", "line", "to", "sign", "stop", "number"})
+"""What may stand between two points of a list, with a bullet or a word such as "place"."""
+
 _REACH = 14
 """How far a label's words are looked at [items]."""
 
@@ -60,10 +55,7 @@ class AnswerClaim:
     @property
     def value(self) -> object:
         """What two claims must share to be the same."""
-        try:
-            return tuple(tuple(map(float, row)) for row in self.rows) or self.wrong
-        except ValueError:
-            return self.rows
+        return tuple(tuple(map(float, row)) for row in self.rows) or self.wrong
 
 
 class Items:
@@ -93,6 +85,12 @@ class Items:
             begin -= 1
         return begin
 
+    def past(self, at: int, kinds: Set[str], texts: Set[str] = frozenset()) -> int:
+        """Where the items of these kinds, and with these texts, end."""
+        while at < len(self.all) and (self.kind(at) in kinds or self.all[at].text.lower() in texts):
+            at += 1
+        return at
+
     def sentence(self, at: int, reach: int = _REACH) -> int:
         """Where the sentence from here ends."""
         end = at
@@ -107,8 +105,8 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
     for at in range(len(items.all)):
         word = items.word(at)
         moves = not many and (
-            (word in ("to", "at", "from") and not _SAID["verbs"].isdisjoint(items.words(at - 2, at)))
-            or (word in _SAID["takes"] and items.kind(at + 1) in _VALUES)
+            (word in ("to", "at", "from") and not SAID["verbs"].isdisjoint(items.words(at - 2, at)))
+            or (word in SAID["takes"] and items.kind(at + 1) in _VALUES)
         )
         labels_itself = word in _FINAL and items.kind(at + 1) == "sign"  # "Updated: [x, y]"
         claim = _claim(items, at, moves=moves, many=many) if moves or labels_itself or word in labels else None
@@ -120,7 +118,7 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
 def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
     label, before = items.word(at), items.word(at - 1)
     named = items.kind(at + 2) == "sign" and len(items.all[at + 1].text) == 1 and items.all[at + 1].text.isalnum()
-    certain = moves or label in _SAID["announces"] or before in _CERTAIN
+    certain = moves or label in SAID["announces"] or before in _CERTAIN
     alone = items.kind(at - 1) in ("line", "")
     certain = certain or (many and label != "answer")
     value = _value(items, at + 1 + named, certain=certain, alone=alone, many=many, label=label)
@@ -136,33 +134,33 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
         first = len(clause) <= 1 and items.kind(begin - 1) in ("", "line", "stop")
         stands = first or not {"i", "i'll"}.isdisjoint(clause)
     else:
-        plainly = many or option or not before or before in _CERTAIN | _SAID["before"]
+        plainly = many or option or not before or before in _CERTAIN | SAID["before"]
         stands = label == "boxed" or bool(plainly and not foreign(near if not many else clause))
     if not stands:
         return None
     around, behind = {*clause, *heading, label}, items.sentence(end, 10)
     new_field = items.kind(end) == "comma" and "sign" in (items.kind(k) for k in range(end, behind))
     after = [] if new_field else [*items.words(end, behind)]
-    doubted = not _SAID["hypothetical"].isdisjoint({*after, *items.words(items.start(at, reach=20), at)})
+    doubted = not SAID["hypothetical"].isdisjoint({*after, *items.words(items.start(at, reach=20), at)})
     asks = items.kind(behind) == "stop" and items.all[behind].text == "?"
-    revises = not around.isdisjoint(_SAID["revised"])
-    soft = {*clause, label, *_SAID["first"].intersection(heading), *{"would"}.intersection(after)}
+    revises = not around.isdisjoint(SAID["revised"])
+    soft = {*clause, label, *SAID["first"].intersection(heading), *{"would"}.intersection(after)}
     return AnswerClaim(
         rows,
         wrong,
         begin,
         end,
-        final=revises or not around.isdisjoint(_SAID["final"]),
+        final=revises or not around.isdisjoint(SAID["final"]),
         revises=revises,
-        rejected=not around.isdisjoint(_SAID["hard"]) or asks or doubted or _dismissed(after),
-        soft=not (revises or soft.isdisjoint(_SAID["soft"] | _SAID["first"])),
+        rejected=not around.isdisjoint(SAID["hard"]) or asks or doubted or _dismissed(after),
+        soft=not (revises or soft.isdisjoint(SAID["soft"] | SAID["first"])),
         option=option,
     )
 
 
 def foreign(spoken: Iterable[str]) -> bool:
     """Whether words before a value give it to others, or to another time."""
-    return any(word.removesuffix("'s") in _SAID["foreign"] for word in spoken)
+    return any(word.removesuffix("'s") in SAID["foreign"] for word in spoken)
 
 
 def _dismissed(spoken: Sequence[str]) -> bool:
@@ -170,10 +168,10 @@ def _dismissed(spoken: Sequence[str]) -> bool:
     if " ".join(spoken[:2]) in ("is not", "was not", "is where", "from here", "from me"):
         return True
     pairs = [*pairwise(spoken)]
-    if _SAID["denials"].isdisjoint(spoken):
-        too = any(first == "too" and second in _SAID["extremes"] for first, second in pairs)
-        return too or {"exceeds", "limit"} <= {*spoken} or not _SAID["faulty"].isdisjoint(spoken)
-    return any(first == "not" and second in _SAID["virtues"] for first, second in pairs)
+    if SAID["denials"].isdisjoint(spoken):
+        too = any(first == "too" and second in SAID["extremes"] for first, second in pairs)
+        return too or {"exceeds", "limit"} <= {*spoken} or not SAID["faulty"].isdisjoint(spoken)
+    return any(first == "not" and second in SAID["virtues"] for first, second in pairs)
 
 
 def _heading(items: Items, begin: int) -> tuple[int, int]:
@@ -194,7 +192,7 @@ def _option(items: Items, begin: int, end: int) -> str:
     """The name of the option that a claim belongs to, in its clause or heading: `Option B`, `(b) Position:`."""
     if end == begin + 1 and items.word(begin) in tuple("abcdefgh"):
         return items.word(begin)
-    names = (items.all[at + 1].text.lower() for at in range(begin, end) if items.word(at) in _SAID["option"])
+    names = (items.all[at + 1].text.lower() for at in range(begin, end) if items.word(at) in SAID["option"])
     return next((name for name in names if len(name) == 1 and name.isalnum()), "")
 
 
@@ -203,14 +201,14 @@ def _value(items: Items, at: int, *, certain: bool, alone: bool, many: bool, lab
 
     `alone`: the label begins its line.
     """
-    stated, moved, order = False, False, ""
-    for at in range(at, at + _REACH):
+    stated, moved, order, start = False, False, "", at
+    for at in range(start, start + _REACH):
         kind, word = items.kind(at), items.word(at)
         if kind in ("sign", "equals", "to"):
             stated = True
         elif kind == "axes" and not order and items.kind(at + 1) in ("sign", "equals", "point", "word"):
             order = items.all[at].text
-        elif word in _SAID["links"]:
+        elif word in SAID["links"]:
             moved = moved or word == "from"
         elif kind == "line" and (alone or stated or label in ("answer", "boxed")):
             stated = True
@@ -239,12 +237,12 @@ def value_at(items: Items, at: int, *, many: bool, first: int = 0, order: str = 
     for here in range(end, items.sentence(end, 6) + 1):
         if items.kind(here) == "axes" or (items.word(here) in ("y", "z") and items.word(here + 1) == "first"):
             order = order or items.all[here].text.lower()
-        if items.word(here) in FOREIGN_UNITS - {"in"} and items.kind(here - 1) != "number":
+        if items.word(here) in SAID["foreign_units"] - {"in"} and items.kind(here - 1) != "number":
             wrong = f"has units ({items.all[here].text}), which are not allowed"
     if order and order != "xyz"[: len(order)]:
         return (), f"is in the order {', '.join(order)}; x comes first", end
     follows = end + (items.kind(end) == "comma" or items.word(end) in ("or", "and", "vs", "versus"))
-    while end < follows < end + 3 and items.word(follows) in _SAID["links"]:
+    while end < follows < end + 3 and items.word(follows) in SAID["links"]:
         follows += 1
     if follows > end and items.kind(follows) in ("point", "points"):
         return (), "gives two values", follows + 1
@@ -257,12 +255,10 @@ def _position(items: Items, at: int) -> Value | None:
         return _result(items, at)
     end = at
     while items.kind(end) in ("number", "comma", "sign", "equals", "line", "operator", "word"):
-        if items.word(end) and items.word(end) not in ("x", "y", "z", "and", *UNITS):
+        if items.word(end) and items.word(end) not in ("x", "y", "z", "and", *SAID["units"]):
             break
         if items.kind(end) in ("line", "operator"):
-            behind = end + 1
-            while items.kind(behind) in ("line", "operator"):
-                behind += 1
+            behind = items.past(end, {"line", "operator"})
             if items.word(behind) not in {"x", "y", "z"}.difference(items.words(at, end)):
                 break
         end += 1
@@ -278,21 +274,18 @@ def _result(items: Items, at: int) -> Value:
     """The last value of `a + b = c`, `a -> c` or `a to c`; an expression without a result is wrong."""
     value, end, summed = items.all[at], at + 1, False
     while True:
-        here = end + (items.kind(end) == "line" and items.kind(end + 1) == "equals")
-        kind = items.kind(here)
-        if kind not in ("operator", "equals", "to") and items.word(here) != "to":
+        sign = end + (items.kind(end) == "line" and items.kind(end + 1) == "equals")
+        kind = items.kind(sign)
+        if kind not in ("operator", "equals", "to") and items.word(sign) != "to":
             break
-        here += 1
-        scaled = False
-        while items.kind(here) in ("number", "operator"):
-            scaled = scaled or items.kind(here) == "number"
-            here += 1
+        here = items.past(sign + 1, {"number", "operator"})
         if items.kind(here) not in _VALUES:
-            scaled = scaled or (bool(items.word(here)) and items.all[here - 1].text.strip() in "+×·")
-            summed = summed or (kind == "operator" and scaled)
+            term = items.all[here - 1].kind == "number" or (
+                items.word(here) and items.all[here - 1].text in "+\u00d7\u00b7"
+            )
+            summed = summed or (kind == "operator" and bool(term))
             break
-        summed = kind == "operator"
-        value, end = items.all[here], here + 1
+        value, end, summed = items.all[here], here + 1, kind == "operator"
     wrong = EXPRESSION if summed else {"bad": value.text, "axes": PLACEHOLDERS}.get(value.kind, "")
     return value.rows, wrong, end
 
@@ -303,39 +296,24 @@ def _points(items: Items, at: int, first: int) -> Value | None:
     numbers: list[str] = []
     end = at
     while True:
-        here, number = _past_label(items, end)
+        here = items.past(end, _BETWEEN, SAID["numbered"])
+        label = [item.text for item in items.all[end:here] if item.kind == "number"]
         kind = items.kind(here)
         if kind in ("bad", "axes") or (kind == "points" and not rows):
-            value = _result(items, here)
-            return value if number is None else ((), value[1] or EXPRESSION, value[2])
+            rows_here, wrong, end = _result(items, here)
+            return ((), wrong or EXPRESSION, end) if label else (rows_here, wrong, end)
         value = (items.all[here].rows, "", here + 1) if kind == "point" else None
         if items.word(here) in ("x", "y"):
             value = _position(items, here)
         if value is None or value[1]:
             break
         rows += value[0]
-        numbers += [] if number is None else [number]
+        numbers += label
         end = value[2]
     if not rows:
         return None
     fits = any(numbers == [str(base + k) for k in range(len(numbers))] for base in (0, first))
     return tuple(rows), "" if fits else f"numbers its points from {numbers[0]}; points count from 0", end
-
-
-def _past_label(items: Items, at: int) -> tuple[int, str | None]:
-    """Past what may stand between two points: commas, bullets, arrows, `place 3:`; and the number there."""
-    number = None
-    for at in range(at, at + 12):
-        kind = items.kind(at)
-        if kind == "number" and number is None:
-            number = items.all[at].text
-        elif (
-            kind not in ("comma", "line", "to", "sign", "stop")
-            and items.word(at) not in _SAID["numbered"]
-            and (kind != "operator" or items.all[at].text != "-")
-        ):
-            break
-    return at, number
 
 
 def chosen(
@@ -351,7 +329,7 @@ def chosen(
     seen = 0
     for claim in [claim for claim in standing if not claim.soft] or standing:
         same = current is not None and claim.value == current.value
-        turned = current is not None and (turned or _taken_back(items, seen, claim.begin, _SAID["turns"]) >= 0)
+        turned = current is not None and (turned or _taken_back(items, seen, claim.begin, SAID["turns"]) >= 0)
         seen = claim.end
         if current is not None and claim.wrong == PLACEHOLDERS:
             continue
@@ -381,10 +359,10 @@ def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: 
     names = {option.option for option in options}
     picked: set[str] = set()
     for at in range(options[0].begin, len(items.all)):
-        if items.word(at) in _SAID["choose"] and "not" not in items.words(at - 3, at):
+        if items.word(at) in SAID["choose"] and "not" not in items.words(at - 3, at):
             near = [item.text.lower() for item in items.all[at : items.sentence(at + 1, 8)] if item.kind != "sign"]
             picked |= names.intersection(
-                name for before, name in pairwise(near) if before in (near[0], *_SAID["option"])
+                name for before, name in pairwise(near) if before in (near[0], *SAID["option"])
             )
     picks = [option for option in options if option.option in picked or (len(names) == 1 and current is None)]
     if len({option.value for option in picks}) != 1:
@@ -399,8 +377,8 @@ def _taken_back(items: Items, begin: int, end: int, signs: Set[str]) -> int:
         word, kind = items.word(at), items.kind(at)
         if word and fresh:
             following = {items.word(at + 1), items.word(at + 2)}
-            if word in signs and items.word(at + 1) not in _SAID["harmless"]:
-                if word not in ("on", "let", "after") or not following.isdisjoint(_SAID["again"]):
+            if word in signs and items.word(at + 1) not in SAID["harmless"]:
+                if word not in ("on", "let", "after") or not following.isdisjoint(SAID["again"]):
                     return at
             elif word in ("that", "this", "it", "which", "i"):
                 rest = [*items.words(at, items.sentence(at, 20))]
@@ -413,10 +391,10 @@ def _taken_back(items: Items, begin: int, end: int, signs: Set[str]) -> int:
 def _kept(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
     """The claim, unless later words take it back; a value in that sentence replaces it."""
     at = current.end
-    while (at := _taken_back(items, at, len(items.all), _SAID["back"])) >= 0:
+    while (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
         if others.isdisjoint(range(at, items.sentence(at) + 1)):
             values = [item for item in items.all[at:] if item.rows or item.kind == "bad"]
-            doubts = {"close", *_SAID["hard"]}.intersection(items.words(at, len(items.all)))
+            doubts = {"close", *SAID["hard"]}.intersection(items.words(at, len(items.all)))
             if len(values) == 1 and values[0].rows and not doubts:
                 return replace(current, rows=values[0].rows, wrong="", end=len(items.all))
             raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
@@ -429,29 +407,19 @@ def index_claims(items: Items) -> list[AnswerClaim]:
     found: list[AnswerClaim] = []
     for at in range(len(items.all)):
         if items.word(at) in ("my", "i"):
-            end = at + 1
-            while items.word(end) in _SAID["takes"] | _SAID["within"] or items.kind(end) == "operator":
-                end += 1
-            taken = items.word(at) == "my" or not _SAID["takes"].isdisjoint(items.words(at, end))
-            claim = _index(items, at, end + 1) if taken and items.word(end) in _SAID["place"] else None
+            end = items.past(at + 1, {"operator"}, SAID["takes"] | SAID["within"])
+            taken = items.word(at) == "my" or not SAID["takes"].isdisjoint(items.words(at, end))
+            claim = _index(items, at, end + 1) if taken and items.word(end) in SAID["place"] else None
             found += [] if claim is None else [claim]
     return found
 
 
 def _index(items: Items, begin: int, at: int) -> AnswerClaim | None:
     """The claim of an index whose label ends here."""
-    hypothetical = not _SAID["hypothetical"].isdisjoint(items.words(items.start(begin, reach=20), begin))
-    stated = False
-    for at in range(at, at + 8):
-        kind = items.kind(at)
-        stated = stated or kind in ("sign", "equals")
-        alone = kind == "line" and stated and items.kind(at + 1) == "number" and items.kind(at + 2) in ("", "line")
-        if (
-            not alone
-            and kind not in ("sign", "equals", "operator")
-            and items.word(at) not in (_SAID["place"] | _SAID["filler"])
-        ):
-            break
+    hypothetical = not SAID["hypothetical"].isdisjoint(items.words(items.start(begin, reach=20), begin))
+    at = items.past(at, {"sign", "equals", "operator"}, SAID["place"] | SAID["filler"])
+    if items.kind(at - 1) in ("sign", "equals") and items.kind(items.past(at, {"line"}) + 1) in ("", "line"):
+        at = items.past(at, {"line"})
     if items.kind(at) in ("point", "bad", "axes"):
         wrong = "" if items.all[at].rows else PLACEHOLDERS
         return AnswerClaim(items.all[at].rows, wrong, begin, at + 1, rejected=hypothetical)
@@ -469,7 +437,7 @@ def _index(items: Items, begin: int, at: int) -> AnswerClaim | None:
         wrong = f"my plan is {value.text}{items.all[end].text}"
     elif _another(items, end):
         wrong = "my plan gives more than one number"
-    elif items.word(end) and not behind.strip("*_`\"'$ \t") and items.word(end) not in _SAID["because"]:
+    elif items.word(end) and not behind.strip("*_`\"'$ \t") and items.word(end) not in SAID["because"]:
         return None  # "my plan is 4 corners"
     place = next((item.rows for item in items.all[end : items.sentence(end) + 1] if item.kind == "point"), ())
     asks = items.kind(end) == "stop" and items.all[end].text == "?"
@@ -482,7 +450,7 @@ def _another(items: Items, at: int) -> bool:
         if items.kind(here) in ("", "line", "stop") or items.word(here) == "my":
             return False
         based = items.word(here - 1) in ("from", "at", "robot") or items.word(here + 2) in ("based", "indexed")
-        if items.word(here) in _SAID["ordinals"] or (items.kind(here) == "number" and not based):
+        if items.word(here) in SAID["ordinals"] or (items.kind(here) == "number" and not based):
             return True
     return False
 

@@ -8,10 +8,18 @@ is no token.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from llm_flock.errors import AnswerError
+
+SAID = {
+    name: frozenset(text.split())
+    for name, text in tomllib.loads(Path(__file__).with_name("answer_words.toml").read_text(encoding="utf-8")).items()
+}
+"""The words that decide, by their meaning."""
 
 _TYPOGRAPHY = str.maketrans(
     dict.fromkeys("\u2010\u2011\u2012\u2013\u2212\ufe63\uff0d", "-")
@@ -20,22 +28,28 @@ _TYPOGRAPHY = str.maketrans(
     | {"\uff1a": ":", "\uff0c": ",", "\uff1b": ";", "\uff3b": "[", "\uff3d": "]", "\uff08": "(", "\uff09": ")"}
     | {chr(0xFF10 + digit): str(digit) for digit in range(10)}
     | {"\uff0e": "."}
-    | {"\u2018": "'", "\u2019": "'", "\u201c": '"', "\u201d": '"', "\u27e8": "<", "\u27e9": ">", "\u2014": ". "}
+    | {
+        "\u221e": "inf",
+        "\u2018": "'",
+        "\u2019": "'",
+        "\u201c": '"',
+        "\u201d": '"',
+        "\u27e8": "<",
+        "\u27e9": ">",
+        "\u2014": ". ",
+    }
 )
 _LATEX = re.compile(
     r"\\(?:left|right|[bB]igg?[lr]?|text(?:bf|it|rm|tt|sf)?|math(?:bf|it|rm|tt|sf)|displaystyle|q?quad|newline)"
     r"(?![A-Za-z])|\\n(?![a-ln-z])(?!m(?!y))|\\[ ,;:!\\]|\\(?=[_\[\]()])"
-    r"|\\(?:(?:long)?rightarrow|Rightarrow|to|implies|approx|times|cdot|pm)(?![A-Za-z])"
+    r"|\\(?:rightarrow|to|times|cdot)(?![A-Za-z])"
 )
 """Formatting, which becomes a space; `\n` that stands for a line break; escaped brackets; and signs."""
 
-_SIGNS = dict.fromkeys(("\\rightarrow", "\\longrightarrow", "\\Rightarrow", "\\to", "\\implies"), "→") | {
-    "\\n": "\n", "\\": "", "\\approx": "≈", "\\times": "×", "\\cdot": "·", "\\pm": "±"
-}  # fmt: skip
-
-_MATRIX = re.compile(r"\\begin\{([pbvBV]?matrix\*?)\}(.{0,2000}?)\\end\{\1\}", re.DOTALL)
+_SIGNS = {"\\n": "\n", "\\": "", "\\to": "→", "\\rightarrow": "→", "\\times": "\u00d7", "\\cdot": "\u00b7"}
+_MATRIX = re.compile(r"\\begin\{([pbvBV]?matrix\*?)\}(.{0,500}?)\\end\{\1\}", re.DOTALL)
 _STRUCK = re.compile(
-    r"~~.{1,1000}?~~|<(s|del|strike)>.{0,1000}?</\1>|<!--.{0,1000}?-->|(?<![:/])//[^\n]*+|/\*.{0,200}?\*/"
+    r"~~.{1,1000}?~~|<(s|del|strike)>.{0,300}?</\1>|<!--.{0,1000}?-->|(?<![:/])//[^\n]*+|/\*.{0,200}?\*/"
     r"|^Thinking\.{3}\n.{0,5000}?\n\.{3}done thinking\.",
     re.DOTALL | re.IGNORECASE,
 )
@@ -43,16 +57,6 @@ _STRUCK = re.compile(
 
 _DECIMAL_COMMAS = re.compile(r"(?<![\d,.])(\d+),(\d+) ?; (-?\d+),(\d+)(?![,.])")
 _TAG = re.compile(r"<(?P<end>/?)\|?(?P<name>[a-z][a-z_]{0,30}+)(?P<more>[^<>]{0,80}+)>", re.IGNORECASE)
-_FINAL_TAGS = (
-    "answer",
-    "final",
-    "solution",
-    "response",
-    "output",
-    "start_response",
-    "begin_of_solution",
-    "begin_of_box",
-)
 _STRING = re.compile(
     r"""(?<!\w)(?P<key>\w{1,40}+(?:[\ -]\w{1,40}+)?)["']?\s{0,9}:\s{0,9}(?P<quote>["'])(?!\s{0,9}\{)
         (?:(?!(?P=quote))[^\\]|\\.|(?P=quote)(?!\s*+(?:[,;}\]"]|//|$)))*+(?P=quote)?+""",
@@ -62,7 +66,7 @@ _STRING = re.compile(
 
 _TOKEN = re.compile(
     r"""(?P<number>[-+]?+(?:(?:[0-9]++(?:\.[0-9]++|\.(?![.\s]|$))?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+
-           |(?:nan|inf(?:inity)?+)(?![A-Za-z_])|∞))
+           |(?:nan|inf(?:inity)?+)(?![A-Za-z_])))
       |(?P<word>[^\W_]++(?:_++\d[^\W_]*+)*+(?:'[a-z]++)?+)
       |(?P<open>[\[(]|\{(?=\s{0,9}["']?[xyz]["']?\s{0,9}[:=])|<(?=[-+\d.,;\s]{1,200}>))
       |(?P<dots>\.{3}|…)
@@ -81,15 +85,7 @@ MAX_ITEMS = 30_000
 """Most items of an answer: longer ones are runaway answers."""
 
 _AXES = "xyz"
-_READ = frozenset({"position", "path", "plan", "place", "answer", "unit", "units", *_AXES})
-"""Last words of the fields whose text may be an answer."""
 _PAIRS = {"]": "[(", ")": "[(", "}": "{", ">": "<"}
-UNITS = frozenset({"unit", "units", "u", "m", "meter", "meters", "metre", "metres"})
-"""Words after a number that leave it as it is: no prompt says of what size a unit is."""
-
-FOREIGN_UNITS = frozenset(
-    {"cm", "mm", "km", "dm", "ft", "feet", "foot", "in", "inch", "inches", "yd", "deg", "degrees", "rad", "%", "°"}
-)
 
 
 @dataclass(slots=True)
@@ -176,7 +172,9 @@ def _joined(opened: _Open, content: Sequence[Item], end: int) -> Item | None:
         row = row_of(content)
         if isinstance(row, tuple):
             kind, rows = "point", (row,)
-        elif opened.bracket == "(" and any(len(word) > 2 and word not in UNITS | FOREIGN_UNITS for word in words):
+        elif opened.bracket == "(" and any(
+            len(word) > 2 and word not in SAID["units"] | SAID["foreign_units"] for word in words
+        ):
             return None
         else:
             text = row
@@ -209,13 +207,13 @@ def row_of(content: Sequence[Item]) -> tuple[str, ...] | str:
             numbers.append(item.text)
             axes.append(said)
             said = ""
-        elif follows and word in FOREIGN_UNITS:
+        elif follows and word in SAID["foreign_units"]:
             return f"has units ({item.text}), which are not allowed"
         elif item.kind == "word" and word in _AXES and not touches:
             said = word
         elif item.kind in ("number", "operator") or (item.kind == "equals" and not said):
             return EXPRESSION
-        elif not (item.kind in ("comma", "line", "sign", "equals") or (follows and word in UNITS)) and not (
+        elif not (item.kind in ("comma", "line", "sign", "equals") or (follows and word in SAID["units"])) and not (
             item.kind == "stop" and touches  # "45." of numpy
         ):
             return WORDS
@@ -252,15 +250,15 @@ def plain(text: str) -> str:
 def _without_tag(tag: re.Match[str]) -> str:
     """A tag of an answer or of a value as its label; any other as a space."""
     name = tag["name"].lower()
-    if tag["end"] or name in ("br", "p", "div", "li"):
+    if tag["end"] or name in SAID["line_tags"]:
         return "\n"
-    if name in _FINAL_TAGS:
+    if name in SAID["answer_tags"]:
         return "\nFinal answer:\n"
-    return f" {name}: {tag['more'].strip('/|')}" if name.split("_")[-1] in _READ else " "
+    return f" {name}: {tag['more'].strip('/|')}" if name.split("_")[-1] in SAID["fields"] else " "
 
 
 def _without_prose(field: re.Match[str]) -> str:
-    return field[0] if re.split(r"[\W_]", field["key"].lower())[-1] in _READ else field["key"] + ":"
+    return field[0] if re.split(r"[\W_]", field["key"].lower())[-1] in SAID["fields"] else field["key"] + ":"
 
 
 def _without_tables(lines: list[str]) -> Iterator[str]:

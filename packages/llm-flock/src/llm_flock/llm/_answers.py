@@ -28,7 +28,7 @@ from llm_flock.llm._answer_claims import (
     index_claims,
     value_at,
 )
-from llm_flock.llm._answer_items import CUT, FOREIGN_UNITS, PLACEHOLDERS, items_of, plain
+from llm_flock.llm._answer_items import CUT, PLACEHOLDERS, SAID, items_of, plain
 from llm_flock.llm._port import AnswerForm
 from llm_flock.llm._thoughts import spoken
 from llm_flock.plan import Plan
@@ -41,9 +41,6 @@ MAX_DIGITS = 40
 
 HERE = 0.01
 """A position this near to the robot's own is its own [units]: prompts and models round it."""
-
-_LANGUAGES = frozenset({"json", "python", "text", "latex", "math", "plaintext"})
-"""May stand after the backticks of a code fence, before an answer that has no label."""
 
 
 def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
@@ -138,7 +135,7 @@ def _bare(items: Items, *, many: bool, first: int = 0) -> list[AnswerClaim]:
             words = items.words(items.start(begin, "comma", "point", "points"), begin)
             if value and not scaled and not field and not foreign(words):
                 found.append(AnswerClaim(value[0], value[1], at, value[2]))
-        elif item.kind not in ("line", "stop", "sign") and item.text.lower() not in _LANGUAGES and not many:
+        elif item.kind not in ("line", "stop", "sign") and item.text.lower() not in SAID["languages"] and not many:
             value = value_at(items, at, many=False)
             rest = items.all[len(items.all) if value is None else value[2] :]
             whole = value is not None and all(other.kind in ("line", "stop", "sign") for other in rest)
@@ -179,7 +176,7 @@ def _items(text: str) -> Items:
     text = plain(answer.text)
     items = Items(items_of(text), text, answer.text)
     for at in range(len(items.all)):
-        if items.word(at) in ("unit", "units") and (unit := items.word(at + 2)) in FOREIGN_UNITS:
+        if items.word(at) in ("unit", "units") and (unit := items.word(at + 2)) in SAID["foreign_units"]:
             raise AnswerError(f"it has units ({unit}), which are not allowed.")
     return items
 
@@ -189,7 +186,7 @@ def _numbers(what: str, row: Sequence[str]) -> list[float]:
     for number in row:
         if len(number) > MAX_DIGITS:
             raise AnswerError(f"{what} holds a number of {len(number)} characters, {MAX_DIGITS} are the limit.")
-    return [math.inf if number == "∞" else float(number) for number in row]
+    return [float(number) for number in row]
 
 
 def _point(what: str, values: Sequence[float], dim: int) -> Point:

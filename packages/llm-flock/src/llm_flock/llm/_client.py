@@ -33,7 +33,7 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import ModelError
-from llm_flock.llm._dialect import FAULTS, Dialect
+from llm_flock.llm._dialect import Dialect, fault
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
@@ -274,8 +274,8 @@ def _describe(error: Exception) -> str:
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
-    fault = next((fault for fault in FAULTS if re.search(fault.words, text, re.IGNORECASE)), None)
-    return f"{fault.advice}: {text}" if fault and fault.advice and isinstance(error, pai.ModelHTTPError) else text
+    advice = fault(text).get("advice") if isinstance(error, pai.ModelHTTPError) else None
+    return f"{advice}: {text}" if advice else text
 
 
 def _origin(error: BaseException) -> BaseException:

@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import httpx2
 
-from llm_flock.llm._dialect import FAULTS
+from llm_flock.llm._dialect import fault
 
 _TEXT_FIELDS = ("content", "text", "response", "generated_text", "output_text", "parts")
 _WRAPPERS = ("data", "result", "output", "body", "completion")
@@ -172,7 +172,4 @@ def _status(error: object) -> int:
         for name in ("code", "status", "status_code"):
             if re.fullmatch("[45][0-9]{2}", code := str(one.get(name))):
                 return int(code)
-    words = json.dumps(error)
-    return next(
-        (fault.status for fault in FAULTS if fault.status and re.search(fault.words, words, re.IGNORECASE)), 500
-    )
+    return int(fault(json.dumps(error))["status"])
