@@ -27,11 +27,8 @@ _BETWEEN = frozenset({"comma", "line", "to", "sign", "stop", "number"})
 _REACH = 14
 """How far a label's words are looked at [items]."""
 
-Rows: TypeAlias = tuple[tuple[str, ...], ...]
-"""Numbers as they are spelled: one row a point."""
-
-Value: TypeAlias = tuple[Rows, str, int]
-"""Rows, what is wrong with them, and where the value ends."""
+Value: TypeAlias = tuple[tuple[tuple[str, ...], ...], str, int]
+"""Rows of numbers as they are spelled, one a point; what is wrong with them; and where the value ends."""
 
 
 @dataclass(slots=True)
@@ -41,7 +38,7 @@ class AnswerClaim:
     `begin` and `end` count items. `misfit`: it has not the form that the question asks for.
     """
 
-    rows: Rows
+    rows: tuple[tuple[str, ...], ...]
     wrong: str
     begin: int
     end: int
@@ -118,10 +115,8 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
 def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
     label, before = items.word(at), items.word(at - 1)
     named = items.kind(at + 2) == "sign" and len(items.all[at + 1].text) == 1 and items.all[at + 1].text.isalnum()
-    certain = moves or label in SAID["announces"] or before in _CERTAIN
-    alone = items.kind(at - 1) in ("line", "")
-    certain = certain or (many and label != "answer")
-    value = _value(items, at + 1 + named, certain=certain, alone=alone, many=many, label=label)
+    certain = moves or label in SAID["announces"] or before in _CERTAIN or (many and label != "answer")
+    value = _value(items, at + 1 + named, certain=certain, many=many, label=label)
     if value is None or (many and before in ("my", "own") and len(value[0]) == 1):
         return None
     rows, wrong, end = value
@@ -196,12 +191,10 @@ def _option(items: Items, begin: int, end: int) -> str:
     return next((name for name in names if len(name) == 1 and name.isalnum()), "")
 
 
-def _value(items: Items, at: int, *, certain: bool, alone: bool, many: bool, label: str) -> Value | None:
-    """The value that follows a label; None if none follows, or only in the middle of a sentence.
-
-    `alone`: the label begins its line.
-    """
-    stated, moved, order, start = False, False, "", at
+def _value(items: Items, start: int, *, certain: bool, many: bool, label: str) -> Value | None:
+    """The value that follows a label; None if none follows, or only in the middle of a sentence."""
+    stated, moved, order, at = False, False, "", start
+    alone = items.kind(start - 2) in ("line", "")  # the label begins its line
     for at in range(start, start + _REACH):
         kind, word = items.kind(at), items.word(at)
         if kind in ("sign", "equals", "to"):
@@ -324,18 +317,18 @@ def chosen(
     A sentence that corrects one of the `others` takes nothing back.
     """
     standing = [claim for claim in found if not claim.option and (claim.revises or not claim.rejected)]
-    current: AnswerClaim | None = None
+    standing = [claim for claim in standing if not claim.soft] or standing
+    current = standing[0] if standing else None
     disputed = turned = False
-    seen = 0
-    for claim in [claim for claim in standing if not claim.soft] or standing:
-        same = current is not None and claim.value == current.value
-        turned = current is not None and (turned or _taken_back(items, seen, claim.begin, SAID["turns"]) >= 0)
-        seen = claim.end
-        if current is not None and claim.wrong == PLACEHOLDERS:
+    for before, claim in pairwise(standing):
+        assert current is not None
+        turned = turned or _taken_back(items, before.end, claim.begin, SAID["turns"]) >= 0
+        unfit = current.misfit or current.wrong or claim.misfit  # the last word counts, also if it will be refused
+        if claim.wrong == PLACEHOLDERS:
             continue
-        if current is None or claim.revises or turned or _outdoes(claim, current):
+        if claim.revises or turned or unfit or (claim.final and not current.final):
             current, disputed, turned = claim, False, False
-        elif same:
+        elif claim.value == current.value:
             claim.final = claim.final or current.final
             current = claim
         else:
@@ -346,12 +339,6 @@ def chosen(
     if disputed:
         raise AnswerError(f"it gives two different {what}s and does not say which one counts; give one only.")
     return None if current is None else _kept(current, items, what, {other.begin for other in others})
-
-
-def _outdoes(claim: AnswerClaim, earlier: AnswerClaim) -> bool:
-    """Whether a claim counts more than one before it, though no word takes that one back."""
-    misfit = earlier.misfit or claim.misfit or bool(earlier.wrong)  # the last word counts, also if it will be refused
-    return misfit or (claim.final and not earlier.final)
 
 
 def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: Items, what: str) -> AnswerClaim:

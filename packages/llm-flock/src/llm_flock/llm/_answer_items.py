@@ -161,6 +161,7 @@ def _joined(opened: _Open, content: Sequence[Item], end: int) -> Item | None:
     groups = [item for item in content if item.rows or item.kind in ("bad", "axes")]
     kinds = {item.kind for item in content}
     words = [item.text.lower() for item in content if item.kind in ("word", "dots")]
+    long = {word for word in words if len(word) > 2} - SAID["units"] - SAID["foreign_units"]
     kind, text, rows = "bad", "", tuple[tuple[str, ...], ...]()
     if groups:
         if not kinds <= {"point", "points", "comma", "line", "bad", "axes", "dots", "to"}:
@@ -172,9 +173,7 @@ def _joined(opened: _Open, content: Sequence[Item], end: int) -> Item | None:
         row = row_of(content)
         if isinstance(row, tuple):
             kind, rows = "point", (row,)
-        elif opened.bracket == "(" and any(
-            len(word) > 2 and word not in SAID["units"] | SAID["foreign_units"] for word in words
-        ):
+        elif opened.bracket == "(" and long:
             return None
         else:
             text = row

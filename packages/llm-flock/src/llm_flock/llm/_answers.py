@@ -53,7 +53,11 @@ def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
     own = index_claims(items)
     required = f"a line `Plan: [[...], ...]` with {n} points of {form.dim} numbers is required."
     claim = _complete(items, chosen(found, items, "plan", own), "plan", required)
-    plan = _plan([_numbers(f"point {i} of the plan", row) for i, row in enumerate(claim.rows)], form)
+    if len(claim.rows) != n:
+        count = f"{len(claim.rows)} {'point' if len(claim.rows) == 1 else 'points'}"
+        raise AnswerError(f"the plan holds {count}, {n} are required.")
+    places = [(f"point {i} of the plan", row) for i, row in enumerate(claim.rows)]
+    plan = Plan(tuple(_point(name, _numbers(name, row), form.dim) for name, row in places))
     if any(other.value != claim.value for other in found):
         behind = min((other.begin for other in found if other.begin > claim.end), default=len(items.all))
         own = [one for one in own if claim.end <= one.begin < behind]
@@ -146,24 +150,14 @@ def _bare(items: Items, *, many: bool, first: int = 0) -> list[AnswerClaim]:
 def _complete(items: Items, claim: AnswerClaim | None, what: str, required: str) -> AnswerClaim:
     """The claim; AnswerError if there is none, if it is wrong, or if a list after it is cut off."""
     cut = bool(items.all) and items.all[-1].text == CUT
-    if claim is not None and claim.wrong == PLACEHOLDERS:
-        why = " (its form was copied: it holds placeholders, not numbers)"
-    elif claim is not None and claim.wrong:
-        why = f": it {claim.wrong}"
-    elif cut:
-        why = " (its last list is not complete)"
-    elif claim is None:
-        why = ""
-    else:
+    if claim is not None and not claim.wrong and not cut:
         return claim
+    why = " (its last list is not complete)" if cut else ""
+    if claim is not None and claim.wrong:
+        why = f": it {claim.wrong}"
+        if claim.wrong == PLACEHOLDERS:
+            why = " (its form was copied: it holds placeholders, not numbers)"
     raise AnswerError(f"it holds no complete {what}{why}; {required}")
-
-
-def _plan(points: Sequence[Sequence[float]], form: AnswerForm) -> Plan:
-    if len(points) != form.n:
-        count = f"{len(points)} {'point' if len(points) == 1 else 'points'}"
-        raise AnswerError(f"the plan holds {count}, {form.n} are required.")
-    return Plan(tuple(_point(f"point {i} of the plan", row, form.dim) for i, row in enumerate(points)))
 
 
 def _items(text: str) -> Items:

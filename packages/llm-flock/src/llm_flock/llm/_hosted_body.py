@@ -113,7 +113,7 @@ def _collect(part: object, answer: _Answer) -> None:
         answer.complaint = answer.complaint or (body if any(words) else None)
         known = answer.found
         if choices or "choices" not in body:
-            _message(choices[0] if choices else body, answer)
+            _message((choices or [body])[0], answer)
         for name in _WRAPPERS if not choices and answer.found == known else ():
             _collect(body.get(name), answer)
 
