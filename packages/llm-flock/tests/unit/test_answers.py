@@ -238,10 +238,10 @@ def all_readings_s(text: str) -> float:
             read(text, 3, 2)
         assert len(str(caught.value)) < 300
     for read in (parse_step, parse_step_json):
-        with pytest.raises(AnswerError, match="no complete position|a number of|too long"):
+        with pytest.raises(AnswerError, match=r"no complete position|a number of|too long"):
             read(text, 2)
     for read in (parse_path, parse_path_json):
-        with pytest.raises(AnswerError, match="no complete pa|a number of|too long|1 to 20"):
+        with pytest.raises(AnswerError, match=r"no complete pa|a number of|too long|1 to 20"):
             read(text, 20, 2)
     return time.process_time() - began
 
