@@ -426,7 +426,7 @@ def _index(items: Items, begin: int, at: int) -> AnswerClaim | None:
         wrong = "my plan gives more than one number"
     elif items.word(end) and not behind.strip("*_`\"'$ \t") and items.word(end) not in SAID["because"]:
         return None  # "my plan is 4 corners"
-    place = next((item.rows for item in items.all[end : items.sentence(end) + 1] if item.rows), ())
+    place = next((item.rows for item in items.all[end : items.sentence(end) + 1] if len(item.rows) == 1), ())
     asks = items.kind(end) == "stop" and items.all[end].text == "?"
     return AnswerClaim(((value.text,), *place), wrong, begin, end, rejected=hypothetical or asks)
 
