@@ -100,7 +100,9 @@ async def _reach_model(text: str, base_url: str | None) -> Finding:
             return Finding("model", text, False, f"{error.kind}: {error.detail}")
     without = f", asked without {', '.join(reply.settings['without'])}" if "without" in reply.settings else ""
     said = one_line(reply.text, 60)
-    return Finding("model", text, True, f"{reply.model} says {said!r} after {reply.latency_s:.1f} s{without}")
+    return Finding(
+        "model", text, bool(said.strip()), f"{reply.model} says {said!r} after {reply.latency_s:.1f} s{without}"
+    )
 
 
 def is_set(variable: str) -> bool:

@@ -33,7 +33,7 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import ModelError
-from llm_flock.llm._dialect import Dialect
+from llm_flock.llm._dialect import Dialect, fault
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
@@ -49,18 +49,6 @@ CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_len
 
 BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
 """Finish reasons that mean that the server broke the answer off."""
-
-ADVICE = {
-    r"context (length|size|window)|too many tokens|prompt is too long": (
-        "the question is longer than the context that the server gives: give it a larger one (servers divide it among "
-        "the questions that they answer at once), or ask with --prompts brief"
-    ),
-    r"\bmodel\b.{0,80}(not found|not exist|unknown)|(no such|unknown|invalid) model": (
-        "the server has no such model: check --model"
-    ),
-    r"status_code: 40[45]": "nothing at this address answers chats: check --base-url, which mostly ends in /v1",
-}
-"""What to change, by the words of a refusal; the first that fits."""
 
 CHARACTERS_PER_TOKEN = 4
 """As common tokenizers have in English text, on average."""
@@ -286,8 +274,8 @@ def _describe(error: Exception) -> str:
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
-    advice = next((advice for words, advice in ADVICE.items() if re.search(words, text, re.IGNORECASE)), None)
-    return text if advice is None or not isinstance(error, pai.ModelHTTPError) else f"{advice}: {text}"
+    advice = fault(text).get("advice") if isinstance(error, pai.ModelHTTPError) else None
+    return f"{advice}: {text}" if advice else text
 
 
 def _origin(error: BaseException) -> BaseException:

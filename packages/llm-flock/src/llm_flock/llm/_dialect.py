@@ -8,9 +8,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 from llm_flock.llm._port import ChatMessage
@@ -21,21 +23,14 @@ logger = logging.getLogger(__name__)
 FIRST_S = 1.0
 """Longest wait for the first answer of a server, from which the others learn its dialect [s]."""
 
-_NAMES = {
-    "roles": r"system (role|message|prompt)|role.{0,20}system|roles? must alternate|alternat\w+ (user|roles?)",
-    "response_format": r"response_format|json_schema|json_object|structured outputs?",
-    "max_completion_tokens": r"max_completion_tokens",
-    "max_tokens": r"max_tokens",
-    "temperature": r"temperature",
-    "seed": r"\bseed\b",
-    "reasoning": r"reasoning_effort|reasoning|thinking",
-}
-"""What may be left out of a request, by the words with which servers refuse it."""
-
-_OTHER_FAULT = re.compile(r"context (length|size|window)|too (large|long|many)|exceeds?\b|greater than", re.IGNORECASE)
-"""A request that names a setting because it is too large has the right form."""
+_WORDS = tomllib.loads(Path(__file__).with_name("server_words.toml").read_text(encoding="utf-8"))
 
 _refused: dict[tuple[str, str], list[str]] = {}
+
+
+def fault(words: str) -> Mapping[str, Any]:
+    """What the words of a server's refusal mean: the `status` of HTTP, and in `advice` what to change, if it helps."""
+    return next(one for one in _WORDS["fault"] if re.search(one["words"], words, re.IGNORECASE))
 
 
 class Dialect:
@@ -73,9 +68,9 @@ class Dialect:
 
         `sent` holds what was sent: the names of `plain`, with `roles` and `response_format`.
         """
-        if _OTHER_FAULT.search(reason):
+        if re.search(_WORDS["too_large"], reason, re.IGNORECASE):
             return False
-        for name, words in _NAMES.items():
+        for name, words in _WORDS["left_out"].items():
             if name in sent and name not in self.without and re.search(words, reason, re.IGNORECASE):
                 self.without.append(name)
                 logger.warning("%s refuses %s, and is asked without: %s", self.name, name, printable(reason)[:200])
