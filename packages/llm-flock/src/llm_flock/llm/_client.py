@@ -126,7 +126,9 @@ class PydanticModel:
             response = await self._request(call)
             reply = self._reply(response, call, time.perf_counter() - started)
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
-            raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after_s(error)) from None
+            wait_s = retry_after_s(error)
+            asks = "" if wait_s is None else f"asks to wait {wait_s:g} s: "
+            raise ModelError(error_kind(error), self._clean(asks + _describe(error)), wait_s) from None
         except Exception as error:  # noqa: BLE001 - SDKs may raise anything; it is logged, recorded and counted
             # A malformed body that the SDK's parser cannot read must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
@@ -154,8 +156,13 @@ class PydanticModel:
                 )
             except pai.ModelHTTPError as error:
                 body = cast("dict[str, Any] | None", error.body)
-                words = body.get("message") if isinstance(body, dict) else None
-                if not self._dialect.refuses(self._clean(str(words or error)), sent):
+                words = (
+                    " ".join(str(body[key]) for key in ("message", "param") if body.get(key))
+                    if isinstance(body, dict)
+                    else ""
+                )
+                unclear = error.status_code in (400, 422)
+                if not self._dialect.refuses(self._clean(words or str(error)), sent, unclear=unclear):
                     raise
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
@@ -247,6 +254,8 @@ def error_kind(error: Exception) -> str:
             return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
         case pai.UserError():
             return "refused"  # a feature that the model lacks, which a retry does not change
+        case pai.ModelAPIError() if getattr(_origin(error), "status_code", 0) in (301, 302, 307, 308):
+            return "refused"
         case _:
             return "garbage"
 
@@ -274,7 +283,7 @@ def _describe(error: Exception) -> str:
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
-    advice = fault(text).get("advice") if isinstance(error, pai.ModelHTTPError) else None
+    advice = fault(text).get("advice") if isinstance(error, pai.ModelAPIError) else None
     return f"{advice}: {text}" if advice else text
 
 
