@@ -8,14 +8,17 @@ import json
 import math
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from integration.fault_server import REFUSALS, Server, answering, completion, running
 from slowness import slowness
+from typer.testing import CliRunner
 
 import llm_flock
+from llm_flock.cli import app
 from llm_flock.errors import BudgetExceeded, ModelError
 from llm_flock.llm._dialect import Dialect
 from llm_flock.llm._limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
@@ -25,6 +28,7 @@ from llm_flock.llm._port import Attempt, Call, ChatMessage, LanguageModel, Reply
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.record import caveats
 
 KEY = "sk-very-secret-0123456789"
 ANSWER = "Position: [1.0, 2.0]"
@@ -350,3 +354,24 @@ def test_max_calls_is_exact_under_concurrency() -> None:
         refused = asyncio.run(scenario(server))
         assert server.stats()["requests"] == 7
     assert refused == 23
+
+
+@pytest.mark.parametrize(("asked", "warned"), [("small", False), ("gpt-9", True)])
+def test_a_run_names_the_model_that_answered(asked: str, warned: bool, tmp_path: Path) -> None:
+    body = json.loads(completion(b"", ANSWER)) | {"model": "/models/Small-[7B].gguf"}
+    with answering(json.dumps(body).encode()) as (url, _):
+        result = llm_flock.run(
+            llm_flock.Mission(shape="triangle", n_robots=3),
+            model=f"openai-compatible:{asked}",
+            base_url=url,
+            rounds=1,
+            max_retries=0,
+            fallback="hold",
+            out=str(tmp_path),
+        )
+    name, told = "openai-compatible:/models/Small-[7B].gguf", result.summary.to_dict()
+    caveat = f"the model that answered is {name}, not openai-compatible:{asked}"
+    assert told["answered_by"] == (name,)
+    assert (caveat in caveats(told, result.mission.model_dump())) is warned
+    shown = " ".join(CliRunner().invoke(app, ["inspect", str(tmp_path)]).stdout.split())
+    assert (caveat[1:] in shown) is warned and f"seed 0 · {name} · complete" in shown

@@ -170,7 +170,9 @@ def _items(text: str) -> Items:
     text = plain(answer.text)
     items = Items(items_of(text), text, answer.text)
     for at in range(len(items.all)):
-        if items.word(at) in ("unit", "units") and (unit := items.word(at + 2)) in SAID["foreign_units"]:
+        if items.word(at) not in ("unit", "units") or items.kind(at + 1) == "stop":  # "6 units. In the next round"
+            continue
+        if (unit := items.word(at + 2)) in SAID["foreign_units"]:
             raise AnswerError(f"it has units ({unit}), which are not allowed.")
     return items
 

@@ -37,7 +37,7 @@ from llm_flock.llm._dialect import Dialect, fault
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
-from llm_flock.printable import printable
+from llm_flock.printable import printable, same_model
 
 logger = logging.getLogger(__name__)
 
@@ -188,13 +188,13 @@ class PydanticModel:
         text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
         answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:100])
-        asked = self.name.partition(":")[2]
-        answered_by = answered_by or asked
-        if asked not in answered_by and answered_by not in asked:  # some servers answer to any name
+        answered_by = answered_by or self.name.partition(":")[2]
+        model = f"{self._provider}:{answered_by}"
+        if not same_model(self.name, model):  # some servers answer to any name
             self._dialect.say_once(f"answers as {printable(answered_by)}, which the record has")
         return Reply(
             text=text,
-            model=f"{self._provider}:{answered_by}",
+            model=model,
             settings=settings,
             usage=usage,
             cost_usd=cost_usd(self._price_list, answered_by, usage),
