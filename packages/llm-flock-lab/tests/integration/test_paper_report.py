@@ -11,11 +11,12 @@ from pathlib import Path
 import pytest
 from matplotlib.text import Text
 from sample_records import make_record
-from sample_results import write_results
+from sample_results import trial, write_results
 
 from llm_flock.errors import InputError
 from llm_flock.record import RunRecord, read_record
 from llm_flock_lab._cli.report import report as report_command
+from llm_flock_lab._experiments.store import Store
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.sweep_file import load_sweep
 from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, claims_sheet
@@ -29,7 +30,7 @@ SWEEP = """
 [sweep]
 name = "few"
 about = "Both failures & what 100 % of a_b means."
-seeds = 4
+seeds = 2
 keep_records = "all"
 [grid]
 team = ["triangle/3"]
@@ -179,7 +180,7 @@ def test_draft_names_figures_that_exist_and_right_numbers(report: Path, results:
     assert all((report / name).is_file() for name in shown)
     assert all(f"]({name})" in markdown for name in shown)
     formed = sum(trial.formed for trial in results.trials if trial.cell.protocol == "paper")
-    assert f"With paper, {formed} of 12 trials formed." in markdown and f"With paper, {formed} of 12" in tex
+    assert f"With paper, {formed} of 6 trials formed." in markdown and f"With paper, {formed} of 6" in tex
     assert "These are simulated: programs" in " ".join(tex.split()) and "Simulated language models." in tex
     assert "Starts: uniform" in markdown and "Most rounds of a trial: 40" in markdown
 
@@ -214,8 +215,9 @@ def test_claims_are_a_file_too(report: Path) -> None:
 
 
 def test_other_sweeps_have_a_draft_and_no_section_of_the_paper(tmp_path: Path) -> None:
-    results = write_results(tmp_path / "results", records=False)
-    write_report(results, tmp_path, reference="flock", most=0, formats=["svg"])
+    for protocol in ("flock", "paper"):
+        Store(tmp_path / "results").save(trial("circle", 10, protocol, 1))
+    write_report(tmp_path / "results", tmp_path, reference="flock", most=0, formats=["svg"])
     assert not (tmp_path / "claims.csv").exists() and not (tmp_path / "draft.tex").exists()
     draft = (tmp_path / "draft.md").read_text(encoding="utf-8")
     assert "figures/success.svg" in draft and "simulated" not in draft and "The claims of the paper" not in draft
