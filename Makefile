@@ -11,8 +11,8 @@ BIN := .venv/bin
 # For `make pins`: what may change.
 UPGRADE ?= --upgrade
 
-# Processes that run tests. Two more than the cores of a small machine: some tests wait for a while.
-WORKERS ?= 4
+# Processes that run tests, of which each imports everything. End to end, where tests wait for others, twice as many do.
+WORKERS ?= 2
 
 # Runs the targets that follow at the same time, and prints the output of each in one piece.
 TOGETHER := $(MAKE) --no-print-directory --jobs $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
@@ -54,7 +54,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VERSIONS := 3.14 3.13 3.12 3.11
 OTHERS := $(foreach version,$(VERSIONS),python$(version) $(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python))
 
-.PHONY: help setup everything demo quick unit kits changed test fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
+.PHONY: help setup everything demo quick unit kits changed test covered others fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -100,24 +100,30 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 quick: $(CHECK) ## Lint, types of changed files, unit tests: within 40 s, before each commit
 	@$(TOGETHER) lint changed unit
 
-unit: $(STAMP) ## Unit tests, without the flights that are too long for measuring coverage
-	$(BIN)/python -m pytest $(UNIT) -m "not no_cover" --quiet --numprocesses 2 --dist worksteal
+unit: $(STAMP) ## Unit tests, without those that are long
+	$(BIN)/python -m pytest $(UNIT) -m "not no_cover and not slow" --quiet --numprocesses 2 --dist worksteal
 
 changed: $(CHECK) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
 
 test: $(STAMP) $(DOCS) ## Unit, property and integration tests, and that every branch of ring 0 and of protocol/ is covered
-	$(BIN)/python -m pytest $(COVERED) --numprocesses 2 --dist worksteal --cov
+	@# At the same time, as some tests wait.
+	@$(MAKE) --no-print-directory --jobs covered others
+
+covered: $(STAMP)
+	$(BIN)/python -m pytest $(COVERED) --quiet --cov
+
+others: $(STAMP) $(DOCS)
 	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(WORKERS) --dist worksteal
 
 fuzz: $(STAMP) ## Twenty thousand hostile messages, reports, files, configurations and answers of each kind (minutes)
-	LLM_FLOCK_EFFORT=100 $(BIN)/python -m pytest $(wildcard tests/property/test_legal_reports.py tests/property/test_hostile_*.py tests/integration/test_hostile_*.py packages/*/tests/*/test_hostile_*.py) --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
+	LLM_FLOCK_EFFORT=200 $(BIN)/python -m pytest $(wildcard tests/property/test_legal_reports.py tests/property/test_hostile_*.py tests/integration/test_hostile_*.py packages/*/tests/*/test_hostile_*.py) --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
 
 kits: $(E2E) $(KITS) $(DOCS) ## The files of tests that `make test` skips in part where a vendor's kit is not installed
 	$(BIN)/python -m pytest $(KITTED) --numprocesses $(WORKERS) --dist worksteal
 
 e2e: $(E2E) $(KITS) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
+	$(BIN)/python -m pytest tests/e2e --numprocesses $$(( 2 * $(WORKERS) )) --dist loadscope --no-loadscope-reorder
 
 check: $(CHECK) $(DOCS) $(KITS) ## Lint, types, layers and docs at the same time, as in CI
 	@$(TOGETHER) lint types layers docs

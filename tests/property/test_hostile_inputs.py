@@ -82,7 +82,7 @@ from llm_flock_swarm._trust.envelope import Envelope, _Content
 
 PARTS = 4
 parts = pytest.mark.parametrize("part", range(PARTS))
-CASES = 200
+CASES = 100
 VALIDATOR = Validator(shield_on=True)
 
 

@@ -68,7 +68,7 @@ def sat(tmp_path_factory: pytest.TempPathFactory) -> Sat:
     folder = tmp_path_factory.mktemp("exams")
     with running(rate_limit=0.2, server_error=0.1, seed=3) as server:
         lines = {
-            "ideal": [command_of(ROWS["simulated:ideal"])],
+            "geometry": [command_of(ROWS["geometry"])],
             "recorded": [command_of(row) for row in RECORDED],
             "left": [
                 f"{LEFT} --max-calls 5 --page cut",
@@ -112,8 +112,8 @@ def test_models_of_inspect_score_as_without_it(sat: Sat) -> None:
 
 
 def test_a_stand_ins_row_comes_back_from_its_command(sat: Sat) -> None:
-    (again,) = sat.rows("ideal/page").values()
-    assert told(again) == told(ROWS["simulated:ideal"])
+    (again,) = sat.rows("geometry/page").values()
+    assert told(again) == told(ROWS["geometry"])
 
 
 def test_models_rows_come_back_from_their_recordings(sat: Sat) -> None:
