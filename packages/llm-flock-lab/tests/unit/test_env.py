@@ -83,6 +83,7 @@ def rest_of(env: FlockEnv, seen: dict[str, Any], most: int = 100) -> list[str]:
     return told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("control", "fields"),
     [

@@ -245,6 +245,7 @@ def all_readings_s(text: str) -> float:
     return time.process_time() - began
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", HOSTILE, ids=lambda unit: ascii(unit[:12]))
 def test_hostile_answers_are_refused_in_linear_time(unit: str) -> None:
     count = MAX_CHARS // 40 // len(unit)
@@ -253,6 +254,7 @@ def test_hostile_answers_are_refused_in_linear_time(unit: str) -> None:
     assert all_readings_s("Position: [1, Plan: [[1, my plan: " + unit * count) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", ["[[", "position: [", "\U0001f600", "Plan: [[1,1],"], ids=ascii)
 def test_a_hostile_megabyte_is_refused_within_a_second_a_reading(unit: str) -> None:
     assert all_readings_s(unit * (MAX_CHARS // len(unit))) < 6.0

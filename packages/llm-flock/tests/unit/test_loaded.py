@@ -32,6 +32,7 @@ def test_the_core_loads_few_modules(code: str, most: int) -> None:
     assert len(loaded(code)) <= most
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "most"), [("geometry", 60), ("simulated:ideal", 102)])
 def test_the_papers_rules_load_no_membership_keys_or_obstacles(model: str, most: int) -> None:
     names = loaded(PAPER.format(model=model))

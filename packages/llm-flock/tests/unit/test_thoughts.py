@@ -92,6 +92,7 @@ UNITS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("begin", ["", "analysisW", "{", '{"'])
 def test_unclosed_thought_marks_are_read_in_linear_time(unit: str, begin: str) -> None:
