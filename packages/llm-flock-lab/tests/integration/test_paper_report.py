@@ -66,7 +66,7 @@ def report(folder: Path) -> Path:
 
 
 def touched(path: Path) -> None:
-    path.parent.mkdir(exist_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.touch()
 
 
