@@ -117,7 +117,7 @@ others: $(STAMP) $(DOCS)
 	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(WORKERS) --dist worksteal
 
 fuzz: $(STAMP) ## Twenty thousand hostile messages, reports, files, configurations and answers of each kind (minutes)
-	LLM_FLOCK_EFFORT=200 $(BIN)/python -m pytest $(wildcard tests/property/test_legal_reports.py tests/property/test_hostile_*.py tests/integration/test_hostile_*.py packages/*/tests/*/test_hostile_*.py) --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
+	LLM_FLOCK_EFFORT=100 $(BIN)/python -m pytest $(wildcard tests/property/test_legal_reports.py tests/property/test_hostile_*.py tests/integration/test_hostile_*.py packages/*/tests/*/test_hostile_*.py) --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
 
 kits: $(E2E) $(KITS) $(DOCS) ## The files of tests that `make test` skips in part where a vendor's kit is not installed
 	$(BIN)/python -m pytest $(KITTED) --numprocesses $(WORKERS) --dist worksteal

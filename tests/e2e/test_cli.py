@@ -153,7 +153,7 @@ def test_a_comparison_of_three_protocols(tmp_path: Path) -> None:
         "none": ["--consensus", "none"],
         "paper": ["--consensus", "influence", "--assignment", "nearest"],
     }.items():
-        flock("run", "--seed", "7", "--rounds", "30", "--out", name, *options, cwd=tmp_path)
+        flock("run", "--seed", "7", "--rounds", "10", "--out", name, *options, cwd=tmp_path)
     flock("figure", "flock", "none", "paper", "--out", "three.png", cwd=tmp_path)
     assert (tmp_path / "three.png").stat().st_size > 20_000
 

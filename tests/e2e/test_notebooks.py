@@ -40,7 +40,7 @@ def test_there_are_notebooks() -> None:
     assert len(NOTEBOOKS) >= 2
 
 
-def test_progress_shows_and_an_interrupted_cell_leaves_all_working(tmp_path: Path) -> None:
+def test_progress_shows_and_an_interrupt_leaves_all_working(tmp_path: Path) -> None:
     cells = [
         "from llm_flock import run\nr = run(n_robots=6, seed=1, model='simulated:slow@1', rounds=2)\nr.formed",
         "r2 = run(n_robots=3, shape='triangle', seed=1, progress=False)",

@@ -46,7 +46,7 @@ from llm_flock_view._viewer.replay_page import write_page
 
 PARTS = 4
 parts = pytest.mark.parametrize("part", range(PARTS))
-CASES = 100
+CASES = 200
 DRAWN_S = 20.0
 """Longest time for a drawing [s]."""
 

@@ -82,7 +82,7 @@ from llm_flock_swarm._trust.envelope import Envelope, _Content
 
 PARTS = 4
 parts = pytest.mark.parametrize("part", range(PARTS))
-CASES = 100
+CASES = 200
 VALIDATOR = Validator(shield_on=True)
 
 

@@ -21,7 +21,7 @@ from llm_flock_swarm._network import self_reports
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.wire import Body, RobotReport, WorldState, pack, unpack
 
-CASES = 5
+CASES = 10
 
 POINT = st.tuples(legal(Coordinate), legal(Coordinate))
 
