@@ -191,6 +191,7 @@ def test_draft_names_figures_that_exist_and_right_numbers(report: Path, results:
     formed = sum(trial.formed for trial in results.trials if trial.cell.protocol == "paper")
     assert f"With paper, {formed} of 6 trials formed." in markdown and f"With paper, {formed} of 6" in tex
     assert "These are simulated: programs" in " ".join(tex.split()) and "Simulated language models." in tex
+    assert "two robots came nearer than the safe distance" in " ".join(tex.split())
     assert "Starts: uniform" in markdown and "Most rounds of a trial: 40" in markdown
 
 

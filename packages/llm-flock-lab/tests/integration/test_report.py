@@ -19,7 +19,7 @@ from llm_flock.record._writer import RecordWriter
 from llm_flock_lab._experiments import tables
 from llm_flock_lab._experiments.store import Store
 from llm_flock_lab._report.drawings import along_axes, draw_all, success
-from llm_flock_lab._report.findings import ERROR, cell_lines, pair_lines, usual_reference
+from llm_flock_lab._report.findings import ERROR, caveats, cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import find_causes, gallery, worst
 from llm_flock_lab._report.page import inline_svg, write_report
 from llm_flock_lab._report.results import OUTCOMES, Results
@@ -67,6 +67,20 @@ def test_rounds_without_an_error_are_left_open(tmp_path: Path) -> None:
     Store(tmp_path).save(trial("circle", 10, "flock", 0, rounds=one.rounds | {"error": [4.0, None, 2.0, 1.0, None]}))
     found = Results.read(tmp_path)
     np.testing.assert_array_equal(found.curves(found.trials, 7), [[4.0, np.nan, 2.0, 1.0, np.nan, 1.0, 1.0]])
+
+
+def test_what_errors_do_not_tell_is_said_of_each_protocol(tmp_path: Path) -> None:
+    off: dict[str, object] = {"steps_over_limit": 2, "center_distance": 65.0}
+    store = Store(tmp_path)
+    for seed, changes in enumerate((off, off | {"center_distance": 0.9}, {}), start=7):
+        one = trial("circle", 10, "baseline", seed)
+        store.save(trial("circle", 10, "baseline", seed, summary=dict(one.summary or {}) | changes))
+        store.save(trial("circle", 10, "flock", seed))
+    store.save(trial("circle", 10, "baseline", 1))
+    assert caveats(Results.read(tmp_path)) == [
+        "baseline: of 4 trials, in 1 two robots came nearer than the safe distance; "
+        "in 2 steps longer than the limit ended there; in 1 the team ended beside the centre of its mission."
+    ]
 
 
 def test_pairs_share_a_seed_and_broken_trials_count_in_success(results: Results) -> None:

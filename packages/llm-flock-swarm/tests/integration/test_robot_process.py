@@ -51,10 +51,13 @@ class FakeLink:
     def close(self) -> None:
         """Nothing is open."""
 
+    ahead_s = 0.0
+
     def see(self) -> None:
-        """Send the robot what its sensors see."""
+        """Send the robot what its sensors see; its clock may be `ahead_s` of theirs."""
         bodies = tuple(Body(position=x, end=x, command=0) for x in PLACES)
-        self.handlers["frame"](WORLD, pack(WorldState(stamp=time.time(), closest=10.0, bodies=bodies, late=0)))
+        stamp = time.time() - self.ahead_s
+        self.handlers["frame"](WORLD, pack(WorldState(stamp=stamp, closest=10.0, bodies=bodies, late=0)))
 
     def hear(self, position: tuple[float, ...] = PLACES[1], message: bytes = b"nothing") -> None:
         """Send the robot a message of robot 1."""
@@ -89,6 +92,18 @@ def fly(
         return None if isinstance(found, asyncio.CancelledError) else found
 
     return link, asyncio.run(all_of_it())
+
+
+@pytest.mark.parametrize("ahead_s", [7200.0, -7200.0, 0.3])
+def test_a_clock_that_is_hours_off_is_told_once(ahead_s: float) -> None:
+    def act(process: RobotProcess, link: FakeLink) -> None:
+        link.ahead_s = ahead_s
+
+    link, ended = fly(act)
+    reports = [unpack(RobotReport, payload) for kind, payload in link.sent if kind == "report"]
+    told = [event.detail for report in reports for event in report.happened if event.kind == "clock"]
+    assert ended is None and reports
+    assert told == ([{"ahead_s": pytest.approx(ahead_s, abs=0.5)}] if abs(ahead_s) > 1.0 else [])
 
 
 def raising(*_: Any, **__: Any) -> Any:

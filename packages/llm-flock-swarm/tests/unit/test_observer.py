@@ -70,6 +70,12 @@ def formed(seen: Observer, *reports: RobotReport) -> bool:
     return seen.formed_s is not None
 
 
+def test_a_robot_with_a_wrong_clock_is_named(caplog: pytest.LogCaptureFixture) -> None:
+    event = ProtocolEvent(round=0, comm_round=None, robot=1, kind="clock", detail={"ahead_s": -7200.0})
+    observer().report(1, told(1, happened=(event,)))
+    assert "robot 1 stands still: its clock is -7200.0 s ahead of that of its positions" in caplog.text
+
+
 def test_a_team_at_its_places_has_formed() -> None:
     assert formed(observer(), *map(told, range(N)))
 

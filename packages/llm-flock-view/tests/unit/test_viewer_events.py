@@ -21,7 +21,7 @@ VALUES: dict[str, Any] = {
     "about": "step", "begun": True, "vacant": [0, 1], "slots": [4], "missing": [5], "counter": 1, "digest": "x",
     "proposer": 2, "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
     "goal_distance": 4.5, "after": "ab12", "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
-    "model": "simulated:collapse", "loss": None,
+    "model": "simulated:collapse", "loss": None, "ahead_s": 3.5,
 }  # fmt: skip
 
 
@@ -60,6 +60,7 @@ def test_single_event_is_described_in_the_singular() -> None:
     assert "for 1 round," in words("deadlock", rounds=1) and "1 unit away" in words("deadlock", goal_distance=1.0)
     assert words("gap") == "leaves place 4 of the formation empty, after robot 5 was not found"
     assert words("gap", slots=[4, 6], missing=[5, 7]).endswith("empty, after robots 5, 7 were not found")
+    assert words("clock", ahead_s=-7200.0) == "has a clock that is -7200.0 s ahead of that of its positions"
     assert words("dropped_notes", count=1) == "left 1 further event out of its report"
 
 

@@ -280,8 +280,8 @@ class Agent:
         assert scene is not None, "a round has begun"
         effects, target, idle = list[Effect](), None, None
         unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
-        if unanswered if plan is None else slot is None and membership.lost:
-            # Fly where others will look for it: it has no plan, or its knowledge of the places is old.
+        if unanswered if plan is None else membership.lost if slot is None else membership.deserted:
+            # Fly where others will look for it: it has no plan, or its knowledge of places or mission is old.
             meeting_point = membership.seek(agreement)
             if meeting_point is not None:
                 return Phase.MOVING, self._pilot.seek(scene, self.mission, meeting_point)

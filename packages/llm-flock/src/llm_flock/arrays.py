@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, TypeAlias
 
 import numpy as np
@@ -27,3 +29,12 @@ def moved(point: Point, by: Point, share: float = 1.0) -> Point:
 def between(here: Point, there: Point, share: float) -> Point:
     """The point at this share of the way to another [units]; beyond it for more than 1, and behind for less than 0."""
     return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
+
+
+def spread(points: Iterable[Point], apart: float, near: Sequence[Point] = ()) -> Iterator[Point]:
+    """Those points of which each is farther than `apart` from all before it, and from all of `near` [units]."""
+    kept = list(near)
+    for point in points:
+        if all(math.dist(point, other) > apart for other in kept):
+            kept.append(point)
+            yield point

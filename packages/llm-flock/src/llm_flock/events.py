@@ -184,6 +184,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "gives_way": frozenset({"to"}),
     "held": frozenset({"cause", "reason"}),
     "dropped_notes": frozenset({"count"}),
+    "clock": frozenset({"ahead_s"}),
     "accused": frozenset({"robot", "reason", "proof"}),
     "killed": frozenset(),
     "joined": frozenset(),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from llm_flock.agent import Agent
+from llm_flock.arrays import Points
 from llm_flock.message import BidTable, Provenance
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
@@ -15,6 +16,7 @@ from llm_flock.runtime._episode import Episode, blocked_places
 
 LINE = Mission(shape="line", n_robots=3)
 PLAN = Plan.of(LINE.ideal or ())
+NOBODY = np.empty((0, 2))
 START = np.array([[40.0, 62.0], [50.0, 62.0], [60.0, 80.0]])
 
 
@@ -31,8 +33,8 @@ class Mind(Agent):
             )
 
 
-def bound(episode: Episode, awake: list[int], *minds: Agent) -> int | None:
-    episode.close(awake, minds)
+def bound(episode: Episode, awake: list[int], *minds: Agent, asleep: Points = NOBODY) -> int | None:
+    episode.close(awake, minds, asleep)
     return episode.bound
 
 
@@ -62,10 +64,12 @@ def test_without_one_plan_of_the_mission_there_is_no_bound(other: Agent) -> None
 def test_a_blocked_place_is_not_waited_for() -> None:
     table = ((1, 0.0, 0), (1, 0.0, 1), (3, 0.0, -2))
     minds = [Mind(PLAN, table=table), Mind(PLAN), Mind(PLAN, table=((0, 0.0, -1),) * 3)]
-    assert blocked_places(minds) == {2}
-    assert bound(Episode(LINE, 0, START), [0, 1, 2], *minds) == 2
+    body = PLAN.array[[2]] + [0.0, 2.9]
+    assert blocked_places(minds, PLAN, body, LINE) == {2}
+    assert blocked_places(minds, PLAN, body + [0.0, 0.2], LINE) == blocked_places(minds, PLAN, NOBODY, LINE) == set()
+    assert bound(Episode(LINE, 0, START), [0, 1, 2], *minds, asleep=body) == 2
     everything = [Mind(PLAN, table=((3, 0.0, -2),) * 3)]
-    assert bound(Episode(LINE, 0, START), [0], *everything) == 0
+    assert bound(Episode(LINE, 0, START), [0], *everything, asleep=PLAN.array) == 0
 
 
 def test_lower_bound_follows_a_moving_mission() -> None:

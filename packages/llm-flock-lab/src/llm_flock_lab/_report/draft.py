@@ -13,7 +13,7 @@ from typing import Any, cast
 from llm_flock_lab._experiments.statistics import interval
 from llm_flock_lab._experiments.store import TRIALS, read_trial
 from llm_flock_lab._report.drawings import Drawing
-from llm_flock_lab._report.findings import ERROR, INTERVAL, CellLine, PairLine
+from llm_flock_lab._report.findings import ERROR, INTERVAL, CellLine, PairLine, caveats
 from llm_flock_lab._report.results import ResultCell, Results, Team
 from llm_flock_lab._report.sheets import Sheet
 
@@ -58,6 +58,7 @@ def draft_values(
         "drawings": [one for one in drawings if one.section == "paper"]
         or [one for one in drawings if one.name in SHOWN],
         "claims": None if claims is None else _verdicts(claims),
+        "caveats": caveats(results),
         "label": " Simulated language models." if results.simulated else "",
         "codes": ", ".join(dict.fromkeys(str(trial.figures["code"]) for trial in results.trials)),
     }

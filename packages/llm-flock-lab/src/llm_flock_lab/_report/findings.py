@@ -125,6 +125,22 @@ def _cell_line(results: Results, cell: ResultCell, trials: Sequence[TrialRow]) -
     )
 
 
+def caveats(results: Results) -> list[str]:
+    """What errors do not tell, a sentence for each protocol in whose trials it happened."""
+    found: list[str] = []
+    for name in results.protocols:
+        trials = [trial for trial in results.trials if trial.cell.protocol == name]
+        counts = {
+            "two robots came nearer than the safe distance": sum(trial.too_near for trial in trials),
+            "steps longer than the limit ended there": sum(bool(t.figures.get("steps_over_limit")) for t in trials),
+            "the team ended beside the centre of its mission": sum(trial.beside_centre for trial in trials),
+        }
+        words = "; ".join(f"in {count:,} {text}" for text, count in counts.items() if count)
+        if words:
+            found.append(f"{name}: of {len(trials):,} trials, {words}.")
+    return found
+
+
 def known(values: Iterable[float | None]) -> list[float]:
     return [float(value) for value in values if value is not None]
 

@@ -26,7 +26,7 @@ from llm_flock_lab._report import sheets
 from llm_flock_lab._report.claims import claims_sheet
 from llm_flock_lab._report.draft import draft_values, to_tex
 from llm_flock_lab._report.drawings import Drawing, draw_all
-from llm_flock_lab._report.findings import cell_lines, pair_lines, usual_reference
+from llm_flock_lab._report.findings import caveats, cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import Failure, gallery
 from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
 from llm_flock_lab._report.results import OUTCOMES, Results
@@ -225,6 +225,7 @@ def _warnings(results: Results) -> Iterator[str]:
             f"{'Simulated language models' if every else 'Some of the language models are simulated'}: these figures "
             "say something about the protocol, and nothing about language models."
         )
+    yield from caveats(results)
     bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
     if bad:
         words = "; ".join(f"{n} {name} ({OUTCOMES[name]})" for name, n in bad.items())

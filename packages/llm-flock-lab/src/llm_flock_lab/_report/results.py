@@ -79,6 +79,12 @@ class TrialRow:
         return separation is not None and safe is not None and separation < safe - ROUNDING
 
     @property
+    def beside_centre(self) -> bool:
+        """Whether the team ended more than a tenth of the spacing beside the centre of its mission."""
+        off = self.figures.get("center_distance")
+        return off is not None and off > self.figures["spacing"] / 10
+
+    @property
     def ratio(self) -> float | None:
         """Rounds to the formation over the fewest possible, of which 0 counts as 1; None where it did not form."""
         rounds, bound = self.figures["rounds_to_formed"], self.figures["lower_bound_rounds"]

@@ -81,7 +81,7 @@ class AgentLoop:
         for effect in self.agent.handle(event):
             match effect:
                 case Note():
-                    self._note(effect.kind, dict(effect.detail))
+                    self.note(effect.kind, dict(effect.detail))
                 case Broadcast():
                     self._broadcast(effect.payload)
                 case AskStep() | MoveTo():
@@ -91,7 +91,7 @@ class AgentLoop:
                     rest.append(effect)
         return rest
 
-    def _note(self, kind: str, detail: dict[str, Any]) -> None:
+    def note(self, kind: str, detail: dict[str, Any]) -> None:
         if len(self.notes) < MAX_NOTES:
             self.notes.append({"kind": kind, "detail": detail})
         else:
@@ -110,7 +110,7 @@ class AgentLoop:
         try:
             mission = changed_mission(self.agent.mission, order.fields)
         except (InputError, TypeError) as error:
-            self._note("rejected_message", {"reason": "mission", "detail": str(error)})
+            self.note("rejected_message", {"reason": "mission", "detail": str(error)})
             return
         signed = Authorization(counter=order.counter, signature=order.signature) if order.signature else None
         self.handle(events.MissionGiven(mission=mission, ordered_at=order.counter, authorization=signed))
@@ -149,7 +149,7 @@ class AgentLoop:
         if self._accuser is not None:
             accusation = self._accuser.accuse(self.agent.rejected.total(), self.agent.mission)
             if accusation is not None:
-                self._note(accusation.kind, dict(accusation.detail))
+                self.note(accusation.kind, dict(accusation.detail))
         if self._comm_rounds % (self._config.protocol.comm_rounds or 1) == 0:
             self.period += 1
             self.handle(events.HeartbeatDue(self.period))

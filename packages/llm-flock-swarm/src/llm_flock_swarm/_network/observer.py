@@ -7,6 +7,7 @@ once more robots report it than may be lying.
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections import Counter
@@ -31,6 +32,8 @@ from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.self_reports import SelfReports, rejected, sent
 from llm_flock_swarm._network.wire import RobotReport, WorldState
+
+logger = logging.getLogger(__name__)
 
 SILENT_S = 1.0  # a robot that reports is there; it is gone once it has left and has been silent for this long [s]
 MAX_UNPROVEN = 8  # accusations of one robot that prove nothing, after which none are judged: each takes time
@@ -172,6 +175,12 @@ class Observer:
         if report.round and self.began_s is None:
             self.began_s = now_s
         self.said.take(robot, report)
+        for clock in (event.detail for event in happened if event.kind == "clock"):
+            logger.warning(
+                "robot %d stands still: its clock is %s s ahead of that of its positions (NTP or PTP would help)",
+                robot,
+                clock.get("ahead_s"),
+            )
         for entry in (*happened, *report.calls):
             self._sink.write(entry.model_copy(update={"round": self._current_row}))
 

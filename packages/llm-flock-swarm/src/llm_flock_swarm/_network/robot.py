@@ -36,6 +36,7 @@ from llm_flock_swarm._zenoh import ZenohLink
 logger = logging.getLogger(__name__)
 
 MAX_LATENCIES = 1024  # latencies in one report: a flood of beacons is not told beacon by beacon
+CLOCK_OFF_S = 1.0  # difference of clocks above which the robot says so [s]
 BEACON_DUE = 0.9  # share of a beacon period after which a message's beacon no longer replaces the next one
 
 
@@ -51,7 +52,7 @@ class RobotProcess:
         self.planners.listen(lambda attempt: self._calls.append(llm_entry(attempt)))
         self._calls: list[LlmEntry] = []
         self._latencies_s: list[float] = []
-        self._beacon_sent_s = 0.0
+        self._beacon_sent_s, self._said_clock = 0.0, False
         self._alive: set[int] = set()
         self._all_here = asyncio.Event()
         self._sees = asyncio.Event()
@@ -118,6 +119,10 @@ class RobotProcess:
 
     def _on_state(self, _sender: int, state: WorldState) -> None:
         if len(state.bodies) == self._config.mission.n_robots:
+            ahead_s = time.time() - state.stamp
+            if abs(ahead_s) > CLOCK_OFF_S and not self._said_clock:
+                self._said_clock = True
+                self.agent_loop.note("clock", {"ahead_s": round(ahead_s, 1)})
             self.radio.frame(state.stamp, [body.position for body in state.bodies])
             self.body.update(state.bodies[self._robot])
             self._sees.set()

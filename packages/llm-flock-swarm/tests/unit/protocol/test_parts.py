@@ -15,6 +15,7 @@ from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import Claim, IndexAssignment, NearestAssignment
 from llm_flock.protocol._agreement.consensus import InfluenceConsensus, NoConsensus
 from llm_flock.protocol._membership.team import TeamMembership
+from llm_flock.protocol._motion.leg import Leg
 from llm_flock.protocol._parts import Checker, Membership, Observation, Parts, Safety, Situation
 from llm_flock.protocol._verification.steps import Verdict
 from llm_flock.runtime._config import RunConfig
@@ -97,6 +98,7 @@ def test_an_unverified_answer_is_used_as_it_is() -> None:
 def test_null_safety_asks_no_robot_to_make_way() -> None:
     safety = Safety()
     safety.begin_mission()
+    assert safety.room(Observation(position=HERE, sensed={}), Leg(goal=BESIDE, stop=BESIDE, left=1.0)) == 0.0
     assert safety.course is None and safety.stay(Observation(position=HERE, sensed={1: BESIDE})).waypoint == HERE
 
 

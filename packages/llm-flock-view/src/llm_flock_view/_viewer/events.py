@@ -184,6 +184,7 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
     "deadlock": _deadlock,
     "gives_way": lambda detail: f"gives way to robot {detail.get('to')}",
     "held": lambda detail: f"stayed where it was{_because(detail)}",
+    "clock": lambda detail: f"has a clock that is {detail.get('ahead_s')} s ahead of that of its positions",
     "dropped_notes": lambda detail: f"left {counted(detail.get('count'), 'further event')} out of its report",
     "accused": lambda detail: (
         f"accuses robot {detail.get('robot')} of sending what no honest robot sends: "

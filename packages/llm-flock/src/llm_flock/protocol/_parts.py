@@ -72,6 +72,7 @@ class Situation:
         self.claim = Claim(slot=None)
         self.position: Point = ()
         self.sensed: Mapping[int, Point] = {}
+        self.earlier: tuple[Point, ...] = ()  #: Where robots may stand that missed the last orders.
 
     @property
     def ways(self) -> Roadmap | None:
@@ -90,6 +91,11 @@ class Membership:
     @property
     def lost(self) -> bool:
         """Whether a robot without a place has been out of touch for so long that it should look for the others."""
+        return False
+
+    @property
+    def deserted(self) -> bool:
+        """Whether a robot has been alone at its place for so long that it should look for the others."""
         return False
 
     @property
@@ -173,6 +179,10 @@ class Safety:
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint."""
         return SafeStep(waypoint=scene.position, origin=Origin.HOLD)
+
+    def room(self, scene: Observation, leg: Leg) -> float:
+        """How much nearer to the leg's stop a straight step leads now, as far as others leave it free [units]."""
+        return 0.0
 
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
         """The safe waypoint for the planner's waypoint `wish` [units; world frame]."""

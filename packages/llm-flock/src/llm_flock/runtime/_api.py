@@ -242,8 +242,8 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
     assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""), protocol.without)
 
     # Build every part first, which rejects invalid values; then open files, and fly.
-    warn_of_mission(config.mission)
     asked = config.trial
+    warn_of_mission(config.mission, asked.noise)
     rng = stream(asked.seed, Stream.START)
     start = start_positions(config.mission, asked.start_positions, asked.start, rng, asked.start_area)
     bodies = InstantBodies(Readings(config.mission, start, asked.noise, stream(asked.seed, Stream.NOISE)))

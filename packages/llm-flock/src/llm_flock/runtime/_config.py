@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self, cast, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
-from llm_flock import graph
+from llm_flock import graph, metrics
 from llm_flock.bounds import DEEPEST, MAX_INTEGER, TIME_OUT
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.links import LinkFaults
@@ -329,9 +329,19 @@ def check_values(field: str, value: object, depth: int = DEEPEST) -> None:
 
 
 @cache
-def warn_of_mission(mission: Mission) -> None:
-    """Log a warning, once for each mission, if it may not form because robots lack radio contact, or room to move."""
-    ideal = mission.ideal
+def warn_of_mission(mission: Mission, noise: float = 0.0) -> None:
+    """Log a warning, once for each mission, if it may not form because robots lack radio contact, room, or precision.
+
+    `noise` is the largest error of a position [units].
+    """
+    ideal, tolerance = mission.ideal, metrics.AT_GOAL * mission.spacing
+    if noise > tolerance:
+        logger.warning(
+            "noise = %g is more than a robot may be away from its place, %g: the team may stand in its shape as it "
+            "sees itself, and hardly ever count as formed.",
+            noise,
+            tolerance,
+        )
     if ideal is not None and not graph.is_connected(graph.distances(ideal) <= mission.comm_range):
         logger.warning(
             "comm_range = %g is too short for this formation: robots at its places, %g apart, are not all in radio "

@@ -103,17 +103,23 @@ class Episode:
         except InputError:
             return True
 
-    def close(self, awake: Sequence[int], agents: Sequence[Agent]) -> None:
-        """End the mission: compute the rounds that a perfect central planner needs for the plan of these agents."""
-        plan, blocked = self.plan(agents), blocked_places(agents)
+    def close(self, awake: Sequence[int], agents: Sequence[Agent], asleep: Points) -> None:
+        """End the mission: compute the rounds that a perfect central planner needs for the plan of these agents.
+
+        `asleep` are the bodies of the other robots, shape (m, d) [units].
+        """
+        plan = self.plan(agents)
         if plan is None:
             self.bound = None
             return
+        blocked = blocked_places(agents, plan, asleep, self.mission)
         goals = np.array([point for slot, point in enumerate(plan.points) if slot not in blocked])
         self.bound = self._bound(awake, goals) if len(goals) else 0
 
 
-def blocked_places(agents: Sequence[Agent]) -> frozenset[int]:
-    """Slots without an owner because an obstructing body lies on them, as known to any of these agents."""
+def blocked_places(agents: Sequence[Agent], plan: Plan, bodies: Points, mission: Mission) -> frozenset[int]:
+    """Slots without an owner that any of these agents takes for blocked, and on which one of the `bodies` does lie."""
     tables = (agent.claim.table or () for agent in agents)
-    return frozenset(slot for table in tables for slot, entry in enumerate(table) if entry[2] < NO_OWNER)
+    said = {slot for table in tables for slot, entry in enumerate(table) if entry[2] < NO_OWNER}
+    apart = {slot: np.linalg.norm(bodies - plan.array[slot], axis=1) for slot in said}
+    return frozenset(slot for slot, ways in apart.items() if ways.size and ways.min() < mission.safe_distance)

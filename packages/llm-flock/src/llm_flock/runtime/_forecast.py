@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import astuple, dataclass
 from typing import Any
 
+from llm_flock.llm._limits import LONGEST_S
 from llm_flock.llm._models import parse_models, waits
 from llm_flock.llm._port import Usage
 from llm_flock.llm._providers import cost_usd, parse_base_urls, parse_model
@@ -54,10 +55,9 @@ def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
         plain |= {"temperature": None, "model_seed": None, "frame": None}
         if config.model.prompts == "brief":  # stand-ins understand only the full ones, which take more tokens
             plain["prompts"] = None
-    parts = {
-        "model": free.model.model_copy(update=plain),
-        "limits": config.limits.model_copy(update={"max_calls": None, "max_tokens": None, "max_cost": None}),
-    }
+    # On a busy machine a rehearsal takes longer; that must not cost it an answer.
+    unbounded = {"max_calls": None, "max_tokens": None, "max_cost": None, "timeout_s": LONGEST_S}
+    parts = {"model": free.model.model_copy(update=plain), "limits": config.limits.model_copy(update=unbounded)}
     return free.model_copy(update=parts)
 
 

@@ -13,6 +13,8 @@ from datetime import UTC, datetime
 from importlib import metadata as installed
 from pathlib import Path
 
+import numpy as np
+
 from llm_flock import metrics
 from llm_flock.agent import Agent
 from llm_flock.arrays import Points
@@ -175,7 +177,8 @@ class Journal:
 
     def close_episode(self, roster: Roster) -> None:
         """The mission in force is over: another one begins, or the run ends."""
-        self.episode.close(roster.awake, roster.awake_agents())
+        asleep = np.delete(self.positions[-1], roster.awake, axis=0)
+        self.episode.close(roster.awake, roster.awake_agents(), asleep)
 
     def attempt(self, attempt: Attempt) -> None:
         """Count one model call. A call beyond the budget was never made, and is only recorded."""
@@ -285,7 +288,8 @@ class Journal:
         at_goal = metrics.robots_at_goal(distances, episode.mission.spacing)
         plan = episode.plan(agents)
         places = episode.mission.n_places if plan is None else len(plan)
-        usable = places - len(blocked_places(agents))
+        asleep = np.delete(positions, roster.awake, axis=0)
+        usable = places - (0 if plan is None else len(blocked_places(agents, plan, asleep, episode.mission)))
         self.errors.append(None)
         if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or at_goal == min(usable, len(agents)):
             self.measure_error(roster)

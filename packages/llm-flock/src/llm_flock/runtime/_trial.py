@@ -137,6 +137,13 @@ class Trial:
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
         after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
+        if self.schedule.kills and self.config.protocol.gaps == "replan":
+            # No robot plans for fewer before the search for the others has ended, and its turn has come.
+            from llm_flock.protocol._membership.search import longest_search
+            from llm_flock.protocol._membership.team import MAX_WAIT, REPLAN_PATIENCE
+
+            missing = sum(map(len, self.schedule.kills.values()))
+            after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
         return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
 
     async def run(self) -> None:
@@ -196,7 +203,7 @@ class Trial:
 
     @property
     def _notice_round(self) -> int:
-        """The round by which others have noticed the last death, and searched for the dead robot."""
+        """The round by which others have noticed the last death, and looked for the dead robot."""
         kills = self.schedule.kills
         if not kills:
             return 0

@@ -20,14 +20,16 @@ from llm_flock.events import (
     Received,
     Sensed,
 )
-from llm_flock.message import NO_OWNER, UNSAID, BidTable
+from llm_flock.message import NO_OWNER, UNSAID, BidTable, MissionStamp
 from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
 from llm_flock.planner import StepAnswer
+from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.auction import BOUND_ROUNDS, AuctionAssignment
 from llm_flock.protocol._agreement.consensus import ProvenanceConsensus
 from llm_flock.protocol._messages.dissemination import MAX_KNOWN_PLANS
+from llm_flock.protocol._parts import Parts
 
 
 def kinds(effects: list[Effect]) -> list[str]:
@@ -156,6 +158,16 @@ def test_committed_path_in_a_moving_frame_is_asked_about_once() -> None:
         driven.here = move.waypoint
         driven.agent.handle(Arrived())
     assert asked == 1
+
+
+def test_places_of_earlier_missions_are_remembered() -> None:
+    """The last first, and one of each group in radio range; those of a mission that travelled are nowhere now."""
+    near = Mission(shape="line", n_robots=3, comm_range=21)
+    east, travels = near.change(center=(85.0, 50.0)), near.change(velocity=(1.0, 0.0))
+    agreement = Agreement(0, near, Parts())
+    for count, mission in enumerate((east, travels, near), start=1):
+        agreement.begin_mission(mission, MissionStamp(count, mission.digest))
+    assert agreement.earlier == ((75.0, 50.0), (95.0, 50.0), (40.0, 50.0), (60.0, 50.0))
 
 
 def test_a_repeated_message_counts_for_its_own_mission_only() -> None:

@@ -297,6 +297,16 @@ def test_an_offer_about_something_else_is_not_accepted(changes: dict[str, int]) 
     assert after.slot == 1
 
 
+def test_a_robot_exchanges_only_places_that_it_owns() -> None:
+    """Robot 2 stands where robot 0 would, and speaks of the place of another as its own."""
+    zero, one, _ = crossed()
+    offer = Offer(to=1, give=0, take=1, give_version=0, take_version=0, bid=-10.0)
+    offered = says(2, Claim(slot=0, table=zero.table, bids=zero.bids, offer=offer))
+    assert RULE.update(one, at(1, 1.0, offered, sensed={2: (12.0, 0.0)})).slot == 1
+    claimed = says(2, Claim(slot=1, table=zero.table, bids=one.bids))
+    assert RULE.update(zero, at(0, 12.0, claimed, sensed={2: (1.0, 0.0)})).offer is None
+
+
 def test_exchange_needs_a_gain_and_a_robot_in_sight() -> None:
     zero, one, _ = crossed()
     assert RULE.update(zero, at(0, 12.0, says(1, one))).offer is None

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from llm_flock.planner import NoAnswer
-from llm_flock.protocol._breaker import FIRST_WAIT, MAX_WAIT_ROUNDS, THRESHOLD, BreakerState, CircuitBreaker
+from llm_flock.protocol._breaker import FIRST_WAIT, THRESHOLD, BreakerState, CircuitBreaker
 
 FAILURE = NoAnswer(cause="answer", reason="not readable")
 
@@ -70,7 +70,7 @@ def test_probes_come_at_growing_intervals_up_to_a_longest_one() -> None:
     rounds = asked_in(CircuitBreaker("step", enabled=True), range(1, 400))
     waits = [later - earlier for earlier, later in pairwise(rounds)]
     assert rounds[:THRESHOLD] == [1, 2]
-    assert waits[1:6] == [2, 4, 8, 16, 32] and set(waits[6:]) == {MAX_WAIT_ROUNDS}
+    assert waits[1:6] == [2, 4, 8, 16, 32] and set(waits[6:]) == {64}
 
 
 def test_a_probe_is_half_open_until_it_is_answered() -> None:

@@ -72,7 +72,7 @@ def towards(question: StepQuestion, length: float = 6.0) -> Point:
 
 
 class Robot:
-    """One robot without neighbours, flown round by round with a model of the test's."""
+    """One robot without neighbours, or beside `bodies` that say nothing, flown round by round with a test's model."""
 
     def __init__(
         self,
@@ -96,6 +96,7 @@ class Robot:
         )
         self.model = plan, step
         self.here: Point = START
+        self.bodies: dict[int, Point] = {}
         self.number = 0
         self.asked: list[PlanQuestion | StepQuestion] = []
         self.notes: list[Note] = []
@@ -104,7 +105,7 @@ class Robot:
 
     def begin(self) -> None:
         self.number += 1
-        for effect in self.agent.handle(round_began(self.number, self.here)):
+        for effect in self.agent.handle(round_began(self.number, self.here, self.bodies)):
             if isinstance(effect, AskPlan):
                 self.asked.append(effect.question)
                 self.take(Planned(self.model[0](effect.question)))
@@ -247,10 +248,22 @@ def test_nearly_arrived_or_blocked_robot_is_not_called_slow() -> None:
         mission=MISSION, robot=0, round=1, position=(goal[0] + 0.15, goal[1]), neighbors=(), plan=IDEAL, slot=0
     )
     for _ in range(20):
-        assert pace.too_slow(question, (goal[0] + 0.14, goal[1])) is None
+        assert pace.too_slow(question, (goal[0] + 0.14, goal[1]), lambda: 6.0) is None
     blocked = replace(question, position=(goal[0] + 20.0, goal[1]), neighbors=((goal[0] + 17.0, goal[1]),))
     for _ in range(20):
-        assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0)) is None
+        assert pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0), lambda: 1.4) is None
+    reasons = [pace.too_slow(blocked, (goal[0] + 20.0, goal[1] + 6.0), lambda: 1.6) for _ in range(5)]
+    assert reasons[0] is None and "of a step nearer to the goal" in (reasons[-1] or ""), "others leave it room"
+
+
+@pytest.mark.parametrize(("beside", "ends"), [(2.5, "geometry"), (0.0, "model")])
+def test_a_model_that_waits_is_overruled_if_there_is_room(beside: float, ends: str) -> None:
+    """A body is in its straight way; past one that stands a little aside, the shield would let it fly."""
+    robot = Robot(step=lambda question: StepAnswer(waypoint=question.position))
+    robot.here = (IDEAL.points[1][0] - 20.0, IDEAL.points[1][1])
+    robot.bodies = {1: (robot.here[0] + 3.5, robot.here[1] + beside)}
+    robot.fly(9)
+    assert robot.origins[-1] == ends and robot.origins[0] == "model"
 
 
 def test_a_model_that_is_slow_between_refusals_is_found_out_too() -> None:
@@ -275,7 +288,7 @@ def test_a_place_that_travels_has_to_be_reached_not_followed() -> None:
             mission=mission, robot=0, round=1, position=(goal[0] - 2.0, goal[1]), neighbors=(), plan=IDEAL, slot=0
         )
         pace = Pace()
-        reasons.append([pace.too_slow(question, (goal[0] - after, goal[1])) for _ in range(6)][-1])
+        reasons.append([pace.too_slow(question, (goal[0] - after, goal[1]), lambda: 0.0) for _ in range(6)][-1])
     assert reasons[0] is not None and reasons[1:] == [None, None]
 
 

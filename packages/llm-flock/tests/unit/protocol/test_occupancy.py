@@ -137,9 +137,9 @@ def test_place_searched_in_vain_is_a_gap_naming_missing_robots() -> None:
         driven.comm_round()
         effects = driven.agent.handle(AgreementEnded())
         notes += [effect for effect in effects if isinstance(effect, Note)]
-        ask = effects[-1]
-        assert isinstance(ask, AskStep)
-        move = driven.agent.handle(Decided(StepAnswer(waypoint=ask.question.goal)))[-1]
+        move = effects[-1]
+        if isinstance(move, AskStep):  # otherwise it is alone at its place, and goes to look for the others
+            move = driven.agent.handle(Decided(StepAnswer(waypoint=move.question.goal)))[-1]
         assert isinstance(move, MoveTo)
         driven.here = move.waypoint
         driven.agent.handle(Arrived())

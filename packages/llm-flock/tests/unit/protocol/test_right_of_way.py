@@ -270,7 +270,7 @@ def test_pilot_heeds_all_robots_again_after_a_new_mission(shield_on: bool) -> No
         moved = pilot.hold(scene, "no_goal", "")[-1]
         return isinstance(moved, MoveTo) and moved.origin is Origin.YIELD
 
-    assert [yields() for _ in range(HEEDED_ROUNDS + 1)] == [shield_on] * HEEDED_ROUNDS + [False]
+    assert [yields() for _ in range(33)] == [shield_on] * 32 + [False]
     pilot.begin_mission()
     assert yields() == shield_on
 

@@ -8,16 +8,34 @@ from rounds import observation
 from safe_team import SAFE, SafeTeam
 
 from llm_flock.events import Note, Origin
+from llm_flock.message import Course
 from llm_flock.mission import Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.protocol._motion.leg import Leg
 from llm_flock.protocol._motion.safety import ShieldedSafety
 from llm_flock.shield import spread_coincident
 
+MISSION = Mission(shape="line", n_robots=3)
+
 
 def ring(n: int, radius: float, turn: float = 0.0) -> np.ndarray:
     angles = turn + 2 * math.pi * np.arange(n) / n
     return 50 + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def test_room_is_what_others_leave_of_a_straight_step() -> None:
+    here, there = (50.0, 50.0), (60.0, 50.0)
+    leg = Leg(goal=there, stop=there, left=10.0)
+
+    def room(*bodies: tuple[float, float], courses: dict[int, Course] | None = None) -> float:
+        safety, scene = ShieldedSafety(1, MISSION, 0.0), observation(here, dict(enumerate(bodies, 2)))
+        if courses:
+            safety.step(observation(here, dict(enumerate(bodies, 2)), courses=courses), there, leg, 0.5)
+        return safety.room(scene, leg)
+
+    assert room() == pytest.approx(6.0) and room((55.0, 50.0)) == pytest.approx(1.0)
+    assert room((47.0, 50.0)) == pytest.approx(6.0), "a body behind leaves all of it"
+    assert room((46.0, 50.0), courses={2: Course(level=2, of=0, path=((64.0, 50.0),))}) == 0.0, "it gives way"
 
 
 @pytest.mark.parametrize("dim", [2, 3])

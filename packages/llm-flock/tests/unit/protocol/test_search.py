@@ -1,6 +1,7 @@
 """The search that ends frozen partitions: which robot goes, where, and when it stops."""
 
 from functools import partial
+from itertools import groupby
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -19,7 +20,9 @@ from llm_flock.protocol._membership.search import (
     PATIENCE,
     PATIENCE_PER_PLACE,
     Search,
+    Seeking,
     advance,
+    longest_search,
 )
 from llm_flock.protocol._parts import Situation
 
@@ -61,6 +64,55 @@ def test_a_full_team_stays() -> None:
     for _ in range(50):
         search = step(search, 0.0, 0, table(0, 1, 2, 3))
     assert search.target is None
+
+
+def test_a_tour_leads_by_places_of_earlier_missions() -> None:
+    """Those within half the radio range of the present places are passed anyway; a formation that moves has none."""
+    now = situation(table(0, 1, 2, NO_OWNER), (20.0, 0.0), slot=2)
+    now.earlier = ((33.0, 5.0), (60.0, 0.0), (60.0, 20.0))
+    search = Search(waited=PATIENCE, known=(PLAN.digest, (3,)))
+    assert advance(search, now, PLAN, strangers=0, silent=1).way == ((30.0, 0.0), (60.0, 0.0), (60.0, 20.0))
+    now.mission = MISSION.change(velocity=(1.0, 0.0))
+    assert advance(search, now, PLAN, strangers=0, silent=1).way == ((30.0, 0.0),)
+
+
+def test_a_robot_alone_looks_for_others_ever_more_rarely() -> None:
+    now, seeking = situation(table(0, 1, 2, 3), (0.0, 0.0)), Seeking(0)
+    out: list[bool] = []
+    for _ in range(140):
+        seeking.wait_for_neighbours(now, met=False)
+        out.append(seeking.sets_out)
+        if seeking.sets_out and (point := seeking.target(MISSION, now.position)) is not None:
+            now.position = point
+        if not seeking.sets_out:
+            now.position = (0.0, 0.0)
+    waits = [len(list(group)) for away, group in groupby(out) if not away]
+    assert waits[:3] == [8, 17, 33], "a round longer after a tour, in which it flies back"
+    seeking.wait_for_neighbours(now, met=True)
+    assert not seeking.sets_out
+
+
+@pytest.mark.parametrize("case", ["no plan", "no place", "under way", "places out of range"])
+def test_a_robot_that_should_meet_nobody_waits(case: str) -> None:
+    now, seeking = situation(table(0, 1, 2, 3), (0.0, 0.0)), Seeking(0)
+    match case:
+        case "no plan":
+            now.plan = None
+        case "no place":
+            now.claim = Claim(slot=None)
+        case "under way":
+            now.position = (0.0, 1.0)
+        case _:
+            now.mission = MISSION.change(comm_range=9, sense_range=15)
+    for _ in range(40):
+        seeking.wait_for_neighbours(now, met=False)
+    assert not seeking.sets_out
+
+
+def test_longest_search_outlasts_every_search() -> None:
+    """Survivors of ten with a search that ends in vain: the bound is not below what they took."""
+    for missing, took in ((9, 79), (8, 98), (7, 63)):
+        assert took <= longest_search(Mission(shape="circle", n_robots=10), missing) + 10
 
 
 def test_the_robot_next_to_a_vacant_place_goes_first() -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import operator
 import traceback
 from collections.abc import Mapping
+from itertools import islice
 from typing import Literal
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, spread
 from llm_flock.errors import MAX_SHOWN, FlockError
 from llm_flock.events import Note
 from llm_flock.message import BLOCKED, MAX_EPOCHS, Message, MissionStamp, Provenance
@@ -19,6 +20,8 @@ from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
 from llm_flock.protocol._parts import Parts, Situation
+
+MAX_EARLIER = 64  # places of earlier missions that are remembered
 
 
 class Agreement(Situation):
@@ -60,6 +63,10 @@ class Agreement(Situation):
 
     def begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         """Begin another mission, which makes the present plan and claim void."""
+        if self.mission.velocity is None:
+            places = (self.mission.ideal or ()) if self.plan is None else self.plan.points
+            known = spread((*places, *self.earlier), 0.5 * mission.comm_range)
+            self.earlier = tuple(islice(known, MAX_EARLIER))
         self.mission, self.stamp = mission, stamp
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)

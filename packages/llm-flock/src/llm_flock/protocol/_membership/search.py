@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, spread
 from llm_flock.message import NO_OWNER
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
@@ -89,8 +89,20 @@ def advance(
     nearest = min(math.dist(plan.points[slot], plan.points[a]) for a in due) / spacing
     if waited < PATIENCE * 2**looks + int(PATIENCE_PER_PLACE * max(0.0, nearest - NEXT_TO)):
         return replace(search, waited=waited + 1)
-    tour = _tour(plan, slot, due)
-    return replace(search, way=(*tour, center) if without_plan or looks >= LOOKS // 2 else tour)
+    tour = [plan.points[a] for a in due]
+    if now.mission.velocity is None:  # robots that missed an order stand where they were sent before
+        tour += spread(now.earlier, 0.5 * now.mission.comm_range, plan.points)
+    way = _tour(plan.points[slot], tour)
+    return replace(search, way=(*way, center) if without_plan or looks >= LOOKS // 2 else way)
+
+
+def longest_search(mission: Mission, missing: int) -> int:
+    """Rounds within which robots in touch give up all places of this many others, if nobody is found there."""
+    places = np.array(mission.ideal or (mission.center,))
+    across = float(np.ptp(places, axis=0).max())
+    tour = min((missing + 1) * across, len(places) * 1.5 * mission.spacing + across) / mission.max_step
+    waits = PATIENCE * 2**LOOKS + LOOKS * PATIENCE_PER_PLACE * across / mission.spacing
+    return math.ceil(LOOKS * tour + waits)
 
 
 def _update(search: Search, plan: Plan, slot: int, vacant: tuple[int, ...], center: Point, *, many: bool) -> Search:
@@ -113,22 +125,25 @@ def _nearest(plan: Plan, slot: int, vacant: tuple[int, ...]) -> int | None:
     return min(((math.dist(here, points[a]), a) for a in vacant), default=(0.0, None))[1]
 
 
-def _tour(plan: Plan, slot: int, due: list[int]) -> tuple[Point, ...]:
-    """A tour of the vacant places, always to the nearest one left."""
-    places = plan.array[due]
+def _tour(start: Point, points: Sequence[Point]) -> tuple[Point, ...]:
+    """A tour of some points, always to the nearest one left."""
+    places = np.array(points)
     apart = np.linalg.norm(places[:, None] - places, axis=2)
-    to_each = np.linalg.norm(places - plan.array[slot], axis=1)
+    to_each = np.linalg.norm(places - np.array(start), axis=1)
     way = list[Point]()
-    for _ in due:
+    for _ in points:
         following = int(to_each.argmin())
-        way.append(plan.points[due[following]])
+        way.append(points[following])
         apart[:, following] = math.inf  # it has been visited
         to_each = apart[following]
     return tuple(way)
 
 
 class Seeking:
-    """The way of a robot without plan, or lost: to the centre, and in a large formation also to two ideal places."""
+    """The way of a robot without plan, or lost: to the centre, and in a large formation also to two ideal places.
+
+    A robot that meets nobody at its place goes there once, comes back, and waits twice as long each time.
+    """
 
     def __init__(self, robot: int, liars: int = 0) -> None:
         self._robot, self._liars = robot, liars
@@ -137,7 +152,20 @@ class Seeking:
     def start_again(self) -> None:
         self._leg = 0
         self._left: int | None = None
-        self._alone = 0
+        self._alone = self._deserted = 0
+        self._patience, self.sets_out = ALONE, False
+
+    def wait_for_neighbours(self, now: Situation, *, met: bool) -> None:
+        """Count a period in which no body was `met` in radio range of the own place, though others belong there."""
+        if met:
+            self._deserted, self._patience, self.sets_out = 0, ALONE, False
+        elif self.sets_out:
+            self.sets_out = self._leg < len(_points(now.mission, self._robot))
+        elif _should_meet_others(now):
+            self._deserted += 1
+            if self._deserted > self._patience:
+                self._deserted, self._patience = 0, 2 * self._patience
+                self.sets_out, self._leg, self._left = True, 0, None
 
     def count(
         self, living: Collection[int], silent: Collection[int], strangers: Collection[int], n_robots: int
@@ -164,6 +192,14 @@ class Seeking:
         if self._left == 0:
             self._leg, self._left = self._leg + 1, None
         return point if away > NEAR * mission.spacing else None
+
+
+def _should_meet_others(now: Situation) -> bool:
+    """Whether the robot is at its place, and other places are in radio range of it."""
+    plan, slot, mission = now.plan, now.claim.slot, now.mission
+    if plan is None or slot is None or math.dist(now.position, plan.points[slot]) > AT_GOAL * mission.spacing:
+        return False
+    return any(0.0 < math.dist(place, plan.points[slot]) <= mission.comm_range for place in plan.points)
 
 
 @lru_cache(maxsize=4096)

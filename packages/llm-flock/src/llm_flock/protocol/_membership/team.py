@@ -70,6 +70,10 @@ class TeamMembership(Membership):
         return self._seeking.lost
 
     @property
+    def deserted(self) -> bool:
+        return self._seeking.sets_out
+
+    @property
     def known(self) -> object:
         return self._joint.known
 
@@ -88,6 +92,7 @@ class TeamMembership(Membership):
         self._joint.begin_round()
         self._unplaced.clear()
         self._seeking.count(near - live.silent, live.silent, live.strangers, mission.n_robots)
+        self._seeking.wait_for_neighbours(now, met=bool(near))
         owners, wanted = {owner for _, _, owner in now.claim.table or ()}, self._wanted(mission)
         replans = self.gaps == "replan" and now.plan is not None and now.claim.table is not None
         fits = not replans or (len(now.plan or ()) == wanted and BLOCKED not in owners)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -24,24 +24,35 @@ SLOWEST = 0.4
 the rounds of a straight flight, and a team should form in three times the lower bound."""
 
 
-class Pace:
-    """Average gain of a planner's waypoints towards the goal, each as a share of the largest possible gain.
+ROOM = 0.25
+"""Share of a straight step that others have to leave free, before a robot that stays has itself to blame."""
 
-    A round held because an answer was rejected counts as a gain of 0. Waypoints at the goal, or of a robot whose
-    straight path is blocked, do not count. A travelling goal has to be reached from one step away: a robot that only
-    closes a share of the gap would trail without end.
+
+class Pace:
+    """Average gain of a planner's waypoints towards the goal, each as a share of the gain of a straight step.
+
+    A round held because an answer was rejected counts as a gain of 0. Waypoints at the goal do not count, nor those of
+    a robot that others leave no room. A travelling goal has to be reached from one step away: a robot that only closes
+    a share of the gap would trail without end.
     """
 
     def __init__(self) -> None:
         self._average = 1.0
 
-    def too_slow(self, question: StepQuestion, waypoint: Point) -> str | None:
-        """Count a waypoint that passed its checks. Returns the reason to reject it, or None."""
+    def too_slow(self, question: StepQuestion, waypoint: Point, room: Callable[[], float]) -> str | None:
+        """Count a waypoint that passed its checks. Returns the reason to reject it, or None.
+
+        `room` is how far others let the robot fly straight ahead now [units]; it is called where they are in its way.
+        """
         mission, goal = question.mission, question.goal
         before, after = math.dist(question.position, goal), math.dist(waypoint, goal)
-        if min(before, after) <= ROUNDING * mission.spacing or blocked(question):
+        if min(before, after) <= ROUNDING * mission.spacing:
             return None
-        gain = (before - after) / min(mission.max_step, before)
+        longest = min(mission.max_step, before)
+        most = room() if before - after < longest and blocked(question) else longest
+        if most < ROOM * longest:
+            return None
+        gain = (before - after) / most
         if mission.velocity is not None and before <= mission.max_step:
             gain = float(after <= AT_GOAL * mission.spacing)
         self._count(min(gain, 1.0))

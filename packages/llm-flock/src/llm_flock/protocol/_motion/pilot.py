@@ -122,8 +122,12 @@ class Pilot:
         verdict = self._verifier.judge(self._question, answer)
         if verdict.fit is None:
             return NoAnswer(cause="unverified", reason=verdict.reason or "")
-        slow = self._pace.too_slow(self._question, verdict.fit.waypoint)
+        slow = self._pace.too_slow(self._question, verdict.fit.waypoint, self._room)
         return verdict.fit if slow is None else NoAnswer(cause="slow", reason=slow)
+
+    def _room(self) -> float:
+        """How far the others let this robot fly straight to its next stop now [units]."""
+        return self._safety.room(self._scene, self._leg)
 
     def _waypoint(self, answer: StepAnswer | NoAnswer) -> Point | NoAnswer:
         """The first waypoint, or else the last rejected one, if it passes as a single step; otherwise no answer."""
@@ -188,7 +192,7 @@ class Pilot:
         step = self._waypoint(StepAnswer(waypoint=moved(committed.path[0], scene.ahead)))
         if isinstance(step, NoAnswer):
             return Trigger.UNFIT
-        slow = self._fallback != "hold" and self._pace.too_slow(self._question, step) is not None
+        slow = self._fallback != "hold" and self._pace.too_slow(self._question, step, self._room) is not None
         return Trigger.UNFIT if slow else step
 
     def _move(self, step: Point | NoAnswer, asked: Point | None, *, by_geometry: bool = False) -> list[Effect]:

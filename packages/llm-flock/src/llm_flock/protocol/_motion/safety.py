@@ -55,6 +55,14 @@ class ShieldedSafety(Safety):
         aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
 
+    def room(self, scene: Observation, leg: Leg) -> float:
+        """As `Safety.room`; none for a robot that gives way to another."""
+        if self._gave_way is not None:
+            return 0.0
+        here, stop = scene.position, moved(leg.stop, scene.drift)
+        straight = self._project(here, _towards(here, stop, self._limits.max_step), scene.others)
+        return math.dist(here, stop) - math.dist(straight, stop)
+
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
         """The safe waypoint for `wish` [units; world frame]. The leg's goal is reached within `tolerance` [units]."""
         right, here, within = self._right_of_way, scene.position, tolerance + self._noise_bound

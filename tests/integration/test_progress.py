@@ -1,0 +1,45 @@
+"""Robots make progress whatever their models answer, and all of a team come to know the last order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from benchmarks import minds, orders
+
+import llm_flock
+from llm_flock.mission import Mission
+
+
+@pytest.mark.parametrize("mind", ["still", "wary", "collapse"])
+@pytest.mark.parametrize(("team", "seed"), [("clump 10", 0), ("clump 10", 3), ("corner 2", 1)])
+def test_minds_that_wait_hold_no_team_up(mind: str, team: str, seed: int) -> None:
+    seen, good = minds.fly(team, mind, "all", seed), minds.fly(team, mind, "none", seed)
+    assert seen.formed is not None and seen.says and seen.separation >= 3.0 - 1e-6
+    assert seen.calls <= 2.5 * good.calls
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_all_robots_follow_the_last_of_twelve_orders(seed: int) -> None:
+    followed = orders.fly(12, seed)
+    assert followed.rounds is not None and followed.separation >= 3.0 - 1e-6
+
+
+def test_a_robot_left_behind_by_two_orders_is_found() -> None:
+    """It stands alone at the end of a line that the others have left for a circle."""
+    sets = {"shape": "line", "center": [50, 50]}, {"shape": "circle", "center": [50, 50]}
+    changes = [{"round": 5, "robot": 5, "set": sets[0]}, {"round": 10, "robot": 0, "set": sets[1]}]
+    flown = llm_flock.run(seed=0, rounds=300, changes=changes, trace=False)
+    assert minds.judge(flown.positions[10:], np.array(Mission().ideal), 10.0) is not None
+    assert flown.formed and len(flown.positions) < 60
+
+
+def test_the_judge_of_minds_sees_what_is_no_circle() -> None:
+    circle = np.array(Mission().ideal)
+    turned = circle[::-1, ::-1]
+    moved = circle + [0.0, 1.5]
+    dented = circle.copy()
+    dented[3] = 50.0 + 0.9 * (dented[3] - 50.0)
+    found = [minds.judge(np.array([places] * 3), circle, 10.0) for places in (circle, turned, moved, dented)]
+    assert found == [0, 0, None, None] and minds.judge(np.array([circle] * 2), circle, 10.0) is None
+    crossing = np.array([[[0.0, 0.0], [4.0, 0.0]], [[4.0, 0.1], [0.0, 0.1]]])
+    assert minds.separation(crossing) == pytest.approx(0.0)
