@@ -35,7 +35,7 @@ KITS := .venv/.kits-$(SUM)
 E2E := .venv/.e2e-$(SUM)
 
 # Tests, by suite: those of one part are in its folder, those of several in tests/.
-UNIT := $(wildcard packages/*/tests/unit) tests/unit
+UNIT := $(wildcard packages/*/tests/unit)
 ALL_TESTS := $(wildcard packages/*/tests/unit packages/*/tests/property packages/*/tests/integration) tests/unit tests/property tests/integration
 # Tests that are skipped where a kit is not installed.
 KITTED = $(shell grep -rl importorskip packages/*/tests tests --include='test_*.py' | grep -v /e2e/)
@@ -97,11 +97,13 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 	$(BIN)/llm-flock figure runs/demo/run.mcap
 	$(BIN)/llm-flock animate runs/demo/run.mcap
 
-quick: $(CHECK) ## Lint, types of changed files, unit tests: within 40 s, before each commit
+quick: $(CHECK) ## Lint, types of changed files, unit tests of changed parts: within 40 s, before each commit
 	@$(TOGETHER) lint changed unit
 
-unit: $(STAMP) ## Unit tests, without those that are long
-	$(BIN)/python -m pytest $(UNIT) -m "not no_cover and not slow" --quiet --numprocesses 2 --dist worksteal
+unit: $(STAMP) ## Unit tests of the parts that differ from main, and of all together, without those that are long
+	@parts="$$({ $(CHANGED); } | cut -d / -f 1,2)"; \
+	$(BIN)/python -m pytest $$(for tests in $(UNIT); do grep -qx "$${tests%/tests/unit}" <<< "$$parts" && echo "$$tests"; done) tests/unit \
+	  -m "not no_cover and not slow" --quiet --numprocesses 2 --dist worksteal
 
 changed: $(CHECK) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
