@@ -101,7 +101,9 @@ def rows(many: int, few: int, jobs: int) -> list[dict[str, str | int]]:
                             "trials": trials,
                             FORMED: text(wilson(sum(one.formed for one in results), trials), 100),
                             "mean error (units)": text(mean_interval([one.error for one in results]), digits=2),
-                            LOWER: "" if reading in ("baseline", "released, its parameters") else text(mean_interval(lower), digits=2),
+                            LOWER: ""
+                            if reading in ("baseline", "released, its parameters")
+                            else text(mean_interval(lower), digits=2),
                             "smallest separation (units)": f"{min(one.min_separation for one in results):.3f}",
                         }
                     )

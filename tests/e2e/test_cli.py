@@ -100,10 +100,22 @@ def test_provider_that_never_answers_ends_run_with_exit_code_1(tmp_path: Path) -
     assert read_record(tmp_path / "x/run.mcap").complete
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: signal.Signals) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "llm_flock",
+        "run",
+        "--model",
+        "simulated:slow@1.0",
+        "--out",
+        "x",
+        "--rounds",
+        "50",
+    ]
     running = subprocess.Popen(
-        [sys.executable, "-m", "llm_flock", "run", "--model", "simulated:slow@1.0", "--out", "x", "--rounds", "50"],
+        [*command, "--json"] if sent is signal.SIGHUP else command,
         cwd=tmp_path,
         env=ENV,
         stdout=subprocess.PIPE,
@@ -123,7 +135,8 @@ def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: sign
     record = read_record(path)
     assert len(record.states) >= 2
     assert record.complete
-    assert running.returncode == 130 and "interrupted" in errors and "interrupted in round" in shown
+    told = json.loads(shown)["stopped"] == "interrupted" if sent is signal.SIGHUP else "interrupted in round" in shown
+    assert running.returncode == 130 and "interrupted" in errors and told
     assert record.result is not None and record.result["stopped"] == "interrupted"
     assert record.result["model_calls"] == len(record.llm)
 

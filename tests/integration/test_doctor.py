@@ -42,6 +42,9 @@ def test_the_doctor_asks_the_model_that_is_named(monkeypatch: pytest.MonkeyPatch
     last = json.loads(good.output)[-1]
     assert last["ok"] and "asked without roles" in last["detail"] and "Position" in last["detail"]
     assert "ends in /v1" in json.loads(bad.output)[-1]["detail"]
+    with running(fixed_answer=" ") as server:
+        silent = CliRunner().invoke(app, [*asked, server.base_url])
+    assert silent.exit_code == 1 and not json.loads(silent.output)[-1]["ok"]
 
 
 def test_the_doctor_finds_a_drone_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,6 +34,7 @@ _CALL = re.compile(r"\b([a-zA-Z]{4,9})\s{0,9}\(([^()]{0,300})\)")
 _TEXTS = {"name", "title", "description", "comment"}
 _BARE = "2 or 3 finite numbers in each row, or a first line that names the columns"
 _JSON = 'a JSON list of [x, y] lists or of {"x": .., "y": ..} objects, or an object with such points by name'
+_HIDES = {"display": ("none",), "visibility": ("hidden", "collapse"), "opacity": ("0", "0.0", "0%")}
 _UNDRAWN = {"defs", "clipPath", "mask", "marker", "symbol", "pattern", "metadata", "style", "title", "desc", "text"}
 
 
@@ -58,6 +59,8 @@ def load_points(name: str | Path, field: str = "points") -> tuple[Point, ...]:
     if not (isinstance(scale, float) and 0.0 < scale < math.inf):
         raise InputError(field, str(name), "FILE@SCALE with a positive scale")
     try:
+        if path.exists() and not path.is_file():
+            raise ValueError("not a pipe, device or folder")
         with path.open(encoding="utf-8-sig") as file:
             text = file.read(MAX_LETTERS + 1)
         if len(text) > MAX_LETTERS:
@@ -90,7 +93,7 @@ def _points(rows: Iterable[Row]) -> list[Point]:
     if not points:
         raise _Refused("a file with at least one point")
     for column in list(zip(*points, strict=True))[::2] if known is None and len(points[0]) == 3 else []:
-        if len(column) > 1 and all(here == column[0] + k for k, here in enumerate(column)):
+        if len(column) > 1 and all(here == min(column) + k for k, here in enumerate(sorted(column))):
             raise _Refused("names of the columns: the first or last ones count the rows, and could be ids")
     numbers = [_number(one) for one in ids]
     if len(numbers) == len(points) and not any(isinstance(one, str) for one in numbers):
@@ -123,7 +126,7 @@ def _columns(names: Sequence[str]) -> tuple[list[int], int | None]:
 
 
 def _csv_rows(text: str) -> Iterator[Row]:
-    lines = text.removeprefix("#").splitlines()
+    lines = [line.removeprefix("#") if _names(line) else line.partition("#")[0] for line in text.splitlines()]
     first = next((line for line in lines if line.strip()), "")
     mark = next((mark for mark in ";\t," if mark in first), None)
     reader = csv.reader(lines, delimiter=mark or ",")
@@ -147,6 +150,12 @@ def _csv_rows(text: str) -> Iterator[Row]:
     names = rows[0][1] if rows and all(isinstance(cell, str) for cell in read[0][1]) else None
     for where, cells in read[names is not None :]:
         yield where, names, cells
+
+
+def _names(line: str) -> bool:
+    """Whether a line that begins as a comment names columns, as tables of numpy do."""
+    cells = re.split(r"[;,\t ]+", line.removeprefix("#").strip())
+    return line.startswith("#") and {"x", "y"} <= {axis[1].lower() for axis in map(_AXIS.fullmatch, cells) if axis}
 
 
 def _number(text: str) -> float | str:
@@ -208,6 +217,7 @@ class _Drawing:
 
     def __init__(self) -> None:
         self.centers, self.corners = list[Point](), list[Point]()
+        self._styled = False
         self._maps: list[Affine | None] = [(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)]  # None: what is inside is not drawn
 
     def start(self, tag: str, given: dict[str, str]) -> None:
@@ -215,7 +225,9 @@ class _Drawing:
         if len(self._maps) > MAX_DEPTH or (kind == "svg") != (len(self._maps) == 1):
             raise _Refused(f"one SVG, its elements nested at most {MAX_DEPTH} times, not {kind}")
         style = given.get("style", "").replace(" ", "")
-        hidden = kind in _UNDRAWN or "{" in kind or given.get("display") == "none" or "display:none" in style
+        self._styled = kind == "style"
+        said = {name: given.get(name, "") for name in _HIDES} | dict(re.findall(r"([a-z]+):([^;]*)", style))
+        hidden = kind in _UNDRAWN or "{" in kind or any(said[name] in values for name, values in _HIDES.items())
         if hidden or outer is None:
             self._maps.append(None)
             return
@@ -232,7 +244,12 @@ class _Drawing:
         elif kind not in ("svg", "g", "a", "switch") and given.get("width") != "100%":  # that is a background
             raise _Refused(f"circles, ellipses, polygons and polylines, not {kind}")
 
+    def data(self, text: str) -> None:
+        if self._styled and re.search("display|visibility|opacity", text):
+            raise _Refused("an SVG whose style sheet hides nothing")
+
     def end(self, tag: str) -> None:
+        self._styled = False
         self._maps.pop()
 
 

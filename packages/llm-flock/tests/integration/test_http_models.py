@@ -17,6 +17,7 @@ from slowness import slowness
 
 import llm_flock
 from llm_flock.errors import BudgetExceeded, ModelError
+from llm_flock.llm._dialect import Dialect
 from llm_flock.llm._limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._planner import LanguagePlanner
@@ -124,6 +125,39 @@ def test_what_an_address_refuses_is_known_from_then_on() -> None:
         stats = server.stats()
     assert [reply.settings for reply in replies if isinstance(reply, Reply)] == [{"without": ["roles"]}] * 2
     assert stats["refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "param", "left_out"),
+    [
+        ("Only user and assistant roles are supported!", None, ["roles"]),
+        ("Developer instruction is not enabled for models/gemma-3-27b-it", None, ["roles"]),
+        ("Invalid value: 'system'. Supported values are: 'assistant' and 'user'.", None, ["roles"]),
+        ("Unsupported value", "temperature", ["temperature"]),
+        ("JSON mode is not enabled for models/gemma-3-27b-it", None, ["response_format"]),
+        ("错", None, ["temperature", "roles", "response_format"]),
+        ("This answer would break our policy", None, []),
+    ],
+)
+def test_refusals_in_many_words_are_understood(message: str, param: str | None, left_out: list[str]) -> None:
+    """In words that mean nothing to the client, all that a server could lack is left out at once."""
+    dialect, sent = Dialect(message, "m"), {"temperature": 0.0, "roles": True, "response_format": True}
+    asked_again = dialect.refuses(f"{message} {param or ''}", sent, unclear=True)
+    assert asked_again == bool(left_out) and dialect.without == left_out
+
+
+def test_a_plain_request_that_is_refused_too_teaches_nothing() -> None:
+    body = json.dumps({"error": {"message": "Bad request"}}).encode()
+    with answering(body, status=400) as (url, requests):
+        error = asyncio.run(ask_once(url))
+        again = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and isinstance(again, ModelError) and len(requests) == 4
+
+
+def test_a_server_that_has_moved_is_not_asked_again() -> None:
+    with answering(b"", status=301, location="http://127.0.0.1:9/v1") as (url, _):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and error.kind == "refused" and "new address into --base-url" in error.detail
 
 
 def test_a_request_that_is_too_large_is_asked_no_other_way() -> None:

@@ -1,5 +1,6 @@
 """Target points from CSV and JSON files, and what is said about a bad one."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,7 @@ def test_three_dimensions(tmp_path: Path) -> None:
         ("a.csv", "0,1,2\n1,3,4\n", "could be ids", "names of the columns"),
         ("a.csv", "5,1,101\n7,3,102\n", "could be ids", "names of the columns"),
         ("a.json", "[[1, 0, 20], [2, 10, 20]]", "could be ids", "names of the columns"),
+        ("a.csv", "3,0,0\n1,5,9\n2,10,0\n", "could be ids", "names of the columns"),
         ("a.csv", "A,1,2\nB,3,4\n", "not ['A', 1.0, 2.0] (line 1)", "a first line that names the columns"),
         ("a.csv", "1,5;2\n1.5;3\n", "not both '1,5' and '1.5'", "decimal commas or decimal points"),
         ("a.csv", "1,5;2\n1,000,000;3\n", "line 2", "2 or 3 finite numbers"),
@@ -99,6 +101,7 @@ def test_three_dimensions(tmp_path: Path) -> None:
         ("a.svg", "<svg><g transform='skewX(3)'><circle/></g></svg>", "not skewX 3", "translate, scale, rotate"),
         ("a.svg", "<svg><g transform='scale(1 2 3)'/></svg>", "scale 1 2 3", "translate, scale, rotate"),
         ("a.svg", "<svg><g style='transform: scale(3)x'/></svg>", "transform:", "translate, scale, rotate"),
+        ("a.svg", "<svg><style>.old {display: none}</style><circle/></svg>", "a.svg", "hides nothing"),
         ("a.svg", "<svg><svg/></svg>", "not svg", "one SVG"),
         ("a.svg", "<svg>" + "<g>" * 100_000, "not g", "nested at most 64 times"),
         ("a.svg", "<html/>", "not html", "one SVG"),
@@ -131,6 +134,7 @@ def test_a_drawing_is_read_as_it_is_seen(tmp_path: Path) -> None:
     <n:view/><title>a</title><defs><circle cx="8"/><path d="M0 0"/></defs><rect width="100%" height="100%"/>
     <g transform="translate(10,20) rotate(90)"><circle cx="5" cy="0"/><g transform="scale(2)"><circle cy="3"/></g></g>
     <circle cx="1" cy="1" transform="rotate(180 2 3)"/><circle cx="1" cy="2" transform="matrix(0 1 -1 0 4 5)"/>
+    <circle visibility="hidden"/><circle style="opacity: 0"/>
     <circle style="fill: red; display: none"/><g display="none"><circle/></g></svg>"""
     points = load_points(written(tmp_path, "a.svg", text))
     assert [tuple(round(axis, 9) for axis in point) for point in points] == [(10, -25), (4, -20), (3, -5), (2, -6)]
@@ -156,3 +160,16 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 def test_the_field_can_be_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="start_positions = "):
         load_points(tmp_path / "none.csv", field="start_positions")
+
+
+def test_lines_of_comments_are_no_points(tmp_path: Path) -> None:
+    """Tables of numpy begin their first lines like comments, and name their columns there."""
+    (tmp_path / "a.csv").write_text("# my points\n# y x\n1 2 # first\n\n# second\n3 4\n", encoding="utf-8")
+    assert load_points(tmp_path / "a.csv") == ((2.0, 1.0), (4.0, 3.0))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without pipes")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="not a pipe, device or folder"):
+        load_points(tmp_path / "a.csv")

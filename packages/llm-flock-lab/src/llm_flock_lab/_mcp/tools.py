@@ -56,7 +56,7 @@ class Tools:
     def fly_mission(
         self,
         shape: Shape = "circle",
-        n_robots: Robots = 10,
+        n_robots: Robots | None = None,
         points: Own | None = None,
         spacing: Length = 10.0,
         arena: Length = 100.0,
@@ -71,13 +71,15 @@ class Tools:
         """Fly one simulated mission and return its figures, its last positions [units] and the name of its record.
 
         Robots and models are simulated. `points`, a row of 2 or 3 coordinates for each robot, are a formation of your
-        own; `spacing` is the distance of neighbours, `arena` the side of the square or cube to fly in [units].
+        own; without them there are 10 robots by default. `spacing` is the distance of neighbours, `arena` the side of
+        the square or cube to fly in [units].
         """
         corner = [0.0] * (len(points[0]) if points else 2)
+        n_robots = n_robots or len(points or ()) or 10
         mission: dict[str, Any] = {"shape": shape, "n_robots": n_robots, "spacing": spacing}
         mission |= {"center": [arena / 2 for _ in corner], "arena": [corner, [arena for _ in corner]]}
         if points:
-            mission |= {"points": points, "shape": "points", "n_robots": len(points)}
+            mission |= {"points": points, "shape": "points"}
         config = _config(mission, protocol, model, loss, rounds=rounds, seed=seed, kill=kill)
         with self._records.new(f"{config.mission.shape.partition(':')[0]}-{config.mission.n_robots}") as folder:
             config = config.model_copy(update={"trial": config.trial.model_copy(update={"out": str(folder)})})

@@ -71,7 +71,9 @@ def run(
         return
     from llm_flock.runtime._api import run as run_trial
 
-    signal.signal(signal.SIGTERM, lambda number, frame: signal.raise_signal(signal.SIGINT))  # keeps the round's answers
+    for name in ("SIGTERM", "SIGHUP"):  # an end that keeps the round's answers, also where the terminal is closed
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), lambda number, frame: signal.raise_signal(signal.SIGINT))
     bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
     try:
         with showing(sinks, settings) as sink, bar:
@@ -83,7 +85,11 @@ def run(
         if settings.record is not None:
             from llm_flock.record import read_record
 
-            show_overview(read_record(settings.record))
+            flown = read_record(settings.record)
+            if json_output:
+                say(json.dumps(flown.result, allow_nan=False))
+            else:
+                show_overview(flown)
             say(f"what was flown is in {settings.trial.out}", error=True)
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_output:

@@ -8,43 +8,27 @@ differ, of which no word takes one back, are refused.
 from __future__ import annotations
 
 import re
-import tomllib
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 from typing import TypeAlias
 
 from llm_flock.errors import AnswerError
-from llm_flock.llm._answer_items import EXPRESSION, PLACEHOLDERS, UNITS, Item, row_of
+from llm_flock.llm._answer_items import EXPRESSION, PLACEHOLDERS, SAID, Item, row_of
 
-POSITION = frozenset({"position", "waypoint", "answer", "boxed", "option", "candidate"})
-POSITION_OR_PATH = POSITION | {"path"}
-PLAN = frozenset({"plan", "answer", "boxed"})
-PATH = frozenset({"path", "answer", "boxed"})
+POSITION, PLAN, PATH = SAID["position"], SAID["plan"], SAID["path"]
 
-Rows: TypeAlias = tuple[tuple[str, ...], ...]
-"""Numbers as they are spelled: one row a point."""
-
-
-Value: TypeAlias = tuple[Rows, str, int]
-"""Rows, what is wrong with them, and where the value ends."""
+_FINAL = SAID["revised"] | SAID["final"]
+_CERTAIN = _FINAL | SAID["own"]
+_VALUES = ("point", "points", "bad", "axes")
+_BETWEEN = frozenset({"comma", "line", "to", "sign", "stop", "number"})
+"""What may stand between two points of a list, with a bullet or a word such as "place"."""
 
 _REACH = 14
 """How far a label's words are looked at [items]."""
 
-_VALUES = ("point", "points", "bad", "axes")
-
-_SAID = {
-    name: frozenset(text.split())
-    for name, text in tomllib.loads(Path(__file__).with_name("answer_words.toml").read_text(encoding="utf-8")).items()
-}
-"""The words that decide, by their meaning."""
-
-CERTAIN = _SAID["revised"] | _SAID["final"] | _SAID["own"]
-_FINAL = _SAID["revised"] | _SAID["final"]
-_PLAIN_BEFORE = CERTAIN | _SAID["before"]
-_SOFT = _SAID["soft"] | _SAID["first"]
+Value: TypeAlias = tuple[tuple[tuple[str, ...], ...], str, int]
+"""Rows of numbers as they are spelled, one a point; what is wrong with them; and where the value ends."""
 
 
 @dataclass(slots=True)
@@ -52,14 +36,13 @@ class AnswerClaim:
     """A value in answer position: its rows as spelled, or what is `wrong` with it.
 
     `begin` and `end` count items. `misfit`: it has not the form that the question asks for.
-    `strength`: 0 within a sentence, 1 a line of its own, 2 called final or corrected.
     """
 
-    rows: Rows
+    rows: tuple[tuple[str, ...], ...]
     wrong: str
     begin: int
     end: int
-    strength: int = 0
+    final: bool = False
     revises: bool = False
     rejected: bool = False
     soft: bool = False
@@ -69,18 +52,16 @@ class AnswerClaim:
     @property
     def value(self) -> object:
         """What two claims must share to be the same."""
-        try:
-            return tuple(tuple(map(float, row)) for row in self.rows) or self.wrong
-        except ValueError:
-            return self.rows
+        return tuple(tuple(map(float, row)) for row in self.rows) or self.wrong
 
 
 class Items:
     """The items of an answer, with safe access behind both ends."""
 
-    def __init__(self, items: Sequence[Item], text: str) -> None:
+    def __init__(self, items: Sequence[Item], text: str, said: str) -> None:
         self.all = items
-        self.text = text
+        self.text = text  #: In which the items stand.
+        self.said = said  #: As the model wrote it.
 
     def kind(self, at: int) -> str:
         """The kind of an item; empty outside."""
@@ -94,280 +75,238 @@ class Items:
         """The words of a part."""
         return (word for at in range(max(0, begin), min(end, len(self.all))) if (word := self.word(at)))
 
-    def sentence(self, at: int, limit: int = _REACH) -> int:
+    def start(self, at: int, *ends: str, reach: int = _REACH) -> int:
+        """Where the words before an item begin, in its sentence and after one of these kinds."""
+        begin = at
+        while begin > 0 and at - begin < reach and self.kind(begin - 1) not in (*ends, "stop", "line"):
+            begin -= 1
+        return begin
+
+    def past(self, at: int, kinds: Set[str], texts: Set[str] = frozenset()) -> int:
+        """Where the items of these kinds, and with these texts, end."""
+        while at < len(self.all) and (self.kind(at) in kinds or self.all[at].text.lower() in texts):
+            at += 1
+        return at
+
+    def sentence(self, at: int, reach: int = _REACH) -> int:
         """Where the sentence from here ends."""
         end = at
-        while end < at + limit and self.kind(end) not in ("", "stop", "line", *_VALUES):
+        while end < at + reach and self.kind(end) not in ("", "stop", "line", *_VALUES):
             end += 1
         return end
 
 
-def claims(items: Items, labels: frozenset[str], *, many: bool) -> list[AnswerClaim]:
+def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
     """All claims under these labels, in their order; `many`: several points make one value."""
     found: list[AnswerClaim] = []
-    taken = -1
     for at in range(len(items.all)):
-        if items.kind(at) != "word":
-            continue
         word = items.word(at)
-        moves = not many and word in ("to", "at", "from") and not _SAID["verbs"].isdisjoint(items.words(at - 2, at))
-        if not moves and word not in labels:
-            continue
-        claim = _claim(items, at, moves=moves, many=many)
-        if claim is not None and claim.end > taken:
+        moves = not many and (
+            (word in ("to", "at", "from") and not SAID["verbs"].isdisjoint(items.words(at - 2, at)))
+            or (word in SAID["takes"] and items.kind(at + 1) in _VALUES)
+        )
+        labels_itself = word in _FINAL and items.kind(at + 1) == "sign"  # "Updated: [x, y]"
+        claim = _claim(items, at, moves=moves, many=many) if moves or labels_itself or word in labels else None
+        if claim is not None and (not found or claim.end > found[-1].end):
             found.append(claim)
-            taken = claim.end
     return found
 
 
 def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
-    label = items.word(at)
-    certain = moves or label in ("answer", "boxed", "option", "candidate") or items.word(at - 1) in CERTAIN
+    label, before = items.word(at), items.word(at - 1)
     named = items.kind(at + 2) == "sign" and len(items.all[at + 1].text) == 1 and items.all[at + 1].text.isalnum()
-    value = _value(items, at + 1 + named, certain=certain or (many and label != "answer"), many=many, label=label)
-    if value is None or (many and items.word(at - 1) in ("my", "own") and len(value[0]) == 1):
+    certain = moves or label in SAID["announces"] or before in _CERTAIN or (many and label != "answer")
+    value = _value(items, at + 1 + named, certain=certain, many=many, label=label)
+    if value is None or (many and before in ("my", "own") and len(value[0]) == 1):
         return None
-    begin = start_of_clause(items, at)
-    clause, heading = list(items.words(begin, at)), _heading(items, begin)
-    option = items.all[at + 1].text.lower() if named else _option(items, at, begin, heading)
+    rows, wrong, end = value
+    begin = items.start(at, "comma", *_VALUES)
+    head, above = _heading(items, begin)
+    clause, heading = [*items.words(begin, at)], [*items.words(head, above)]
+    option = _option(items, begin, at + named) or _option(items, head, above - 1)
+    near = [*items.words(max(begin, at - 6), at)]
     if moves:
-        stands = len(clause) <= 1 or not {"i", "i'll"}.isdisjoint(clause)
+        first = len(clause) <= 1 and items.kind(begin - 1) in ("", "line", "stop")
+        stands = first or not {"i", "i'll"}.isdisjoint(clause)
     else:
-        stands = not foreign(clause) if many else bool(option) or label == "boxed" or _stands(items, at)
+        plainly = many or option or not before or before in _CERTAIN | SAID["before"]
+        stands = label == "boxed" or bool(plainly and not foreign(near if not many else clause))
     if not stands:
         return None
-    rows, wrong, end, stated = value
-    around = {*clause, *heading, label}
-    behind = items.sentence(end, 10)
-    after = list(items.words(end, behind))
+    around, behind = {*clause, *heading, label}, items.sentence(end, 10)
+    new_field = items.kind(end) == "comma" and "sign" in (items.kind(k) for k in range(end, behind))
+    after = [] if new_field else [*items.words(end, behind)]
+    doubted = not SAID["hypothetical"].isdisjoint({*after, *items.words(items.start(at, reach=20), at)})
     asks = items.kind(behind) == "stop" and items.all[behind].text == "?"
+    revises = not around.isdisjoint(SAID["revised"])
+    soft = {*clause, label, *SAID["first"].intersection(heading), *{"would"}.intersection(after)}
     return AnswerClaim(
         rows,
         wrong,
         begin,
         end,
-        strength=2 if around & _FINAL else int(stated and set(clause) <= _PLAIN_BEFORE),
-        revises=bool(around & _SAID["revised"]),
-        rejected=bool(around & _SAID["hard"]) or asks or _dismissed(after),
-        soft=bool(({*clause, label, *_SAID["first"].intersection(heading)} | ({"would"} & set(after))) & _SOFT)
-        and not around & _SAID["revised"],
+        final=revises or not around.isdisjoint(SAID["final"]),
+        revises=revises,
+        rejected=not around.isdisjoint(SAID["hard"]) or asks or doubted or _dismissed(after),
+        soft=not (revises or soft.isdisjoint(SAID["soft"] | SAID["first"])),
         option=option,
     )
 
 
+def foreign(spoken: Iterable[str]) -> bool:
+    """Whether words before a value give it to others, or to another time."""
+    return any(word.removesuffix("'s") in SAID["foreign"] for word in spoken)
+
+
 def _dismissed(spoken: Sequence[str]) -> bool:
     """Whether the words behind a value, or a sentence about it, say that it is not the answer."""
-    pairs = set(pairwise(spoken))
-    wrong = {("not", word) for word in ("safe", "allowed", "possible", "valid", "good", "free", "ok", "right", "it")}
-    if _SAID["denials"].isdisjoint(spoken):
-        wrong |= {("too", word) for word in ("close", "far", "near", "short", "long")}
-        kept = not {"safe", "safety", "minimum", "required", "spacing"}.isdisjoint(spoken)  # exceeds the safe distance
-        if not (_SAID["faulty"] - ({"exceeds"} if kept else set())).isdisjoint(spoken):
-            return True
-    begins = tuple(spoken[:2]) in (("is", "not"), ("was", "not"), ("from", "here"), ("from", "me"))
-    return begins or bool(pairs & wrong)
+    if " ".join(spoken[:2]) in ("is not", "was not", "is where", "from here", "from me"):
+        return True
+    pairs = [*pairwise(spoken)]
+    if SAID["denials"].isdisjoint(spoken):
+        too = any(first == "too" and second in SAID["extremes"] for first, second in pairs)
+        return too or {"exceeds", "limit"} <= {*spoken} or not SAID["faulty"].isdisjoint(spoken)
+    return any(first == "not" and second in SAID["virtues"] for first, second in pairs)
 
 
-def start_of_clause(items: Items, at: int) -> int:
-    begin = at
-    while begin > 0 and at - begin < _REACH and items.kind(begin - 1) not in ("stop", "line", "comma", *_VALUES):
-        begin -= 1
-    return begin
-
-
-def _heading(items: Items, begin: int) -> list[str]:
-    """The words of the line above, if the clause begins its line and the line above announces it."""
+def _heading(items: Items, begin: int) -> tuple[int, int]:
+    """Begin and end of the line above, if the clause begins its line and the line above announces it."""
     end = begin
     while items.kind(end - 1) in ("operator", "number"):
         end -= 1
     if items.kind(end - 1) != "line":
-        return []
+        return begin, begin
     while items.kind(end - 1) == "line":
         end -= 1
-    start = end
-    while start > 0 and end - start < _REACH and items.kind(start - 1) not in ("stop", "line", *_VALUES):
-        start -= 1
-    announces = items.kind(end - 1) == "sign" or (end - start <= 6 and items.kind(start - 1) in ("line", ""))
-    return list(items.words(start, end)) if announces and items.kind(end - 1) != "stop" else []
+    start = items.start(end, *_VALUES)
+    short = end - start <= 6 and items.kind(start - 1) in ("line", "") and items.kind(end - 1) not in ("stop", "comma")
+    return (start, end) if short or items.kind(end - 1) == "sign" else (begin, begin)
 
 
-def _option(items: Items, at: int, begin: int, heading: Sequence[str]) -> str:
+def _option(items: Items, begin: int, end: int) -> str:
     """The name of the option that a claim belongs to, in its clause or heading: `Option B`, `(b) Position:`."""
-    words = [item.text.lower() for item in items.all[begin:at] if item.kind in ("word", "number")]
-    if len(words) == 1 and len(words[0]) == 1 and words[0] in "abcdefgh":
-        return words[0]
-    for spoken in (words, list(heading)):
-        for label, name in pairwise(spoken):
-            if label in _SAID["option"] and len(name) == 1:
-                return name
-    if heading and heading[0] in _SAID["option"]:  # a number is no word
-        up = begin - 1
-        while up > 0 and items.kind(up) != "number" and begin - up < _REACH:
-            up -= 1
-        return items.all[up].text if items.kind(up) == "number" else ""
-    return ""
+    if end == begin + 1 and items.word(begin) in tuple("abcdefgh"):
+        return items.word(begin)
+    names = (items.all[at + 1].text.lower() for at in range(begin, end) if items.word(at) in SAID["option"])
+    return next((name for name in names if len(name) == 1 and name.isalnum()), "")
 
 
-def foreign(spoken: Sequence[str]) -> bool:
-    """Whether words before a value give it to others, or to another time."""
-    return any(word.removesuffix("'s") in _SAID["foreign"] | _SAID["no_place"] for word in spoken)
-
-
-def _stands(items: Items, at: int) -> bool:
-    """Whether a label of a position is its own: "Your position:" and "Goal position:" only repeat the question."""
-    before = at - 1
-    word = items.word(before)
-    if word and word not in _PLAIN_BEFORE:
-        return False
-    while word := items.word(before):
-        if word.removesuffix("'s") in _SAID["foreign"]:
-            return False
-        before -= 1
-        if at - before > 6:
-            break
-    number = items.kind(before) == "number"
-    return not (number and items.word(before - 1).removesuffix("s") in ("robot", "neighbor", "neighbour"))
-
-
-def _value(items: Items, at: int, *, certain: bool, many: bool, label: str) -> tuple[Rows, str, int, bool] | None:
-    """Rows, fault, end and whether a sign stands before the value that follows a label; None if none follows."""
-    stated, order, limit, moved = False, "", at + _REACH, False
-    while at < limit:
+def _value(items: Items, start: int, *, certain: bool, many: bool, label: str) -> Value | None:
+    """The value that follows a label; None if none follows, or only in the middle of a sentence."""
+    stated, moved, order, at = False, False, "", start
+    alone = items.kind(start - 2) in ("line", "")  # the label begins its line
+    for at in range(start, start + _REACH):
         kind, word = items.kind(at), items.word(at)
         if kind in ("sign", "equals", "to"):
             stated = True
         elif kind == "axes" and not order and items.kind(at + 1) in ("sign", "equals", "point", "word"):
             order = items.all[at].text
-        elif kind == "line" and not (stated or label in ("answer", "boxed")):
-            return None
-        elif word and word not in _SAID["links"]:
+        elif word in SAID["links"]:
+            moved = moved or word == "from"
+        elif kind == "line" and (alone or stated or label in ("answer", "boxed")):
+            stated = True
+        elif (kind != "operator" or items.kind(at + 1) == "number") and items.word(at - 1) != "round":
             break
-        elif word == "from":
-            moved = True
-        elif kind not in ("line", "word") and not (kind == "operator" and items.kind(at + 1) != "number"):
-            break
-        at += 1
-    if not (stated or certain):
+    value = value_at(items, at, many=many, first=int(label == "path"), order=order)
+    if value is None:
         return None
-    if many:
-        found = points_from(items, at, int(label == "path"))
-        if found is None or (len(found[0]) == 1 and not stated):
-            return None
-        return *_checked(items, found, order), stated
-    if items.kind(at) in _VALUES:
-        item, end = _result(items, at)
-        if items.kind(at - 1) == "operator" and items.all[at - 1].end == items.all[at].start:
-            item = Item("bad", EXPRESSION, item.start, item.end)
-        if moved and end == at + 1:
-            return None
-        wrong = item.text if item.kind == "bad" else PLACEHOLDERS if item.kind == "axes" else ""
-        return *_checked(items, (item.rows, wrong, end), order), stated
-    end = _end_of_row(items, at)
-    if end == at or not stated or moved:
+    stated = stated or label == "boxed" or (alone and items.kind(value[2]) in ("line", "stop", ""))
+    if not (stated or certain) or (many and len(value[0]) == 1 and not stated):
         return None
-    row = row_of([item for item in items.all[at:end] if item.kind != "operator"])  # bullets
-    if items.kind(end) in ("point", "points", "operator"):
-        row = EXPRESSION
-        end += 1
-    return ((row,), "", end, True) if isinstance(row, tuple) else ((), row, end, True)
+    loose = items.kind(at) not in _VALUES and items.word(at) not in ("x", "y")
+    if not many and ((loose and not stated) or (moved and (loose or value[2] == at + 1))):
+        return None
+    return value
 
 
-def _checked(items: Items, value: Value, order: str = "") -> Value:
-    """A value; wrong if its axes are said to be in another `order`, or if another value follows that may be meant."""
+def value_at(items: Items, at: int, *, many: bool, first: int = 0, order: str = "") -> Value | None:
+    """The points or the position that begin here; wrong if their axes are said to be in another `order`."""
+    value = _points(items, at, first) if many else _position(items, at)
+    if value is None:
+        return None
     rows, wrong, end = value
-    for at in range(end, items.sentence(end, 6) + 1):
-        if items.kind(at) == "axes" or (items.word(at) in ("y", "z") and items.word(at + 1) == "first"):
-            order = order or items.all[at].text.lower()
+    if items.kind(at - 1) == "operator" and items.all[at - 1].end == items.all[at].start:
+        wrong = EXPRESSION
+    for here in range(end, items.sentence(end, 6) + 1):
+        if items.kind(here) == "axes" or (items.word(here) in ("y", "z") and items.word(here + 1) == "first"):
+            order = order or items.all[here].text.lower()
+        if items.word(here) in SAID["foreign_units"] - {"in"} and items.kind(here - 1) != "number":
+            wrong = f"has units ({items.all[here].text}), which are not allowed"
     if order and order != "xyz"[: len(order)]:
         return (), f"is in the order {', '.join(order)}; x comes first", end
     follows = end + (items.kind(end) == "comma" or items.word(end) in ("or", "and", "vs", "versus"))
+    while end < follows < end + 3 and items.word(follows) in SAID["links"]:
+        follows += 1
     if follows > end and items.kind(follows) in ("point", "points"):
         return (), "gives two values", follows + 1
     return rows, wrong, end
 
 
-def _end_of_row(items: Items, at: int) -> int:
-    """The end of a position without brackets: `45.5, 51`, or `x = 45.5` and so on, which may take lines."""
+def _position(items: Items, at: int) -> Value | None:
+    """A position, in brackets or without: `45.5, 51`, or `x = 45.5` and so on, which may take lines."""
+    if items.kind(at) in _VALUES:
+        return _result(items, at)
     end = at
-    while (kind := items.kind(end)) in ("number", "comma", "sign", "equals", "line", "operator", "word"):
-        word = items.word(end)
-        if word and not (word in "xyz" and len(word) == 1) and word not in UNITS:
+    while items.kind(end) in ("number", "comma", "sign", "equals", "line", "operator", "word"):
+        if items.word(end) and items.word(end) not in ("x", "y", "z", "and", *SAID["units"]):
             break
-        if kind in ("line", "operator"):
-            behind = end + 1
-            while items.kind(behind) in ("line", "operator"):
-                behind += 1
-            if kind == "operator" and items.kind(behind) == "number":
-                break
-            if items.word(behind) not in ("x", "y", "z"):
+        if items.kind(end) in ("line", "operator"):
+            behind = items.past(end, {"line", "operator"})
+            if items.word(behind) not in {"x", "y", "z"}.difference(items.words(at, end)):
                 break
         end += 1
-    return end if any(items.kind(k) == "number" for k in range(at, end)) else at
+    if "number" not in {items.kind(k) for k in range(at, end)}:
+        return None
+    row = row_of([item for item in items.all[at:end] if item.kind != "operator" and item.text != "and"])  # bullets
+    if items.kind(end) in ("point", "points", "operator"):
+        row, end = EXPRESSION, end + 1
+    return ((row,), "", end) if isinstance(row, tuple) else ((), row, end)
 
 
-def _result(items: Items, at: int) -> tuple[Item, int]:
-    """The last value of `a + b = c`, `a -> c` or `a to c`, and its end; an expression without a result is bad."""
+def _result(items: Items, at: int) -> Value:
+    """The last value of `a + b = c`, `a -> c` or `a to c`; an expression without a result is wrong."""
     value, end, summed = items.all[at], at + 1, False
     while True:
-        here = end + (items.kind(end) == "line" and items.kind(end + 1) == "equals")
-        kind = "to" if items.word(here) == "to" else items.kind(here)
-        if kind not in ("operator", "equals", "to"):
+        sign = end + (items.kind(end) == "line" and items.kind(end + 1) == "equals")
+        kind = items.kind(sign)
+        if kind not in ("operator", "equals", "to") and items.word(sign) != "to":
             break
-        here += 1
-        numbers = 0
-        while items.kind(here) in ("number", "operator"):
-            numbers += items.kind(here) == "number"
-            here += 1
+        here = items.past(sign + 1, {"number", "operator"})
         if items.kind(here) not in _VALUES:
-            scaled = numbers > 0 or (bool(items.word(here)) and items.all[here - 1].text.strip() in "+\u00d7\u00b7")
-            summed = summed or (kind == "operator" and scaled)
+            term = items.all[here - 1].kind == "number" or (
+                items.word(here) and items.all[here - 1].text in "+\u00d7\u00b7"
+            )
+            summed = summed or (kind == "operator" and bool(term))
             break
-        summed = kind == "operator"
-        value, end = items.all[here], here + 1
-    if summed:
-        value = Item("bad", EXPRESSION, value.start, value.end)
-    return value, end
+        value, end, summed = items.all[here], here + 1, kind == "operator"
+    wrong = EXPRESSION if summed else {"bad": value.text, "axes": PLACEHOLDERS}.get(value.kind, "")
+    return value.rows, wrong, end
 
 
-def points_from(items: Items, at: int, first: int = 0) -> Value | None:
+def _points(items: Items, at: int, first: int) -> Value | None:
     """Points in one bracket, or one after the other, which may be numbered from `first` or from 0."""
     rows: list[tuple[str, ...]] = []
     numbers: list[str] = []
     end = at
     while True:
-        here, number = _past_label(items, end)
+        here = items.past(end, _BETWEEN, SAID["numbered"])
+        label = [item.text for item in items.all[end:here] if item.kind == "number"]
         kind = items.kind(here)
-        if kind in ("bad", "axes"):
-            return (), items.all[here].text if kind == "bad" else PLACEHOLDERS, here + 1
-        if kind == "points" and not rows:
-            value, end = _result(items, here)
-            wrong = value.text if value.kind == "bad" else EXPRESSION if number is not None else ""
-            return _checked(items, (value.rows, wrong, end))
-        if kind != "point":
+        if kind in ("bad", "axes") or (kind == "points" and not rows):
+            rows_here, wrong, end = _result(items, here)
+            return ((), wrong or EXPRESSION, end) if label else (rows_here, wrong, end)
+        value = (items.all[here].rows, "", here + 1) if kind == "point" else None
+        if items.word(here) in ("x", "y"):
+            value = _position(items, here)
+        if value is None or value[1]:
             break
-        rows += items.all[here].rows
-        numbers += [] if number is None else [number]
-        end = here + 1
+        rows += value[0]
+        numbers += label
+        end = value[2]
     if not rows:
         return None
     fits = any(numbers == [str(base + k) for k in range(len(numbers))] for base in (0, first))
     return tuple(rows), "" if fits else f"numbers its points from {numbers[0]}; points count from 0", end
-
-
-def _past_label(items: Items, at: int) -> tuple[int, str | None]:
-    """Past what may stand between two points: commas, bullets, arrows, `place 3:`; and the number there."""
-    number = None
-    limit = at + 8
-    while at < limit:
-        kind = items.kind(at)
-        if kind == "number" and number is None:
-            number = items.all[at].text
-        elif items.word(at) not in _SAID["numbered"] and (
-            kind not in ("comma", "line", "to", "sign", "stop") and items.all[at : at + 1] and items.all[at].text != "-"
-        ):
-            break
-        at += 1
-    return at, number
 
 
 def chosen(
@@ -377,123 +316,76 @@ def chosen(
 
     A sentence that corrects one of the `others` takes nothing back.
     """
-    current: AnswerClaim | None = None
-    rival: AnswerClaim | None = None
-    options: list[AnswerClaim] = []
-    turned, seen = False, 0
-    for claim in found:
-        if claim.option:
-            options.append(claim)
-            continue
-        if claim.rejected and not claim.revises:
-            continue
-        if current is None:
-            current, seen = claim, claim.end
-            continue
-        turned = turned or _turns(items, seen, claim.begin)
-        seen = claim.end
+    standing = [claim for claim in found if not claim.option and (claim.revises or not claim.rejected)]
+    standing = [claim for claim in standing if not claim.soft] or standing
+    current = standing[0] if standing else None
+    disputed = turned = False
+    for before, claim in pairwise(standing):
+        assert current is not None
+        turned = turned or _taken_back(items, before.end, claim.begin, SAID["turns"]) >= 0
+        unfit = current.misfit or current.wrong or claim.misfit  # the last word counts, also if it will be refused
         if claim.wrong == PLACEHOLDERS:
             continue
-        if claim.value == current.value and not turned:
-            current.end, current.soft = claim.end, current.soft and claim.soft
-            current.strength = max(current.strength, claim.strength)
-        elif not claim.soft and (claim.revises or turned or _outdoes(claim, current)):
-            current, rival, turned = claim, None, False
-        elif not claim.soft or turned:
-            rival = claim
-    if options:
-        current = _picked(options, current, items, what)
-    if rival is not None and current is not None:
+        if claim.revises or turned or unfit or (claim.final and not current.final):
+            current, disputed, turned = claim, False, False
+        elif claim.value == current.value:
+            claim.final = claim.final or current.final
+            current = claim
+        else:
+            disputed = True
+    options = [claim for claim in found if claim.option]
+    if options and (current is None or not (current.begin > options[-1].end or current.final)):
+        return _picked(options, current, items, what)
+    if disputed:
         raise AnswerError(f"it gives two different {what}s and does not say which one counts; give one only.")
-    if current is not None and not current.option:
-        current = _not_taken_back(current, items, what, {other.begin for other in others})
-    return current
-
-
-def _outdoes(claim: AnswerClaim, earlier: AnswerClaim) -> bool:
-    """Whether a claim counts more than one before it, though no word takes that one back."""
-    misfit = earlier.misfit or claim.misfit or bool(earlier.wrong)  # the last word counts, also if it will be refused
-    return misfit or (earlier.soft and claim.strength > 0) or claim.strength == 2 > earlier.strength
+    return None if current is None else _kept(current, items, what, {other.begin for other in others})
 
 
 def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: Items, what: str) -> AnswerClaim:
-    """The option that the answer chooses; a claim outside all options counts more."""
-    if current is not None and (current.begin > options[-1].end or current.strength == 2):
-        return current
-    if len({option.value for option in options}) == 1 and current is None:
-        return options[-1]
+    """The option that the answer chooses in the end."""
     names = {option.option for option in options}
     picked: set[str] = set()
     for at in range(options[0].begin, len(items.all)):
-        if items.word(at) in _SAID["choose"] and "not" not in items.words(at - 3, at):
-            near = items.all[at + 1 : items.sentence(at + 1, 8)]
-            picked |= {item.text.lower() for item in near if item.text.lower() in names and _named(item, near)}
-    picks = [option for option in options if option.option in picked]
-    if len(picked) != 1 or len({option.value for option in picks}) != 1:
+        if items.word(at) in SAID["choose"] and "not" not in items.words(at - 3, at):
+            near = [item.text.lower() for item in items.all[at : items.sentence(at + 1, 8)] if item.kind != "sign"]
+            picked |= names.intersection(
+                name for before, name in pairwise(near) if before in (near[0], *SAID["option"])
+            )
+    picks = [option for option in options if option.option in picked or (len(names) == 1 and current is None)]
+    if len({option.value for option in picks}) != 1:
         raise AnswerError(f"it names options and does not say which one counts; give one {what} only.")
     return picks[-1]
 
 
-def _named(item: Item, near: Sequence[Item]) -> bool:
-    """Whether a short word names an option: "a" may be an article."""
-    at = next(k for k, other in enumerate(near) if other is item)
-    return (
-        item.text.lower() != "a"
-        or (at > 0 and near[at - 1].text.lower() in _SAID["option"])
-        or item.text == "A"
-        or at <= 1
-    )
-
-
-def _turns(items: Items, begin: int, end: int) -> bool:
-    """Whether a sentence between two claims takes back what stands before it."""
+def _taken_back(items: Items, begin: int, end: int, signs: Set[str]) -> int:
+    """Where a sentence in this part begins that takes back what stands before it; -1 if none does."""
     fresh = False
     for at in range(begin, end):
-        word = items.word(at)
+        word, kind = items.word(at), items.kind(at)
         if word and fresh:
-            following = items.word(at + 1)
-            if word in _SAID["turns"] and following not in ("of", "than", "other", "robot", "robots"):
-                return True
-            if word in ("on", "let", "after") and _again(items, at):
-                return True
-            if word in ("that", "this", "it", "which", "i"):
-                rest = set(items.words(at, items.sentence(at, 20)))
-                if (rest & _SAID["faults"] and not rest & {"not", "no", "never"}) or {"mistake", "apologize"} & rest:
-                    return True
-        if word or items.kind(at) in _VALUES:
-            fresh = False
-        elif items.kind(at) in ("stop", "line", "operator", "comma", "sign"):
-            fresh = True
-    return False
+            following = {items.word(at + 1), items.word(at + 2)}
+            if word in signs and items.word(at + 1) not in SAID["harmless"]:
+                if word not in ("on", "let", "after") or not following.isdisjoint(SAID["again"]):
+                    return at
+            elif word in ("that", "this", "it", "which", "i"):
+                rest = [*items.words(at, items.sentence(at, 20))]
+                if (word != "i" and _dismissed(rest)) or not {"mistake", "apologize"}.isdisjoint(rest):
+                    return at
+        fresh = kind in ("stop", "line", "operator", "comma", "sign") or (fresh and not word and kind not in _VALUES)
+    return -1
 
 
-def _again(items: Items, at: int) -> bool:
-    """Whether "on second thought", "on reflection", "let me redo" or "after checking" begins here."""
-    following, third = items.word(at + 1), items.word(at + 2)
-    return following in ("second", "reflection", "checking", "rechecking") or (
-        following == "me" and third in _SAID["again"]
-    )
-
-
-def _not_taken_back(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
+def _kept(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
     """The claim, unless later words take it back; a value in that sentence replaces it."""
-    fresh = False
-    for at in range(current.end, len(items.all)):
-        word = items.word(at)
-        faulty = word in ("this", "that", "it") and _dismissed(list(items.words(at, items.sentence(at))))
-        back = word in _SAID["back"] and items.word(at + 1) not in ("for", "until")
-        if word and fresh and (faulty or back or (word == "on" and _again(items, at))):
-            if not others.isdisjoint(range(at, items.sentence(at) + 1)):
-                continue
+    at = current.end
+    while (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
+        if others.isdisjoint(range(at, items.sentence(at) + 1)):
             values = [item for item in items.all[at:] if item.rows or item.kind == "bad"]
-            if (
-                len(values) == 1
-                and values[0].rows
-                and not set(items.words(at, len(items.all))) & (_SAID["hard"] | {"close"})
-            ):
+            doubts = {"close", *SAID["hard"]}.intersection(items.words(at, len(items.all)))
+            if len(values) == 1 and values[0].rows and not doubts:
                 return replace(current, rows=values[0].rows, wrong="", end=len(items.all))
             raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
-        fresh = items.kind(at) in ("stop", "line", "operator", "comma") or (fresh and not word)
+        at += 1
     return current
 
 
@@ -501,59 +393,23 @@ def index_claims(items: Items) -> list[AnswerClaim]:
     """All claims of the model's own place: `my plan: a`, "my place is a", "I take place a"."""
     found: list[AnswerClaim] = []
     for at in range(len(items.all)):
-        word = items.word(at)
-        if word not in ("my", "i", "my_plan", "my_place", "my_index", "my_slot"):
-            continue
-        end = _index_label(items, at)
-        claim = None if end < 0 else _index(items, at, end)
-        if claim is not None:
-            found.append(claim)
+        if items.word(at) in ("my", "i"):
+            end = items.past(at + 1, {"operator"}, SAID["takes"] | SAID["within"])
+            taken = items.word(at) == "my" or not SAID["takes"].isdisjoint(items.words(at, end))
+            claim = _index(items, at, end + 1) if taken and items.word(end) in SAID["place"] else None
+            found += [] if claim is None else [claim]
     return found
-
-
-def _index_label(items: Items, at: int) -> int:
-    """Where the label of an index ends; -1 if this is none."""
-    word, here = items.word(at), at + 1
-    if word == "i":
-        if items.word(here) == "will":
-            here += 1
-        if items.word(here) not in ("take", "choose", "pick", "select", "occupy"):
-            return -1
-        here += 1
-    elif word != "my":
-        return here
-    while items.word(here) in ("chosen", "own", "the", "final") or items.kind(here) == "operator":
-        here += 1
-    return here + 1 if items.word(here) in _SAID["place"] else -1
 
 
 def _index(items: Items, begin: int, at: int) -> AnswerClaim | None:
     """The claim of an index whose label ends here."""
-    start = begin
-    while begin - start < 20 and items.kind(start - 1) not in ("", "stop", "line"):
-        start -= 1
-    hypothetical = not {"if", "were", "would"}.isdisjoint(items.words(start, begin))
-    limit = at + 8
-    stated = False
-    while at < limit:
-        kind = items.kind(at)
-        if kind in ("sign", "equals"):
-            stated = True
-        elif (
-            kind == "operator"
-            or items.word(at) in _SAID["place"] | _SAID["filler"]
-            or (kind == "line" and stated and items.kind(at + 1) == "number" and items.kind(at + 2) in ("", "line"))
-        ):
-            pass
-        elif kind == "number" and items.kind(at + 1) == "operator" and items.word(at + 2) in ("based", "indexed"):
-            at += 2
-        else:
-            break
-        at += 1
-    if items.kind(at) == "point":
-        return AnswerClaim(items.all[at].rows, "", begin, at + 1, 1, rejected=hypothetical)
-    if items.kind(at) in ("bad", "axes"):
-        return AnswerClaim((), PLACEHOLDERS, begin, at + 1, 1)
+    hypothetical = not SAID["hypothetical"].isdisjoint(items.words(items.start(begin, reach=20), begin))
+    at = items.past(at, {"sign", "equals", "operator"}, SAID["place"] | SAID["filler"])
+    if items.kind(at - 1) in ("sign", "equals") and items.kind(items.past(at, {"line"}) + 1) in ("", "line"):
+        at = items.past(at, {"line"})
+    if items.kind(at) in ("point", "bad", "axes"):
+        wrong = "" if items.all[at].rows else PLACEHOLDERS
+        return AnswerClaim(items.all[at].rows, wrong, begin, at + 1, rejected=hypothetical)
     if items.kind(at) != "number":
         return None
     value, end, summed = items.all[at], at + 1, False
@@ -564,32 +420,25 @@ def _index(items: Items, begin: int, at: int) -> AnswerClaim | None:
     wrong = ""
     if summed or (items.kind(end) == "operator" and items.all[end].text != "-"):
         wrong = "my plan holds an expression"
-    elif not behind and items.kind(end) == "word":
+    elif not behind and items.word(end):
         wrong = f"my plan is {value.text}{items.all[end].text}"
     elif _another(items, end):
         wrong = "my plan gives more than one number"
-    elif items.kind(end) == "word" and not behind.strip("*_`\"'$ \t") and items.word(end) not in _SAID["because"]:
+    elif items.word(end) and not behind.strip("*_`\"'$ \t") and items.word(end) not in SAID["because"]:
         return None  # "my plan is 4 corners"
-    place: Rows = ()
-    pointed = end + (items.kind(end) == "comma")
-    pointed += items.word(pointed) == "at" or items.kind(pointed) in ("to", "equals")
-    if pointed > end and items.kind(pointed) == "point":
-        place = items.all[pointed].rows
+    place = next((item.rows for item in items.all[end : items.sentence(end) + 1] if len(item.rows) == 1), ())
     asks = items.kind(end) == "stop" and items.all[end].text == "?"
-    strength = 1 if stated else 0
-    return AnswerClaim(((value.text,), *place), wrong, begin, end, strength, rejected=hypothetical or asks)
+    return AnswerClaim(((value.text,), *place), wrong, begin, end, rejected=hypothetical or asks)
 
 
 def _another(items: Items, at: int) -> bool:
     """Whether another place is named in the rest of a line: any number but that of a robot, and the 0 of a base."""
-    limit = at + 2 * _REACH
-    while at < limit and items.kind(at) not in ("", "line", "stop"):
-        if items.word(at) in _SAID["ordinals"]:
+    for here in range(at, at + 2 * _REACH):
+        if items.kind(here) in ("", "line", "stop") or items.word(here) == "my":
+            return False
+        based = items.word(here - 1) in ("from", "at", "robot") or items.word(here + 2) in ("based", "indexed")
+        if items.word(here) in SAID["ordinals"] or (items.kind(here) == "number" and not based):
             return True
-        based = items.word(at - 1) in ("from", "at", "robot") or items.word(at + 2) in ("based", "indexed")
-        if items.kind(at) == "number" and not based:
-            return True
-        at += 1
     return False
 
 

@@ -8,43 +8,75 @@ is no token.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from llm_flock.errors import AnswerError
+
+SAID = {
+    name: frozenset(text.split())
+    for name, text in tomllib.loads(Path(__file__).with_name("answer_words.toml").read_text(encoding="utf-8")).items()
+}
+"""The words that decide, by their meaning."""
 
 _TYPOGRAPHY = str.maketrans(
     dict.fromkeys("\u2010\u2011\u2012\u2013\u2212\ufe63\uff0d", "-")
     | dict.fromkeys("\u00a0\u2002\u2003\u2007\u2008\u2009\u200a\u202f\u205f\u3000", " ")
     | dict.fromkeys("\u200b\u2060\ufeff", "")
     | {"\uff1a": ":", "\uff0c": ",", "\uff1b": ";", "\uff3b": "[", "\uff3d": "]", "\uff08": "(", "\uff09": ")"}
-    | {"\u2018": "'", "\u2019": "'", "\u201c": '"', "\u201d": '"', "\u27e8": "<", "\u27e9": ">", "\u2014": ". "}
+    | {chr(0xFF10 + digit): str(digit) for digit in range(10)}
+    | {"\uff0e": "."}
+    | {
+        "\u221e": "inf",
+        "\u2018": "'",
+        "\u2019": "'",
+        "\u201c": '"',
+        "\u201d": '"',
+        "\u27e8": "<",
+        "\u27e9": ">",
+        "\u2014": ". ",
+    }
 )
 _LATEX = re.compile(
     r"\\(?:left|right|[bB]igg?[lr]?|text(?:bf|it|rm|tt|sf)?|math(?:bf|it|rm|tt|sf)|displaystyle|q?quad|newline)"
     r"(?![A-Za-z])|\\n(?![a-ln-z])(?!m(?!y))|\\[ ,;:!\\]|\\(?=[_\[\]()])"
+    r"|\\(?:rightarrow|to|times|cdot)(?![A-Za-z])"
 )
-"""Formatting, which becomes a space; `\n` that stands for a line break; and escaped brackets."""
+"""Formatting, which becomes a space; `\n` that stands for a line break; escaped brackets; and signs."""
 
-_MATRIX = re.compile(r"\\(?P<what>begin|end)\{[pbvBV]?matrix\*?\}|\\\\|&")
-_STRUCK = re.compile(r"~~|</?\s*+(?:s|del|strike)\s*+>", re.IGNORECASE)
-_ANSWER_TAG = re.compile(
-    r"<(?P<end>/?)(?:answer|final|solution|response|output)>|<\|(?:begin_of_solution|START_RESPONSE)\|>", re.IGNORECASE
+_SIGNS = {"\\n": "\n", "\\": "", "\\to": "→", "\\rightarrow": "→", "\\times": "\u00d7", "\\cdot": "\u00b7"}
+_MATRIX = re.compile(r"\\begin\{([pbvBV]?matrix\*?)\}(.{0,500}?)\\end\{\1\}", re.DOTALL)
+_STRUCK = re.compile(
+    r"~~.{1,1000}?~~|<(s|del|strike)>.{0,300}?</\1>|<!--.{0,1000}?-->|(?<![:/])//[^\n]*+|/\*.{0,200}?\*/"
+    r"|^Thinking\.{3}\n.{0,5000}?\n\.{3}done thinking\.",
+    re.DOTALL | re.IGNORECASE,
 )
+"""What does not belong to the answer: struck-out text, comments, and a thought of Ollama's command line."""
+
+_DECIMAL_COMMAS = re.compile(r"(?<![\d,.])(\d+),(\d+) ?; (-?\d+),(\d+)(?![,.])")
+_TAG = re.compile(r"<(?P<end>/?)\|?(?P<name>[a-z][a-z_]{0,30}+)(?P<more>[^<>]{0,80}+)>", re.IGNORECASE)
+_STRING = re.compile(
+    r"""(?<!\w)(?P<key>\w{1,40}+(?:[\ -]\w{1,40}+)?)["']?\s{0,9}:\s{0,9}(?P<quote>["'])(?!\s{0,9}\{)
+        (?:(?!(?P=quote))[^\\]|\\.|(?P=quote)(?!\s*+(?:[,;}\]"]|//|$)))*+(?P=quote)?+""",
+    re.DOTALL | re.VERBOSE,
+)
+"""A field of a JSON object with a text, which may hold line ends and quotes of its own, and may be cut off."""
 
 _TOKEN = re.compile(
     r"""(?P<number>[-+]?+(?:(?:[0-9]++(?:\.[0-9]++|\.(?![.\s]|$))?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+
-           |(?:nan|inf(?:inity)?+)(?![A-Za-z_])|∞))
-      |(?P<word>[^\W_]++(?:_++[^\W_]++)*+(?:'[a-z]++)?+)
+           |(?:nan|inf(?:inity)?+)(?![A-Za-z_])))
+      |(?P<word>[^\W_]++(?:_++\d[^\W_]*+)*+(?:'[a-z]++)?+)
       |(?P<open>[\[(]|\{(?=\s{0,9}["']?[xyz]["']?\s{0,9}[:=])|<(?=[-+\d.,;\s]{1,200}>))
       |(?P<dots>\.{3}|…)
       |(?P<stop>[.!?](?=\s|[)\]*_"'`~]|$))
       |(?P<to>(?:-{1,4}|={1,4})>|[→⇒➜➔⟶⟹])
-      |(?P<from><-{1,4}|[←⇐])
       |(?P<close>[\])}>])
       |(?P<comma>[,;|])
       |(?P<equals>[=≈])
       |(?P<sign>:)
+      |(?P<from><-{1,4}|[←⇐])
       |(?P<operator>[+/\u00d7\u00b7±^%°-]|(?<=[\d\])])\ ?\*(?=\ ?[\d\[(-]))
       |(?P<line>\n)""",
     re.IGNORECASE | re.VERBOSE,
@@ -54,12 +86,6 @@ MAX_ITEMS = 30_000
 
 _AXES = "xyz"
 _PAIRS = {"]": "[(", ")": "[(", "}": "{", ">": "<"}
-UNITS = frozenset({"unit", "units", "u", "m", "meter", "meters", "metre", "metres"})
-"""Words after a number that leave it as it is: no prompt says of what size a unit is."""
-
-FOREIGN_UNITS = frozenset(
-    {"cm", "mm", "km", "dm", "ft", "feet", "foot", "in", "inch", "inches", "yd", "deg", "degrees", "rad"}
-)
 
 
 @dataclass(slots=True)
@@ -134,34 +160,32 @@ def _joined(opened: _Open, content: Sequence[Item], end: int) -> Item | None:
     """The item that a bracket makes; None for prose."""
     groups = [item for item in content if item.rows or item.kind in ("bad", "axes")]
     kinds = {item.kind for item in content}
-
-    def item(kind: str, text: str = "", rows: tuple[tuple[str, ...], ...] = ()) -> Item:
-        return Item(kind, text, opened.start, end, rows)
-
+    words = [item.text.lower() for item in content if item.kind in ("word", "dots")]
+    long = {word for word in words if len(word) > 2} - SAID["units"] - SAID["foreign_units"]
+    kind, text, rows = "bad", "", tuple[tuple[str, ...], ...]()
     if groups:
         if not kinds <= {"point", "points", "comma", "line", "bad", "axes", "dots", "to"}:
             return None
-        wrong = [group for group in groups if not group.rows]
-        if wrong or "dots" in kinds:
-            return item("bad", wrong[0].text if wrong and wrong[0].kind == "bad" else PLACEHOLDERS)
-        if len(groups) == 1 and groups[0].kind == "points":
-            return item("points", rows=groups[0].rows)
-        return item("points", rows=tuple(row for group in groups for row in group.rows))
-    if "number" in kinds:
+        text = next((group.text for group in groups if group.kind == "bad"), PLACEHOLDERS)
+        if "dots" not in kinds and all(group.rows for group in groups):
+            kind, text, rows = "points", "", tuple(row for group in groups for row in group.rows)
+    elif "number" in kinds:
         row = row_of(content)
         if isinstance(row, tuple):
-            return item("point", rows=(row,))
-        prose = any(
-            one.kind == "word" and len(one.text) > 2 and one.text.lower() not in UNITS | FOREIGN_UNITS
-            for one in content
-        )
-        return None if opened.bracket == "(" and prose else item("bad", row)
-    words = [one.text.lower() for one in content if one.kind in ("word", "dots")]
-    if not words and kinds <= {"comma", "line"}:
-        return item("bad", "is empty")
-    if words and all(word in _AXES for word in words):
-        return item("axes", "".join(words))
-    return item("bad", PLACEHOLDERS) if opened.bracket == "[" and len(words) <= 6 and words else None
+            kind, rows = "point", (row,)
+        elif opened.bracket == "(" and long:
+            return None
+        else:
+            text = row
+    elif not words and kinds <= {"comma", "line"}:
+        text = "is empty"
+    elif words and all(word in _AXES for word in words):
+        kind, text = "axes", "".join(words)
+    elif words and opened.bracket == "[" and len(words) <= 6:
+        text = PLACEHOLDERS
+    else:
+        return None
+    return Item(kind, text, opened.start, end, rows)
 
 
 CUT = "is not complete"
@@ -174,104 +198,81 @@ def row_of(content: Sequence[Item]) -> tuple[str, ...] | str:
     """The numbers of a bracket in the order of the axes, or what is wrong with them."""
     axes: list[str] = []
     numbers: list[str] = []
-    last: Item | None = None
-    said: str | None = None  # the label of the next number
+    said, last = "", Item("", "", -1, -1)  # the label of the next number, and the item before
     for item in content:
-        touches = last is not None and last.kind == "number" and last.end == item.start
-        match item.kind:
-            case "number":
-                if touches:
-                    return EXPRESSION
-                numbers.append(item.text)
-                axes.append(said or "")
-                said = None
-            case "word":
-                word = item.text.lower()
-                after_number = last is not None and last.kind == "number"
-                if word in _AXES and not touches:
-                    said = word
-                elif after_number and word in FOREIGN_UNITS:
-                    return f"has units ({item.text}), which are not allowed"
-                elif not (after_number and word in UNITS):
-                    return WORDS
-            case "operator":
-                if item.text in "%°":
-                    return f"has units ({item.text}), which are not allowed"
-                return EXPRESSION
-            case "stop" if touches:
-                pass  # "45." of numpy
-            case "comma" | "line" | "sign" | "equals":
-                if item.kind == "equals" and said is None:
-                    return EXPRESSION
-            case _:
-                return WORDS
+        word = item.text.lower()
+        follows, touches = last.kind == "number", last.kind == "number" and last.end == item.start
+        if item.kind == "number" and not touches:
+            numbers.append(item.text)
+            axes.append(said)
+            said = ""
+        elif follows and word in SAID["foreign_units"]:
+            return f"has units ({item.text}), which are not allowed"
+        elif item.kind == "word" and word in _AXES and not touches:
+            said = word
+        elif item.kind in ("number", "operator") or (item.kind == "equals" and not said):
+            return EXPRESSION
+        elif not (item.kind in ("comma", "line", "sign", "equals") or (follows and word in SAID["units"])) and not (
+            item.kind == "stop" and touches  # "45." of numpy
+        ):
+            return WORDS
         last = item
-    if any(axes):
-        if "" in axes or sorted(axes) != sorted(_AXES[: len(axes)]) or said:
-            return f"has labels that do not fit ({', '.join(axis or 'none' for axis in axes)})"
-        return tuple(number for _, number in sorted(zip(axes, numbers, strict=True)))
-    return tuple(numbers) if said is None else WORDS
+    if said:
+        return WORDS
+    if any(axes) and sorted(axes) != sorted(_AXES[: len(axes)]):
+        return f"has labels that do not fit ({', '.join(axis or 'none' for axis in axes)})"
+    return tuple(number for _, number in sorted(zip(axes, numbers, strict=True), key=lambda pair: pair[0]))
 
 
 def plain(text: str) -> str:
-    """The answer without typographic variants, LaTeX's formatting and struck-out text; tables and matrices as lists."""
+    """The answer in one way of writing: without LaTeX's formatting, struck-out text and the texts of JSON objects.
+
+    Tables and matrices become lists. A JSON object needs nothing else to be read as labels with values.
+    """
     if not text.isascii():
         text = text.translate(_TYPOGRAPHY)
-    if "~~" in text or "</" in text:
-        text = "".join(_unstruck(text))
+    if '{\\"' in text:  # an object as the text of a string
+        text = text.replace('\\"', '"')
+    if "{" in text:
+        text = _STRING.sub(_without_prose, re.sub(r"(?<=[a-z])(?=(?:Plan|Position|Path)\b)", "_", text))
+        text = re.sub(r"\}\s*+(?=\{)", "}\n", text)
+    text = _DECIMAL_COMMAS.sub(r"\1.\2; \3.\4", text)
+    text = _STRUCK.sub("", text)
     if "<" in text:
-        text = _ANSWER_TAG.sub(lambda tag: "\n" if tag["end"] else "\nFinal answer:\n", text)
+        text = _TAG.sub(_without_tag, text)
     if "\\" in text:
-        if "matrix}" in text:
-            text = _without_matrices(text)
-        text = _LATEX.sub(lambda found: {"\\n": "\n", "\\": ""}.get(found[0], " "), text)
+        text = _MATRIX.sub(lambda found: "[[" + found[2].replace("&", ",").replace(r"\\", "],[") + "]]", text)
+        text = _LATEX.sub(lambda found: _SIGNS.get(found[0], " "), text)
     return "\n".join(_without_tables(text.split("\n"))) if "|" in text else text
 
 
-def _unstruck(text: str) -> Iterator[str]:
-    """The pieces between struck-out text."""
-    begin, mark = 0, ""
-    for found in _STRUCK.finditer(text):
-        if mark and found[0].startswith(("</", "~~")):
-            begin, mark = found.end(), ""
-        elif not mark and not found[0].startswith("</"):
-            yield text[begin : found.start()]
-            begin, mark = found.end(), found[0]
-    yield text[begin:]
+def _without_tag(tag: re.Match[str]) -> str:
+    """A tag of an answer or of a value as its label; any other as a space."""
+    name = tag["name"].lower()
+    if tag["end"] or name in SAID["line_tags"]:
+        return "\n"
+    if name in SAID["answer_tags"]:
+        return "\nFinal answer:\n"
+    return f" {name}: {tag['more'].strip('/|')}" if name.split("_")[-1] in SAID["fields"] else " "
 
 
-def _without_matrices(text: str) -> str:
-    """LaTeX's matrices as lists of lists."""
-    inside = False
-
-    def written(found: re.Match[str]) -> str:
-        nonlocal inside
-        if found["what"]:
-            inside = found["what"] == "begin"
-            return "[[" if inside else "]]"
-        return found[0] if not inside else ("," if found[0] == "&" else "],[")
-
-    return _MATRIX.sub(written, text)
+def _without_prose(field: re.Match[str]) -> str:
+    return field[0] if re.split(r"[\W_]", field["key"].lower())[-1] in SAID["fields"] else field["key"] + ":"
 
 
 def _without_tables(lines: list[str]) -> Iterator[str]:
-    """The lines; a row of a table whose heads are axes becomes `cell ...: [x=..., y=...]`."""
+    """The lines; below heads that are axes, a row of a table becomes `cell ...: [x=..., y=...]`."""
     heads: list[str] = []
     for line in lines:
-        row = line.strip()
-        if not row.startswith("|"):
+        cells = [cell.strip("*_`$ ") for cell in line.strip().strip("|").split("|")]
+        if not line.lstrip().startswith("|"):
             heads = []
-            yield line
-            continue
-        cells = [cell.strip() for cell in row.strip("|").split("|")]
-        names = [cell.strip("*_`$ ").lower() for cell in cells]
-        if set(_AXES[:2]) <= set(names) and not heads:
-            heads = names
-            yield ""
-        elif heads and not set(row) <= set("|-: "):
-            named = list(zip(heads, [*cells, *[""] * len(heads)], strict=False))
-            point = ", ".join(f"{axis}={cell}" for axis, cell in named if axis in tuple(_AXES))
-            rest = " ".join(cell for axis, cell in named if axis not in tuple(_AXES))
-            yield f"{rest}: [{point}]"
-        elif not heads:
-            yield line
+        elif set(line) <= set("|-: "):
+            line = ""
+        elif heads:
+            named = list(zip(heads, cells, strict=False))
+            point = ", ".join(f"{head}={cell}" for head, cell in named if head in tuple(_AXES))
+            line = f"{' '.join(cell for head, cell in named if head not in tuple(_AXES))}: [{point}]"
+        elif {"x", "y"} <= {cell.lower() for cell in cells}:
+            heads, line = [cell.lower() for cell in cells], ""
+        yield line

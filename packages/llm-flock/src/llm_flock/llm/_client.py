@@ -33,7 +33,7 @@ from pydantic_ai.output import OutputObjectDefinition
 from pydantic_ai.settings import ModelSettings
 
 from llm_flock.errors import ModelError
-from llm_flock.llm._dialect import Dialect
+from llm_flock.llm._dialect import Dialect, fault
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
@@ -49,18 +49,6 @@ CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_len
 
 BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
 """Finish reasons that mean that the server broke the answer off."""
-
-ADVICE = {
-    r"context (length|size|window)|too many tokens|prompt is too long": (
-        "the question is longer than the context that the server gives: give it a larger one (servers divide it among "
-        "the questions that they answer at once), or ask with --prompts brief"
-    ),
-    r"\bmodel\b.{0,80}(not found|not exist|unknown)|(no such|unknown|invalid) model": (
-        "the server has no such model: check --model"
-    ),
-    r"status_code: 40[45]": "nothing at this address answers chats: check --base-url, which mostly ends in /v1",
-}
-"""What to change, by the words of a refusal; the first that fits."""
 
 CHARACTERS_PER_TOKEN = 4
 """As common tokenizers have in English text, on average."""
@@ -138,7 +126,9 @@ class PydanticModel:
             response = await self._request(call)
             reply = self._reply(response, call, time.perf_counter() - started)
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
-            raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after_s(error)) from None
+            wait_s = retry_after_s(error)
+            asks = "" if wait_s is None else f"asks to wait {wait_s:g} s: "
+            raise ModelError(error_kind(error), self._clean(asks + _describe(error)), wait_s) from None
         except Exception as error:  # noqa: BLE001 - SDKs may raise anything; it is logged, recorded and counted
             # A malformed body that the SDK's parser cannot read must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
@@ -166,8 +156,13 @@ class PydanticModel:
                 )
             except pai.ModelHTTPError as error:
                 body = cast("dict[str, Any] | None", error.body)
-                words = body.get("message") if isinstance(body, dict) else None
-                if not self._dialect.refuses(self._clean(str(words or error)), sent):
+                words = (
+                    " ".join(str(body[key]) for key in ("message", "param") if body.get(key))
+                    if isinstance(body, dict)
+                    else ""
+                )
+                unclear = error.status_code in (400, 422)
+                if not self._dialect.refuses(self._clean(words or str(error)), sent, unclear=unclear):
                     raise
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
@@ -259,6 +254,8 @@ def error_kind(error: Exception) -> str:
             return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
         case pai.UserError():
             return "refused"  # a feature that the model lacks, which a retry does not change
+        case pai.ModelAPIError() if getattr(_origin(error), "status_code", 0) in (301, 302, 307, 308):
+            return "refused"
         case _:
             return "garbage"
 
@@ -286,8 +283,8 @@ def _describe(error: Exception) -> str:
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
-    advice = next((advice for words, advice in ADVICE.items() if re.search(words, text, re.IGNORECASE)), None)
-    return text if advice is None or not isinstance(error, pai.ModelHTTPError) else f"{advice}: {text}"
+    advice = fault(text).get("advice") if isinstance(error, pai.ModelAPIError) else None
+    return f"{advice}: {text}" if advice else text
 
 
 def _origin(error: BaseException) -> BaseException:

@@ -8,9 +8,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
+import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 from llm_flock.llm._port import ChatMessage
@@ -21,21 +23,14 @@ logger = logging.getLogger(__name__)
 FIRST_S = 1.0
 """Longest wait for the first answer of a server, from which the others learn its dialect [s]."""
 
-_NAMES = {
-    "roles": r"system (role|message|prompt)|role.{0,20}system|roles? must alternate|alternat\w+ (user|roles?)",
-    "response_format": r"response_format|json_schema|json_object|structured outputs?",
-    "max_completion_tokens": r"max_completion_tokens",
-    "max_tokens": r"max_tokens",
-    "temperature": r"temperature",
-    "seed": r"\bseed\b",
-    "reasoning": r"reasoning_effort|reasoning|thinking",
-}
-"""What may be left out of a request, by the words with which servers refuse it."""
-
-_OTHER_FAULT = re.compile(r"context (length|size|window)|too (large|long|many)|exceeds?\b|greater than", re.IGNORECASE)
-"""A request that names a setting because it is too large has the right form."""
+_WORDS = tomllib.loads(Path(__file__).with_name("server_words.toml").read_text(encoding="utf-8"))
 
 _refused: dict[tuple[str, str], list[str]] = {}
+
+
+def fault(words: str) -> Mapping[str, Any]:
+    """What the words of a server's refusal mean: the `status` of HTTP, and in `advice` what to change, if it helps."""
+    return next(one for one in _WORDS["fault"] if re.search(one["words"], words, re.IGNORECASE))
 
 
 class Dialect:
@@ -68,19 +63,28 @@ class Dialect:
         if self._first is not None:
             self._first.set()
 
-    def refuses(self, reason: str, sent: Mapping[str, Any]) -> bool:
+    def refuses(self, reason: str, sent: Mapping[str, Any], *, unclear: bool = False) -> bool:
         """Learn from the words of a refusal; returns whether to ask once more in another form.
 
-        `sent` holds what was sent: the names of `plain`, with `roles` and `response_format`.
+        `sent` holds what was sent: the names of `plain`, with `roles` and `response_format`. A request that is refused
+        as `unclear`, in words that mean nothing here, is asked once more with nothing that a server could lack.
         """
-        if _OTHER_FAULT.search(reason):
+        if re.search(_WORDS["too_large"], reason, re.IGNORECASE):
             return False
-        for name, words in _NAMES.items():
+        for name, words in _WORDS["left_out"].items():
             if name in sent and name not in self.without and re.search(words, reason, re.IGNORECASE):
                 self.without.append(name)
-                logger.warning("%s refuses %s, and is asked without: %s", self.name, name, printable(reason)[:200])
-                return True
+                return self._says(name, reason)
+        if unclear and not fault(reason)["words"] and not self.without:
+            self.without.extend(sent)
+            return self._says("this request", reason)
+        if unclear and all(name in self.without for name in sent):
+            self.without.clear()  # the plainest request is refused, too: its form is not the reason
         return False
+
+    def _says(self, what: str, reason: str) -> bool:
+        logger.warning("%s refuses %s, and is asked without: %s", self.name, what, printable(reason)[:200])
+        return True
 
     def settings(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """The settings that are sent, by the names of the protocol: one limit of tokens has two."""

@@ -9,24 +9,19 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
 import httpx2
 
-_KINDS = (
-    (429, ("rate limit", "rate_limit", "ratelimit", "throttl", "too many requests", "request limit")),
-    (402, ("quota", "balance", "credit", "billing", "payment")),
-    (404, ("not found", "does not exist", "no such model")),
-    (401, ("api key", "api_key", "unauthorized", "authentication", "permission")),
-    (400, ("context", "too long", "too large", "policy", "policies", "filter", "flagged", "invalid", "unsupported")),
-)
-"""Status codes by words of an error; any other error is the server's."""
+from llm_flock.llm._dialect import fault
 
 _TEXT_FIELDS = ("content", "text", "response", "generated_text", "output_text", "parts")
 _WRAPPERS = ("data", "result", "output", "body", "completion")
 _THOUGHTS = ("reasoning_content", "reasoning", "thinking")
+_ERRORS = ("message", "msg", "detail", "error_msg", "error_message", "base_resp", "promptFeedback")
 _QUOTED = 120
 
 
@@ -42,6 +37,10 @@ class _Answer:
     model: str = ""
     found: bool = False
     """Whether there is a message, even if it is empty."""
+    error: object = None
+    """What the body calls an error."""
+    complaint: object = None
+    """A body that is an error in another form, if there is no message."""
 
 
 def chat_completion(body: bytes) -> tuple[int, bytes]:
@@ -52,13 +51,10 @@ def chat_completion(body: bytes) -> tuple[int, bytes]:
     """
     text = body.decode("utf-8-sig", errors="replace").strip()
     parts, streamed = _parts(text)
-    error = next((found for part in parts if (found := _error(part)) is not None), None)
     answer = _Answer()
-    if error is None:
-        for part in parts:
-            _collect(part, answer)
-    if error is None and not answer.found:
-        error = next((found for part in parts if (found := _loose_error(part)) is not None), None)
+    for part in parts:
+        _collect(part, answer)
+    error = answer.error or (None if answer.found else answer.complaint)
     if error is None and streamed and answer.found and answer.finish is None and "[DONE]" not in text:
         error = {"message": "the stream broke off before its end"}
     if error is not None:
@@ -75,29 +71,22 @@ def chat_completion(body: bytes) -> tuple[int, bytes]:
 
 def _parts(text: str) -> tuple[list[object], bool]:
     """The JSON values of a body, and whether it is a stream: one value, a list of chunks, events, or a value a line."""
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        pass
-    else:
-        parts = cast(list[object], value) if isinstance(value, list) else [value]
-        return parts, False
-    found: list[object] = []
-    streamed = False
     lines = [line.strip() for line in text.split("\n")]
     kept = [line for line in lines if line and not line.startswith((":", "event:", "id:", "retry:"))]
-    if not any(line.startswith("data:") for line in kept):
-        try:  # comments before one value that takes several lines
-            return [json.loads("\n".join(kept))], False
-        except (ValueError, RecursionError):
-            pass
-    for line in kept:
+    for whole in (text, "\n".join(kept)):
+        for value in _decoded([whole]):
+            return cast(list[object], value) if isinstance(value, list) else [value], False
+    events = list(_decoded(line.removeprefix("data:") for line in kept))
+    return events, bool(events)
+
+
+def _decoded(texts: Iterable[str]) -> Iterator[object]:
+    """The values of the texts that are JSON."""
+    for text in texts:
         try:
-            found.append(json.loads(line.removeprefix("data:")))
-            streamed = True
+            yield json.loads(text, strict=False)
         except (ValueError, RecursionError):
             continue
-    return found, streamed
 
 
 def _mappings(values: object) -> Iterator[Mapping[str, Any]]:
@@ -117,14 +106,16 @@ def _collect(part: object, answer: _Answer) -> None:
                 read, written = counts.get("prompt_tokens", 0), counts.get("completion_tokens", 0)
                 exact = {"prompt_tokens": read, "completion_tokens": written, "total_tokens": read + written}
                 answer.usage = counts | exact
-        choices = list(_mappings(body.get("choices"))) or list(_mappings(body.get("candidates")))
-        if choices:
-            _message(choices[0], answer)
-        elif "choices" not in body:
-            known = answer.found
-            _message(body, answer)
-            for name in _WRAPPERS if answer.found == known else ():
-                _collect(body.get(name), answer)
+        choices = [*_mappings(body.get("choices")), *_mappings(body.get("candidates"))]
+        errors = (holder.get(name) for holder in (body, *choices) for name in ("error", "errors"))
+        answer.error = answer.error or next(filter(None, errors), None)
+        words = (body.get(name) for name in _ERRORS if isinstance(body.get(name), str | list | Mapping))
+        answer.complaint = answer.complaint or (body if any(words) else None)
+        known = answer.found
+        if choices or "choices" not in body:
+            _message((choices or [body])[0], answer)
+        for name in _WRAPPERS if not choices and answer.found == known else ():
+            _collect(body.get(name), answer)
 
 
 def _message(choice: Mapping[str, Any], answer: _Answer) -> None:
@@ -139,16 +130,13 @@ def _message(choice: Mapping[str, Any], answer: _Answer) -> None:
         answer.finish = "stop"
     inside = [choice[name] for name in ("message", "delta", "content") if isinstance(choice.get(name), Mapping)]
     message = cast(Mapping[str, Any], inside[0]) if inside else choice
-    for name in _THOUGHTS:
-        if isinstance(thought := message.get(name), str) and thought:
-            answer.thoughts.append(thought)
-            break
+    answer.thoughts += [thought for name in _THOUGHTS if isinstance(thought := message.get(name), str) and thought][:1]
     if isinstance(refusal := message.get("refusal"), str) and refusal:
         answer.refusal, answer.found = refusal, True
     if inside and ("content" in message or "reasoning_content" in message or not message):
         answer.found = True
     for name in _TEXT_FIELDS:
-        if name in message and isinstance(message[name], str | list | Mapping):
+        if isinstance(message.get(name), str | list | Mapping):
             answer.found = True
             _text(message[name], answer)
             return
@@ -171,44 +159,17 @@ def _text(content: object, answer: _Answer) -> None:
 
 def _counts(usage: Mapping[str, Any]) -> dict[str, Any]:
     """The numbers of a usage as whole numbers from 0; everything else is left out."""
-    out: dict[str, Any] = {}
-    for name, value in usage.items():
-        if isinstance(value, Mapping):
-            out[name] = _counts(cast(Mapping[str, Any], value))
-            continue
-        try:
-            number = float(value)
-        except (TypeError, ValueError, OverflowError):
-            continue
-        out[name] = max(0, int(number)) if math.isfinite(number) and not isinstance(value, bool) else 0
-    return out
-
-
-def _error(part: object) -> object | None:
-    """The error that a value reports, at its top or in a choice; None if it reports none."""
-    for body in _mappings(part):
-        for holder in (body, *_mappings(body.get("choices"))):
-            for name in ("error", "errors"):
-                if holder.get(name):
-                    return holder[name]
-    return None
-
-
-def _loose_error(part: object) -> object | None:
-    """An error in another form, where there is no answer."""
-    for body in _mappings(part):
-        words = (body.get(name) for name in ("message", "msg", "detail", "error_msg", "error_message", "base_resp"))
-        if any(word and isinstance(word, str | list | Mapping) for word in words):
-            return body
-    return None
+    nested = {
+        name: _counts(cast(Mapping[str, Any], value)) for name, value in usage.items() if isinstance(value, Mapping)
+    }
+    numbers = {name: value for name, value in usage.items() if type(value) in (int, float) and math.isfinite(value)}
+    return nested | {name: max(0, int(value)) for name, value in numbers.items()}
 
 
 def _status(error: object) -> int:
     """The status of HTTP for an error: its own code, or else by its words."""
     for one in _mappings(error):
         for name in ("code", "status", "status_code"):
-            code = str(one.get(name, ""))
-            if code.isdecimal() and code.isascii() and 400 <= int(code[:4]) < 600:
-                return int(code[:4])
-    words = json.dumps(error).lower()
-    return next((status for status, signs in _KINDS if any(sign in words for sign in signs)), 500)
+            if re.fullmatch("[45][0-9]{2}", code := str(one.get(name))):
+                return int(code)
+    return int(fault(json.dumps(error))["status"])
