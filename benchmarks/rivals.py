@@ -44,8 +44,11 @@ OURS: Mapping[str, Mapping[str, Any]] = {
     "flock, random answers, geometry plans": {"model": "simulated:random", "fallback": "geometry"},
     "flock, one good model, random answers": {"model": "0=simulated:ideal,1-{last}=simulated:random"},
     "flock, all hear all": {"comm_range": 150.0, "sense_range": 15.0},
+    "the paper's rules (text)": {"protocol": "paper"},
+    "the authors' program (rules)": {"protocol": "released"},
+    "no consensus (baseline)": {"protocol": "baseline"},
 }
-"""Fields of the configuration; the last robot has the id {last}. Ours flies with its shield only."""
+"""Fields of the configuration; the last robot has the id {last}. The default protocol flies with its shield only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,9 +93,11 @@ def figures_of(result: RunResult, messages: float, size: float) -> Flown:
 
 
 def ours(options: Mapping[str, Any], mission: Mission, shield: bool, seed: int) -> Flown | None:
-    """The whole protocol. It has a shield, so it flies with it."""
-    if not shield:
+    """The whole protocol, which has a shield and flies with it; or another one, with the shield or without it."""
+    if not shield and "protocol" not in options:
         return None
+    if "protocol" in options:
+        options = {**options, "shield": shield}
     last = mission.n_robots - 1
     filled: dict[str, Any] = {
         name: value.format(last=last) if isinstance(value, str) else value for name, value in options.items()

@@ -20,7 +20,7 @@ from llm_flock_lab._experiments.store import Store
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.sweep_file import load_sweep
 from llm_flock_lab._report import page
-from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, claims_sheet
+from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, _above, _verdict, claims_sheet
 from llm_flock_lab._report.draft import to_tex
 from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.page import write_report
@@ -82,15 +82,31 @@ MAIN = next(claim.text for claim in CLAIMS if claim.lines == "456-510")
 def test_more_formed_and_nearer_is_reproduced_and_counted(tmp_path: Path) -> None:
     found = Results.read(write_results(tmp_path, records=False))
     word, figures = verdicts(found, "flock")[MAIN]
-    assert word == "reproduced" and "triangle 3: formed +100.0 [" in figures and "circle 10: formed +100.0 [" in figures
+    assert (
+        word == "reproduced" and "triangle 3: in shape +83.3 [" in figures and "circle 10: in shape +83.3 [" in figures
+    )
 
 
 def test_a_cell_without_a_difference_is_named(tmp_path: Path) -> None:
     found = Results.read(write_results(tmp_path, records=False))
     word, figures = verdicts(found, "paper")[MAIN]
-    assert word == "not reproduced"
-    assert figures.startswith("fails in triangle 3: formed 0.0") or "fails in triangle 3: formed +0.0" in figures
-    assert "fails in circle 10" in figures
+    assert word == "undecided"
+    assert figures.startswith("undecided in triangle 3: in shape +0.0") and "undecided in circle 10" in figures
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "threshold", "word"),
+    [
+        (0.51, 0.9, 0.5, "reproduced"),
+        (0.5, 0.9, 0.5, "undecided"),
+        (0.1, 0.49, 0.5, "not reproduced"),
+        (None, None, 0.0, "undecided"),
+    ],
+)
+def test_an_interval_decides_or_does_not(low: float | None, high: float | None, threshold: float, word: str) -> None:
+    cells = [("a", (True, "yes")), ("b", (_above(low, high, threshold), "perhaps"))]
+    assert _verdict(cells)[0] == word
+    assert _verdict([*cells, ("c", (False, "no"))])[0] == "not reproduced"
 
 
 def test_a_claim_about_named_models_needs_these(results: Results, tmp_path: Path) -> None:
@@ -107,7 +123,7 @@ def test_a_claim_about_named_models_needs_these(results: Results, tmp_path: Path
     assert word == "reproduced" and "triangle 3: error −1.72" in figures
 
 
-@pytest.mark.parametrize(("scale", "word"), [(0.1, "reproduced"), (1.0, "not reproduced"), (3.0, "not reproduced")])
+@pytest.mark.parametrize(("scale", "word"), [(0.1, "reproduced"), (1.0, "undecided"), (3.0, "not reproduced")])
 def test_spreads_are_compared_seed_by_seed(scale: float, word: str, tmp_path: Path) -> None:
     found = Results.read(write_results(tmp_path, records=False))
     wide = (2.0, 5.0, 3.5, 4.0, 2.5, 6.0)
@@ -138,8 +154,8 @@ def test_both_failures_are_found_with_the_answers_behind_them(results: Results) 
 
 def test_failures_are_verdicts_where_models_err_so(results: Results) -> None:
     found = verdicts(results, "paper")
-    (plan,) = (claim.text for claim in CLAIMS if claim.lines == "655")
-    (step,) = (claim.text for claim in CLAIMS if claim.lines == "677, 741")
+    (plan,) = (claim.text for claim in CLAIMS if claim.lines == "654")
+    (step,) = (claim.text for claim in CLAIMS if claim.lines == "676, 744")
     assert found[plan][0] == found[step][0] == "reproduced"
     assert found[plan][1].endswith("with simulated:distorted") and found[step][1].endswith("with simulated:overshoot")
 
@@ -220,6 +236,7 @@ def test_claims_are_a_file_too(report: Path) -> None:
     assert {row["verdict"].partition(" without")[0] for row in rows} <= {
         "reproduced",
         "not reproduced",
+        "undecided",
         "cannot be tested",
     }
 

@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 import scipy
 
+from llm_flock.metrics import IN_SHAPE
 from llm_flock.record import RunRecord, formed_in
 from llm_flock_lab._experiments.paired import paired_shares
 from llm_flock_lab._experiments.statistics import interval, mean_interval, wilson
@@ -33,7 +34,7 @@ STRONG, GENERAL = ("o3-mini", "deepseek"), ("claude", "llama", "qwen")
 """Parts of the names of the paper's models: those that it calls strong in reasoning, and the others."""
 
 CONSISTENTLY, MOSTLY = 0.95, 0.5
-"""Shares of trials that these words stand for: at least the first, and surely (the whole interval) over the second."""
+"""Shares of trials that these words stand for, if the whole interval is above them."""
 
 SETTLED = 10
 """Rounds at the end in which the error of a team that has converged does not rise."""
@@ -41,10 +42,10 @@ SETTLED = 10
 MOST_CELLS = 4
 """Cells that a verdict lists with their figures."""
 
-REPRODUCED, NOT_REPRODUCED, UNTESTED = "reproduced", "not reproduced", "cannot be tested"
+REPRODUCED, NOT_REPRODUCED, UNDECIDED, UNTESTED = "reproduced", "not reproduced", "undecided", "cannot be tested"
 
-Tested: TypeAlias = tuple[bool, str] | None
-"""Whether a claim holds in a cell, and the figures that say so; None where nothing was flown."""
+Tested: TypeAlias = tuple[bool | None, str] | None
+"""Whether a claim holds in a cell, None if trials do not decide it, and their figures; None where nothing was flown."""
 
 Test: TypeAlias = "Callable[[PaperEvidence, Team], Tested]"
 
@@ -113,14 +114,20 @@ class PaperEvidence:
 
 
 def _verdict(cells: Iterable[tuple[str, Tested]]) -> Verdict:
-    """Reproduced if a claim holds in every cell that was flown; cells where it fails are named first."""
+    """Reproduced if a claim holds in every cell that was flown; cells where it fails, or may fail, are named first."""
     tested = [(name, found) for name, found in cells if found is not None]
     if not tested:
         return f"{UNTESTED} without these teams", ""
-    bad = [f"fails in {name}: {words}" for name, (holds, words) in tested if not holds]
+    bad = [f"fails in {name}: {words}" for name, (holds, words) in tested if holds is False]
+    open_ = [f"undecided in {name}: {words}" for name, (holds, words) in tested if holds is None]
     good = [f"{name}: {words}" for name, (holds, words) in tested if holds]
-    parts = bad + (good if len(tested) <= MOST_CELLS else [f"holds in {len(good)} of {len(tested)} cells"])
-    return NOT_REPRODUCED if bad else REPRODUCED, "; ".join(parts)
+    parts = bad + open_ + (good if len(tested) <= MOST_CELLS else [f"holds in {len(good)} of {len(tested)} cells"])
+    return NOT_REPRODUCED if bad else UNDECIDED if open_ else REPRODUCED, "; ".join(parts)
+
+
+def _above(low: float | None, high: float | None, threshold: float = 0.0) -> bool | None:
+    """Whether an interval is above a threshold; None if it contains the threshold, or has no ends."""
+    return True if low is not None and low > threshold else False if high is not None and high < threshold else None
 
 
 def _short(team: Team) -> str:
@@ -131,22 +138,22 @@ def _in_teams(test: Test, teams: Sequence[Team] = TEAMS) -> Callable[[PaperEvide
     return lambda evidence: _verdict((_short(team), test(evidence, team)) for team in teams)
 
 
-def _formed(evidence: PaperEvidence, trial: TrialRow) -> bool:
-    return trial.formed
+def _in_shape(evidence: PaperEvidence, trial: TrialRow) -> bool:
+    """Whether a team ended in the shape, whatever plans its robots had: the paper's measure is the error (236)."""
+    return trial.error is not None and trial.error <= IN_SHAPE * trial.figures["spacing"]
 
 
 def _share(
-    of: Callable[[PaperEvidence, TrialRow], bool], words: str, *, least: float = 0.0, alone: bool = False
+    of: Callable[[PaperEvidence, TrialRow], bool], words: str, *, least: float = MOSTLY, alone: bool = False
 ) -> Test:
-    """A share of trials that is mostly, or at least so large; with consensus, or `alone` without."""
+    """A share of trials above the `least`; with consensus, or `alone` without."""
 
     def test(evidence: PaperEvidence, team: Team) -> Tested:
         trials = evidence.trials(team, evidence.stand_in, evidence.reference if alone else None).values()
         if not trials:
             return None
         share = wilson(sum(of(evidence, trial) for trial in trials), len(trials))
-        holds = share.value >= least if least else (share.low or 0.0) > MOSTLY
-        return holds, f"{interval(share, 1, 100)} % {words}"
+        return _above(share.low, share.high, least), f"{interval(share, 1, 100)} % {words}"
 
     return test
 
@@ -158,7 +165,10 @@ def _minus(first: Figures, second: Figures) -> Figures:
 def _lower(differences: Figures, words: str = "error") -> Tested:
     """Whether differences are below 0, seed by seed."""
     mean = mean_interval(list(differences.values()))
-    return None if mean is None else ((mean.high or 0.0) < 0, f"{words} {interval(mean, 2, signed=True)} units")
+    if mean is None:
+        return None
+    higher = _above(mean.low, mean.high)
+    return None if higher is None else not higher, f"{words} {interval(mean, 2, signed=True)} units"
 
 
 def _nearer(evidence: PaperEvidence, team: Team) -> Tested:
@@ -166,15 +176,17 @@ def _nearer(evidence: PaperEvidence, team: Team) -> Tested:
 
 
 def _forms_and_is_nearer(evidence: PaperEvidence, team: Team) -> Tested:
-    """More trials form, and the error at the end is lower: both on the same seeds, with intervals without 0."""
+    """More trials end in the shape, and their errors are lower: both on the same seeds, with intervals without 0."""
     first = evidence.trials(team, evidence.stand_in)
     second = evidence.trials(team, evidence.stand_in, evidence.reference)
     both, error = [key for key in first if key in second], _nearer(evidence, team)
-    shares = paired_shares([first[key].formed for key in both], [second[key].formed for key in both])
+    ends = [[_in_shape(evidence, trials[key]) for key in both] for trials in (first, second)]
+    shares = paired_shares(*ends)
     if shares is None or error is None:
         return None
-    more = (shares.difference.low or 0.0) > 0
-    return more and error[0], f"formed {interval(shares.difference, 1, 100, signed=True)} points, {error[1]}"
+    more = _above(shares.difference.low, shares.difference.high)
+    holds = None if None in (more, error[0]) and False not in (more, error[0]) else bool(more and error[0])
+    return holds, f"in shape {interval(shares.difference, 1, 100, signed=True)} points, {error[1]}"
 
 
 def _less_spread(evidence: PaperEvidence, team: Team) -> Tested:
@@ -187,8 +199,11 @@ def _less_spread(evidence: PaperEvidence, team: Team) -> Tested:
     with np.errstate(invalid="ignore", divide="ignore"):  # where nothing differs there is no correlation
         r = float(np.corrcoef(table.sum(axis=1), table[:, 0] - table[:, 1])[0, 1])
     free = len(table) - 2
-    holds = float(scipy.special.stdtr(free, r * math.sqrt(free / max(1 - r * r, 1e-12)))) < 0.025
-    return holds, f"standard deviation {spread[0]:.2f}, without {spread[1]:.2f}"
+    p = float(scipy.special.stdtr(free, r * math.sqrt(free / max(1 - r * r, 1e-12))))
+    return (
+        True if p < 0.025 else False if p > 0.975 else None,
+        f"standard deviation {spread[0]:.2f}, without {spread[1]:.2f}",
+    )
 
 
 def _grows(evidence: PaperEvidence) -> Verdict:
@@ -269,30 +284,32 @@ class PaperClaim(NamedTuple):
     alone: str = ""
 
 
-_alone = _share(lambda evidence, trial: not trial.formed, "did not form", alone=True)
+_alone = _share(lambda evidence, trial: not _in_shape(evidence, trial), "ended out of shape", alone=True)
 
-_always = _share(_formed, "formed", least=CONSISTENTLY)
+_always = _share(_in_shape, "in shape", least=CONSISTENTLY)
 _agree = _share(PaperEvidence.agreed, "with one plan", least=CONSISTENTLY)
 
 CLAIMS = (
     PaperClaim("209", "Three robots consistently form a triangle", _in_teams(_always, TEAMS[:1])),
     PaperClaim("209", "They agree on one plan", _in_teams(_agree, TEAMS[:1])),
     PaperClaim("209", "Without it they mostly end uneven or collapsed", _in_teams(_alone, TEAMS[:1]), "baseline"),
-    PaperClaim("228", "Eight mostly form the square, ten the circle", _in_teams(_share(_formed, "formed"), TEAMS[2:])),
     PaperClaim(
-        "456-510", "In every team more trials form, and end nearer, than without", _in_teams(_forms_and_is_nearer)
+        "228", "Eight mostly form the square, ten the circle", _in_teams(_share(_in_shape, "in shape"), TEAMS[2:])
+    ),
+    PaperClaim(
+        "456-510", "In every team more trials end in shape, and nearer, than without", _in_teams(_forms_and_is_nearer)
     ),
     PaperClaim("541", "Without consensus errors are significantly higher", _in_teams(_nearer)),
     PaperClaim("541", "They vary more from trial to trial", _in_teams(_less_spread)),
     PaperClaim("541", "The difference is larger in larger formations", _grows),
-    PaperClaim("668, 743", "A strong model alone, without consensus, mostly fails", _in_teams(_alone), "baseline"),
+    PaperClaim("664, 746", "A strong model alone, without consensus, mostly fails", _in_teams(_alone), "baseline"),
     PaperClaim("253", "With every model, teams of every size converge and stay", _converges),
     PaperClaim("253, 288", "o3-mini, DeepSeek-R1 end nearer than Claude 3.5 Sonnet, Qwen-Max, Llama 3.1", _stronger),
     PaperClaim(
-        "655", "A faulty plan may spread to all, who then form another shape", _happens(PaperEvidence.faulty_plan)
+        "654", "A faulty plan may spread to all, who then form another shape", _happens(PaperEvidence.faulty_plan)
     ),
     PaperClaim(
-        "677, 741", "Models that step at full speed may keep a team from resting", _happens(PaperEvidence.swinging)
+        "676, 744", "Models that step at full speed may keep a team from resting", _happens(PaperEvidence.swinging)
     ),
     PaperClaim("270, 544", "Drones form a triangle, a square, a cross and a circle", _flown, "flights"),
 )
@@ -308,9 +325,10 @@ def claims_sheet(evidence: Sequence[PaperEvidence]) -> Sheet:
     note = (
         f"Lines are the paper's. Claims about one model are weighed with {evidence[0].stand_in}. More, higher, lower: "
         "on the same seeds, the 95 % interval without 0 (Newcombe's for shares, Student's for means; for spreads, the "
-        "test of Pitman and Morgan). Mostly: the whole interval above one half. Consistently: at least "
-        f"{100 * CONSISTENTLY:.0f} %. To converge and stay: the error falls by half, and does not rise in the last "
-        f"{SETTLED} rounds. A claim is reproduced if it holds in every cell."
+        "test of Pitman and Morgan). Mostly, consistently: the whole interval above one half, or above "
+        f"{100 * CONSISTENTLY:.0f} %. In shape: an error at the end of at most 10 % of the spacing, with any plans. "
+        f"To converge and stay: the error falls by half, and does not rise in the last {SETTLED} rounds. A claim is "
+        "reproduced if it holds in every cell, and undecided where the interval contains what it is compared with."
     )
     if evidence[0].results.simulated:
         note += " The models are simulated: the verdicts are about protocols, not about language models."

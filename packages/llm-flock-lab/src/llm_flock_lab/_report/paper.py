@@ -133,7 +133,7 @@ def _faulty_plan(trial: TrialRow, record: RunRecord, source: str) -> Failure | N
         f"The plan of robot {plan.proposer} is {error:.2f} units from the ideal shape in the mean. All "
         f"{trial.cell.team.n_robots} robots took it, and form its shape."
     )
-    reason = "a faulty plan spreads to the whole team (lines 652-666)"
+    reason = "a faulty plan spreads to the whole team (lines 652-664)"
     figure = _overlay(record, plan, record.mission.ideal)
     return _failure(trial, reason, source, Cause(text, calls=tuple(calls[-1:])), figure, "paper-faulty-plan")
 
@@ -175,7 +175,7 @@ def _full_speed(trial: TrialRow, record: RunRecord, source: str) -> Failure | No
             "speed, past it. So it goes on, and the team never comes to rest."
         )
         calls = [call for call in record.llm if (call.robot, call.kind, call.round) == (robot, "step", k)]
-        reason = "a model that steps at full speed swings about its goal (lines 675-745)"
+        reason = "a model that steps at full speed swings about its goal (lines 666-744)"
         figure = sheet([(trial.cell.protocol, record, range(k - 1, k + 3))])
         return _failure(trial, reason, source, Cause(text, calls=tuple(calls)), figure, "paper-full-speed")
     return None

@@ -12,8 +12,8 @@ from llm_flock.llm._simulated.seen import SEEN, SMALL_MODELS
 
 PROFILES: Mapping[str, str] = {
     "ideal": "nothing: exact formations in a random orientation, straight steps that end at the goal",
-    "distorted": "plans: uneven, scaled and noisy formations (the paper's first failure, lines 652-666)",
-    "overshoot": "steps: always of full length, past a goal that is near (the paper's second failure, lines 675-745)",
+    "distorted": "plans: uneven, scaled and noisy formations (the paper's first failure, lines 652-664)",
+    "overshoot": "steps: always of full length, past a goal that is near (the paper's second failure, lines 666-744)",
     "collapse": "steps: towards the centroid of itself and the robots it sees",
     "malformed": "all answers: unreadable, cut off, of the wrong length, with an illegal index, or not finite",
     "slow": "no answer is wrong, but it takes about a second (log-normal, median 1 s, spread factor 1.6)",
@@ -23,7 +23,7 @@ PROFILES: Mapping[str, str] = {
     "careful": "no answer is wrong: it also keeps away from the robots that the prompt names, in steps and plans",
     "random": "all answers: numbers by chance, in the form that was asked for",
     "canonical": "no answer is wrong: plans are not turned, as one model's at temperature 0; a rate leaves slips",
-    "first": "no answer is wrong: takes the first place of its plan, as the paper's example does (line 344)",
+    "first": "no answer is wrong: takes the first place of its plan, as in the paper's example (line 381)",
     "any": "no answer is wrong: takes a place of its plan by chance",
     "alike": "no answer is wrong: all robots draw the same chances, so they turn plans and err alike, as one model",
 }
