@@ -254,6 +254,7 @@ def _position(items: Items, at: int) -> Value | None:
             behind = items.past(end, {"line", "operator"})
             if items.word(behind) not in {"x", "y", "z"}.difference(items.words(at, end)):
                 break
+            end = behind
         end += 1
     if "number" not in {items.kind(k) for k in range(at, end)}:
         return None
@@ -452,7 +453,7 @@ _FROM_ONE = re.compile(
 def counts_from_one(text: str) -> bool:
     """Whether the answer says that it counts places from 1; "if counted from 1" says nothing."""
     for found in _FROM_ONE.finditer(text):
-        begin = max(text.rfind("\n", 0, found.start()), text.rfind(". ", 0, found.start()), found.start() - 200)
-        if {"if", "were", "would", "not"}.isdisjoint(text[begin + 1 : found.start()].lower().split()):
+        sentence = re.split(r"\n|\. ", text[max(0, found.start() - 200) : found.start()])[-1]
+        if {"if", "were", "would", "not"}.isdisjoint(sentence.lower().split()):
             return True
     return False

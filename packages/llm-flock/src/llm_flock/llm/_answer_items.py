@@ -167,8 +167,12 @@ def _joined(opened: _Open, content: Sequence[Item], end: int) -> Item | None:
         if not kinds <= {"point", "points", "comma", "line", "bad", "axes", "dots", "to"}:
             return None
         text = next((group.text for group in groups if group.kind == "bad"), PLACEHOLDERS)
-        if "dots" not in kinds and all(group.rows for group in groups):
-            kind, text, rows = "points", "", tuple(row for group in groups for row in group.rows)
+        if len(groups) == 1 and groups[0].rows and "dots" not in kinds:
+            kind, text, rows = "points", "", groups[0].rows
+        elif "points" in kinds:
+            text = "gives two lists"
+        elif "dots" not in kinds and all(group.rows for group in groups):
+            kind, text, rows = "points", "", tuple(group.rows[0] for group in groups)
     elif "number" in kinds:
         row = row_of(content)
         if isinstance(row, tuple):

@@ -129,14 +129,16 @@ def _one_of(rows: Sequence[Sequence[float]], dim: int, here: Point | None) -> Se
 def _bare(items: Items, *, many: bool, first: int = 0) -> list[AnswerClaim]:
     """Values without a label: lists of points, or a position that is the whole answer."""
     found: list[AnswerClaim] = []
+    done = 0
     for at, item in enumerate(items.all):
-        if many and item.kind in ("point", "points") and (not found or found[-1].end <= at):
+        if many and item.kind in ("point", "points") and done <= at:
             numbered = items.kind(at - 1) == "sign" and items.kind(at - 2) == "number"
             begin = at - 2 if numbered else at
             value = value_at(items, begin, many=True, first=first)
             scaled = items.kind(begin - 1) == "operator" and items.all[begin - 1].text != "-"
             field = '":' in items.text[max(0, item.start - 4) : item.start]  # of an object, with a name of its own
             words = items.words(items.start(begin, "comma", "point", "points"), begin)
+            done = at if value is None else value[2]
             if value and not scaled and not field and not foreign(words):
                 found.append(AnswerClaim(value[0], value[1], at, value[2]))
         elif item.kind not in ("line", "stop", "sign") and item.text.lower() not in SAID["languages"] and not many:
