@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -48,6 +48,7 @@ class AnswerClaim:
     soft: bool = False
     option: str = ""
     misfit: bool = False
+    bare: bool = False  #: Without a label, after one that has a label.
 
     @property
     def value(self) -> object:
@@ -107,9 +108,26 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
         )
         labels_itself = word in _FINAL and items.kind(at + 1) == "sign"  # "Updated: [x, y]"
         claim = _claim(items, at, moves=moves, many=many) if moves or labels_itself or word in labels else None
+        if found and found[-1].end <= at and items.kind(at) in ("point", "points"):
+            claim = _beside(items, at, found[-1], many=many)
         if claim is not None and (not found or claim.end > found[-1].end):
             found.append(claim)
     return found
+
+
+def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerClaim | None:
+    """A value without a label behind a claim; rejected if its sentence, or its heading, says that it is something else."""
+    value = value_at(items, at, many=many)
+    if value is None or value[1] or many == (len(value[0]) == 1):
+        return None
+    begin = max(items.start(at), last.end)
+    head, above = _heading(items, begin)
+    before = [*items.words(head, above), *items.words(begin, at)]
+    after = items.words(value[2], items.sentence(value[2], 10))
+    revises = says(before, "revised")
+    rejected = says([*before, *after], "foreign", "elsewhere") or (not before and last.bare and last.rejected)
+    rejected = rejected or {"operator", "equals"} & {items.kind(at - 1), items.kind(at + 1)} != set()
+    return AnswerClaim(value[0], "", at, value[2], final=revises, revises=revises, rejected=rejected, bare=True)
 
 
 def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
@@ -136,7 +154,7 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
     around, behind = {*clause, *heading, label}, items.sentence(end, 10)
     new_field = items.kind(end) == "comma" and "sign" in (items.kind(k) for k in range(end, behind))
     after = [] if new_field else [*items.words(end, behind)]
-    doubted = not SAID["hypothetical"].isdisjoint({*after, *items.words(items.start(at, reach=20), at)})
+    doubted = says(after, "hypothetical") or says(items.words(items.start(at, reach=20), at), "hypothetical")
     asks = items.kind(behind) == "stop" and items.all[behind].text == "?"
     revises = not around.isdisjoint(SAID["revised"])
     soft = {*clause, label, *SAID["first"].intersection(heading), *{"would"}.intersection(after)}
@@ -155,18 +173,21 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
 
 def foreign(spoken: Iterable[str]) -> bool:
     """Whether words before a value give it to others, or to another time."""
-    return any(word.removesuffix("'s") in SAID["foreign"] for word in spoken)
+    return says((word.removesuffix("'s") for word in spoken), "foreign")
+
+
+def says(spoken: Iterable[str], *names: str) -> bool:
+    """Whether one of these lists holds a word, or two words in a row (as `too_close`)."""
+    words = [*spoken]
+    words = [*words, *map("_".join, pairwise(words))]
+    return any(not SAID[name].isdisjoint(words) for name in names)
 
 
 def _dismissed(spoken: Sequence[str]) -> bool:
     """Whether the words behind a value, or a sentence about it, say that it is not the answer."""
-    if " ".join(spoken[:2]) in ("is not", "was not", "is where", "from here", "from me"):
-        return True
-    pairs = [*pairwise(spoken)]
-    if SAID["denials"].isdisjoint(spoken):
-        too = any(first == "too" and second in SAID["extremes"] for first, second in pairs)
-        return too or {"exceeds", "limit"} <= {*spoken} or not SAID["faulty"].isdisjoint(spoken)
-    return any(first == "not" and second in SAID["virtues"] for first, second in pairs)
+    denied = says(spoken, "denials")
+    faulty = not denied and (says(spoken, "faulty") or {"exceeds", "limit"} <= {*spoken})
+    return faulty or says(spoken, "dismissed") or " ".join(spoken[:2]) in ("is not", "was not")
 
 
 def _heading(items: Items, begin: int) -> tuple[int, int]:
@@ -318,7 +339,10 @@ def chosen(
     A sentence that corrects one of the `others` takes nothing back.
     """
     standing = [claim for claim in found if not claim.option and (claim.revises or not claim.rejected)]
-    standing = [claim for claim in standing if not claim.soft] or standing
+    firm = [claim for claim in standing if not claim.soft]
+    standing = firm if any(not claim.bare for claim in firm) else standing
+    labelled = next((k for k, claim in enumerate(standing) if not claim.bare), len(standing))
+    standing = [claim for claim in standing[labelled:] if not (claim.bare and claim.misfit)]
     current = standing[0] if standing else None
     disputed = turned = False
     for before, claim in pairwise(standing):
@@ -360,31 +384,27 @@ def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: 
 
 def _taken_back(items: Items, begin: int, end: int, signs: Set[str]) -> int:
     """Where a sentence in this part begins that takes back what stands before it; -1 if none does."""
-    fresh = False
+    fresh, said = False, POSITION | PLAN | PATH | SAID["place"]
     for at in range(begin, end):
         word, kind = items.word(at), items.kind(at)
         if word and fresh:
             following = {items.word(at + 1), items.word(at + 2)}
             if word in signs and items.word(at + 1) not in SAID["harmless"]:
-                if word not in ("on", "let", "after") or not following.isdisjoint(SAID["again"]):
+                if word not in ("on", "upon", "let", "after") or not following.isdisjoint(SAID["again"]):
                     return at
-            elif word in ("that", "this", "it", "which", "i"):
+            elif word in ("that", "this", "it", "which", "i") or (word in ("my", "the") and said.intersection(following)):
                 rest = [*items.words(at, items.sentence(at, 20))]
-                if (word != "i" and _dismissed(rest)) or not {"mistake", "apologize"}.isdisjoint(rest):
+                if (word != "i" and _dismissed(rest)) or says(rest, "mistakes"):
                     return at
-        fresh = kind in ("stop", "line", "operator", "comma", "sign") or (fresh and not word and kind not in _VALUES)
+        fresh = kind in ("stop", "line", "operator", "comma", "sign", "dots") or (fresh and not word and kind not in _VALUES)
     return -1
 
 
 def _kept(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
-    """The claim, unless later words take it back; a value in that sentence replaces it."""
+    """The claim, unless later words take it back."""
     at = current.end
     while (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
         if others.isdisjoint(range(at, items.sentence(at) + 1)):
-            values = [item for item in items.all[at:] if item.rows or item.kind == "bad"]
-            doubts = {"close", *SAID["hard"]}.intersection(items.words(at, len(items.all)))
-            if len(values) == 1 and values[0].rows and not doubts:
-                return replace(current, rows=values[0].rows, wrong="", end=len(items.all))
             raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
         at += 1
     return current
@@ -397,7 +417,8 @@ def index_claims(items: Items) -> list[AnswerClaim]:
         if items.word(at) in ("my", "i"):
             end = items.past(at + 1, {"operator"}, SAID["takes"] | SAID["within"])
             taken = items.word(at) == "my" or not SAID["takes"].isdisjoint(items.words(at, end))
-            claim = _index(items, at, end + 1) if taken and items.word(end) in SAID["place"] else None
+            named = items.word(end) in SAID["place"]
+            claim = _index(items, at, end + named) if taken and (named or items.kind(end) == "point") else None
             found += [] if claim is None else [claim]
     return found
 

@@ -27,7 +27,7 @@ _TYPOGRAPHY = str.maketrans(
     | dict.fromkeys("\u200b\u2060\ufeff", "")
     | {"\uff1a": ":", "\uff0c": ",", "\uff1b": ";", "\uff3b": "[", "\uff3d": "]", "\uff08": "(", "\uff09": ")"}
     | {chr(0xFF10 + digit): str(digit) for digit in range(10)}
-    | {"\uff0e": "."}
+    | {"\uff0e": ".", "\u2260": " not ", "\u274c": " wrong ", "\u2717": " wrong ", "\u2718": " wrong "}
     | {
         "\u221e": "inf",
         "\u2018": "'",
@@ -241,7 +241,7 @@ def plain(text: str) -> str:
         text = _STRING.sub(_without_prose, re.sub(r"(?<=[a-z])(?=(?:Plan|Position|Path)\b)", "_", text))
         text = re.sub(r"\}\s*+(?=\{)", "}\n", text)
     text = _DECIMAL_COMMAS.sub(r"\1.\2; \3.\4", text)
-    text = _STRUCK.sub("", text)
+    text = _STRUCK.sub("", text.replace("!=", " not "))
     if "<" in text:
         text = _TAG.sub(_without_tag, text)
     if "\\" in text:

@@ -96,7 +96,8 @@ def read_waypoints(text: str, form: AnswerForm, here: Point | None = None) -> tu
     if claim is None:
         found = claims(items, POSITION if horizon > 1 else POSITION | PATH, many=False)
         for one in found:
-            one.misfit = any(len(row) != dim for row in one.rows)
+            own = one.bare and here is not None and all(_near(row, here) for row in one.rows)
+            one.misfit = own or any(len(row) != dim for row in one.rows)
         claim = chosen(found, items, "position")
     if claim is None:
         path = horizon > 1
@@ -113,6 +114,10 @@ def read_waypoints(text: str, form: AnswerForm, here: Point | None = None) -> tu
     if len(rows) > horizon:
         raise AnswerError(f"the path holds {len(rows)} positions, 1 to {horizon} are required.")
     return tuple(_point(f"position {k} of the path", row, dim) for k, row in enumerate(rows, start=1))
+
+
+def _near(row: Sequence[str], here: Point) -> bool:
+    return len(row) == len(here) and math.dist(_numbers("the position", row), here) < HERE
 
 
 def _one_of(rows: Sequence[Sequence[float]], dim: int, here: Point | None) -> Sequence[float]:
@@ -172,8 +177,10 @@ def _items(text: str) -> Items:
     text = plain(answer.text)
     items = Items(items_of(text), text, answer.text)
     for at in range(len(items.all)):
-        if items.word(at) in ("unit", "units") and (unit := items.word(at + 2)) in SAID["foreign_units"]:
-            raise AnswerError(f"it has units ({unit}), which are not allowed.")
+        if items.word(at) in ("unit", "units", "coordinates", "values", "numbers", "axes"):
+            near = {*items.words(items.start(at, reach=6), items.sentence(at, 8))} - {"in"}
+            for unit in near & (SAID["foreign_units"] | SAID["frames"]):
+                raise AnswerError(f"it has units ({unit}), which are not allowed.")
     return items
 
 
