@@ -116,7 +116,7 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
 
 
 def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerClaim | None:
-    """A value without a label behind a claim; rejected if its sentence, or its heading, says that it is something else."""
+    """A value without a label behind a claim; rejected if its sentence or its heading gives it to something else."""
     value = value_at(items, at, many=many)
     if value is None or value[1] or many == (len(value[0]) == 1):
         return None
@@ -124,9 +124,9 @@ def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerCl
     head, above = _heading(items, begin)
     before = [*items.words(head, above), *items.words(begin, at)]
     after = items.words(value[2], items.sentence(value[2], 10))
-    revises = says(before, "revised")
     rejected = says([*before, *after], "foreign", "elsewhere") or (not before and last.bare and last.rejected)
     rejected = rejected or {"operator", "equals"} & {items.kind(at - 1), items.kind(at + 1)} != set()
+    revises = not rejected and says(before, "revised")
     return AnswerClaim(value[0], "", at, value[2], final=revises, revises=revises, rejected=rejected, bare=True)
 
 
@@ -148,7 +148,7 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
         stands = first or not {"i", "i'll"}.isdisjoint(clause)
     else:
         plainly = many or option or not before or before in _CERTAIN | SAID["before"]
-        stands = label == "boxed" or bool(plainly and not foreign(near if not many else clause))
+        stands = label == "boxed" or bool(plainly and not says(near if not many else clause, "foreign"))
     if not stands:
         return None
     around, behind = {*clause, *heading, label}, items.sentence(end, 10)
@@ -171,22 +171,16 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
     )
 
 
-def foreign(spoken: Iterable[str]) -> bool:
-    """Whether words before a value give it to others, or to another time."""
-    return says((word.removesuffix("'s") for word in spoken), "foreign")
-
-
 def says(spoken: Iterable[str], *names: str) -> bool:
     """Whether one of these lists holds a word, or two words in a row (as `too_close`)."""
-    words = [*spoken]
+    words = [word.removesuffix("'s") for word in spoken]
     words = [*words, *map("_".join, pairwise(words))]
     return any(not SAID[name].isdisjoint(words) for name in names)
 
 
 def _dismissed(spoken: Sequence[str]) -> bool:
     """Whether the words behind a value, or a sentence about it, say that it is not the answer."""
-    denied = says(spoken, "denials")
-    faulty = not denied and (says(spoken, "faulty") or {"exceeds", "limit"} <= {*spoken})
+    faulty = (says(spoken, "faulty") or {"exceeds", "limit"} <= {*spoken}) and not says(spoken, "denials")
     return faulty or says(spoken, "dismissed") or " ".join(spoken[:2]) in ("is not", "was not")
 
 
@@ -349,7 +343,7 @@ def chosen(
         assert current is not None
         turned = turned or _taken_back(items, before.end, claim.begin, SAID["turns"]) >= 0
         unfit = current.misfit or current.wrong or claim.misfit  # the last word counts, also if it will be refused
-        if claim.wrong == PLACEHOLDERS:
+        if claim.wrong == PLACEHOLDERS or (claim.bare and unfit and not (turned or claim.revises)):
             continue
         if claim.revises or turned or unfit or (claim.final and not current.final):
             current, disputed, turned = claim, False, False
@@ -363,7 +357,12 @@ def chosen(
         return _picked(options, current, items, what)
     if disputed:
         raise AnswerError(f"it gives two different {what}s and does not say which one counts; give one only.")
-    return None if current is None else _kept(current, items, what, {other.begin for other in others})
+    at, begins = -1 if current is None else current.end, {other.begin for other in others}
+    while at >= 0 and (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
+        if begins.isdisjoint(range(at, items.sentence(at) + 1)):
+            raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
+        at += 1
+    return current
 
 
 def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: Items, what: str) -> AnswerClaim:
@@ -392,22 +391,16 @@ def _taken_back(items: Items, begin: int, end: int, signs: Set[str]) -> int:
             if word in signs and items.word(at + 1) not in SAID["harmless"]:
                 if word not in ("on", "upon", "let", "after") or not following.isdisjoint(SAID["again"]):
                     return at
-            elif word in ("that", "this", "it", "which", "i") or (word in ("my", "the") and said.intersection(following)):
+            elif word in ("that", "this", "it", "which", "i") or (
+                word in ("my", "the") and said.intersection(following)
+            ):
                 rest = [*items.words(at, items.sentence(at, 20))]
                 if (word != "i" and _dismissed(rest)) or says(rest, "mistakes"):
                     return at
-        fresh = kind in ("stop", "line", "operator", "comma", "sign", "dots") or (fresh and not word and kind not in _VALUES)
+        fresh = kind in ("stop", "line", "operator", "comma", "sign", "dots") or (
+            fresh and not word and kind not in _VALUES
+        )
     return -1
-
-
-def _kept(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
-    """The claim, unless later words take it back."""
-    at = current.end
-    while (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
-        if others.isdisjoint(range(at, items.sentence(at) + 1)):
-            raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
-        at += 1
-    return current
 
 
 def index_claims(items: Items) -> list[AnswerClaim]:
@@ -466,7 +459,7 @@ def _another(items: Items, at: int) -> bool:
 
 _FROM_ONE = re.compile(
     r"\b(?:1|one)[- ](?:based|index)|\b(?:count|number|indices|index|start)\w*+ (?:\w++ ){0,2}(?:from|at) (?:1|one)\b"
-    r"|\b(?:numbered|numbering|labell?ed|counted) 1\b",
+    r"|\b(?:numbered|numbering|labell?ed|counted|places|indices|corners) 1\b(?! (?:and|or) 2\b)",
     re.IGNORECASE,
 )
 
