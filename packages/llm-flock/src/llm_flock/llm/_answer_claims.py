@@ -112,22 +112,24 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
             claim = _beside(items, at, found[-1], many=many)
         if claim is not None and (not found or claim.end > found[-1].end):
             found.append(claim)
-    return found
+    return [claim for claim in found if not (claim.bare and claim.rejected)]
 
 
 def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerClaim | None:
     """A value without a label behind a claim; rejected if its sentence or its heading gives it to something else."""
     value = value_at(items, at, many=many)
-    if value is None or value[1] or many == (len(value[0]) == 1):
+    if value is None:
         return None
-    begin = max(items.start(at), last.end)
-    head, above = _heading(items, begin)
-    before = [*items.words(head, above), *items.words(begin, at)]
-    after = items.words(value[2], items.sentence(value[2], 10))
-    rejected = says([*before, *after], "foreign", "elsewhere") or (not before and last.bare and last.rejected)
-    rejected = rejected or {"operator", "equals"} & {items.kind(at - 1), items.kind(at + 1)} != set()
-    revises = not rejected and says(before, "revised")
-    return AnswerClaim(value[0], "", at, value[2], final=revises, revises=revises, rejected=rejected, bare=True)
+    claim = AnswerClaim(value[0], value[1], at, value[2], bare=True)
+    signs = {items.kind(at - 1), items.kind(at + 1)}
+    claim.rejected = bool(value[1]) or many == (len(value[0]) == 1) or not signs.isdisjoint(("operator", "equals"))
+    if not claim.rejected:
+        begin = at if at == last.end else max(items.start(at), last.end)
+        before = [*items.words(*_heading(items, begin)), *items.words(begin, at)]
+        spoken = [*before, *items.words(value[2], items.sentence(value[2], 10))]
+        claim.rejected = says(spoken, "foreign", "elsewhere") or (not before and last.bare and last.rejected)
+        claim.revises = claim.final = not claim.rejected and says(before, "revised")
+    return claim
 
 
 def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
