@@ -11,8 +11,8 @@ BIN := .venv/bin
 # For `make pins`: what may change.
 UPGRADE ?= --upgrade
 
-# Processes that run tests. Two more than the cores of a small machine: some tests wait for a while.
-WORKERS ?= 4
+# Processes that run tests, of which each imports everything. End to end, where tests wait for others, twice as many do.
+WORKERS ?= 2
 
 # Runs the targets that follow at the same time, and prints the output of each in one piece.
 TOGETHER := $(MAKE) --no-print-directory --jobs $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
@@ -35,7 +35,7 @@ KITS := .venv/.kits-$(SUM)
 E2E := .venv/.e2e-$(SUM)
 
 # Tests, by suite: those of one part are in its folder, those of several in tests/.
-UNIT := $(wildcard packages/*/tests/unit) tests/unit
+UNIT := $(wildcard packages/*/tests/unit)
 ALL_TESTS := $(wildcard packages/*/tests/unit packages/*/tests/property packages/*/tests/integration) tests/unit tests/property tests/integration
 # Tests that are skipped where a kit is not installed.
 KITTED = $(shell grep -rl importorskip packages/*/tests tests --include='test_*.py' | grep -v /e2e/)
@@ -54,7 +54,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VERSIONS := 3.14 3.13 3.12 3.11
 OTHERS := $(foreach version,$(VERSIONS),python$(version) $(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python))
 
-.PHONY: help setup everything demo quick unit kits changed test fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
+.PHONY: help setup everything demo quick unit kits changed test covered others fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -97,17 +97,25 @@ demo: $(STAMP) ## Ten robots form a circle; record, figure and animation go to r
 	$(BIN)/llm-flock figure runs/demo/run.mcap
 	$(BIN)/llm-flock animate runs/demo/run.mcap
 
-quick: $(CHECK) ## Lint, types of changed files, unit tests: within 40 s, before each commit
+quick: $(CHECK) ## Lint, types of changed files, unit tests of changed parts: within 40 s, before each commit
 	@$(TOGETHER) lint changed unit
 
-unit: $(STAMP) ## Unit tests, without the flights that are too long for measuring coverage
-	$(BIN)/python -m pytest $(UNIT) -m "not no_cover" --quiet --numprocesses 2 --dist worksteal
+unit: $(STAMP) ## Unit tests of the parts that differ from main, and of all together, without those that are long
+	@parts="$$({ $(CHANGED); } | cut -d / -f 1,2)"; \
+	$(BIN)/python -m pytest $$(for tests in $(UNIT); do grep -qx "$${tests%/tests/unit}" <<< "$$parts" && echo "$$tests"; done) tests/unit \
+	  -m "not no_cover and not slow" --quiet --numprocesses 2 --dist worksteal
 
 changed: $(CHECK) ## Type check of the files that differ from main
 	@files="$$($(CHANGED))"; if [ -n "$$files" ]; then $(BIN)/pyright --pythonpath $(BIN)/python $$files; else echo "no Python file has changed"; fi
 
 test: $(STAMP) $(DOCS) ## Unit, property and integration tests, and that every branch of ring 0 and of protocol/ is covered
-	$(BIN)/python -m pytest $(COVERED) --numprocesses 2 --dist worksteal --cov
+	@# At the same time, as some tests wait.
+	@$(MAKE) --no-print-directory --jobs covered others
+
+covered: $(STAMP)
+	$(BIN)/python -m pytest $(COVERED) --quiet --cov
+
+others: $(STAMP) $(DOCS)
 	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(WORKERS) --dist worksteal
 
 fuzz: $(STAMP) ## Twenty thousand hostile messages, reports, files, configurations and answers of each kind (minutes)
@@ -117,7 +125,7 @@ kits: $(E2E) $(KITS) $(DOCS) ## The files of tests that `make test` skips in par
 	$(BIN)/python -m pytest $(KITTED) --numprocesses $(WORKERS) --dist worksteal
 
 e2e: $(E2E) $(KITS) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e --numprocesses $(WORKERS) --dist loadscope --no-loadscope-reorder
+	$(BIN)/python -m pytest tests/e2e --numprocesses $$(( 2 * $(WORKERS) )) --dist loadscope --no-loadscope-reorder
 
 check: $(CHECK) $(DOCS) $(KITS) ## Lint, types, layers and docs at the same time, as in CI
 	@$(TOGETHER) lint types layers docs

@@ -100,7 +100,7 @@ def test_provider_that_never_answers_ends_run_with_exit_code_1(tmp_path: Path) -
     assert read_record(tmp_path / "x/run.mcap").complete
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: signal.Signals) -> None:
     command = [
         sys.executable,
@@ -134,14 +134,11 @@ def test_stopped_at_any_moment_the_record_is_readable(tmp_path: Path, sent: sign
     shown, errors = running.communicate(timeout=30)
     record = read_record(path)
     assert len(record.states) >= 2
-    assert record.complete == (sent is not signal.SIGKILL)
-    if sent is not signal.SIGKILL:
-        told = (
-            json.loads(shown)["stopped"] == "interrupted" if sent is signal.SIGHUP else "interrupted in round" in shown
-        )
-        assert running.returncode == 130 and "interrupted" in errors and told
-        assert record.result is not None and record.result["stopped"] == "interrupted"
-        assert record.result["model_calls"] == len(record.llm)
+    assert record.complete
+    told = json.loads(shown)["stopped"] == "interrupted" if sent is signal.SIGHUP else "interrupted in round" in shown
+    assert running.returncode == 130 and "interrupted" in errors and told
+    assert record.result is not None and record.result["stopped"] == "interrupted"
+    assert record.result["model_calls"] == len(record.llm)
 
 
 def test_lists_and_help(tmp_path: Path) -> None:
@@ -169,21 +166,22 @@ def test_a_comparison_of_three_protocols(tmp_path: Path) -> None:
         "none": ["--consensus", "none"],
         "paper": ["--consensus", "influence", "--assignment", "nearest"],
     }.items():
-        flock("run", "--seed", "7", "--rounds", "30", "--out", name, *options, cwd=tmp_path)
+        flock("run", "--seed", "7", "--rounds", "10", "--out", name, *options, cwd=tmp_path)
     flock("figure", "flock", "none", "paper", "--out", "three.png", cwd=tmp_path)
     assert (tmp_path / "three.png").stat().st_size > 20_000
 
 
 def test_compare_prints_a_table_and_writes_a_line_a_trial(tmp_path: Path) -> None:
     arguments = ("--cells", "triangle/3,circle/60", "--protocols", "flock,baseline", "--fit-arena", "--rounds", "2")
-    shown = ("--trials", "2", "--jobs", "2", "--out", "a.csv", "--markdown")
+    shown = ("--trials", "1", "--jobs", "2", "--out", "a.csv", "--markdown")
     done = flock("compare", *arguments, *shown, cwd=tmp_path)
     assert re.search(r"\| flock +\| circle +\| 60 +\| 0.0 \[", done.stdout)
-    assert "simulated" in done.stdout and "baseline circle 60: 0 of 2 formed" in done.stderr
-    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 8
+    assert "simulated" in done.stdout and "baseline circle 60: 0 of 1 formed" in done.stderr
+    assert len((tmp_path / "a.csv").read_text().splitlines()) == 1 + 4
+    arguments = ("--cells", "triangle/3", *arguments[2:])
     again = flock("compare", *arguments, "--trials", "1", "--jobs", "1", "--json", "--quiet", cwd=tmp_path)
     rows = json.loads(again.stdout)
-    assert again.stderr == "" and [(r["protocol"], r["n_robots"]) for r in rows][:2] == [("flock", 3), ("baseline", 3)]
+    assert again.stderr == "" and [(r["protocol"], r["n_robots"]) for r in rows] == [("flock", 3), ("baseline", 3)]
     assert list(tmp_path.iterdir()) == [tmp_path / "a.csv"]
 
 

@@ -40,20 +40,11 @@ def test_there_are_notebooks() -> None:
     assert len(NOTEBOOKS) >= 2
 
 
-def test_a_long_run_shows_its_progress(tmp_path: Path) -> None:
-    book = execute(
-        [
-            "from llm_flock import run\nr = run(n_robots=6, seed=1, model='simulated:slow@1', rounds=2)\nr.formed",
-            "r2 = run(n_robots=3, shape='triangle', seed=1, progress=False)",
-        ],
-        tmp_path,
-    )
-    html = shown(book.cells[0])["text/html"]
-    assert "<progress" in html and "circle · round" in html
-    assert not book.cells[1].outputs
-
-
-def test_interrupted_cell_leaves_working_kernel_and_record(tmp_path: Path) -> None:
+def test_progress_shows_and_an_interrupt_leaves_all_working(tmp_path: Path) -> None:
+    cells = [
+        "from llm_flock import run\nr = run(n_robots=6, seed=1, model='simulated:slow@1', rounds=2)\nr.formed",
+        "r2 = run(n_robots=3, shape='triangle', seed=1, progress=False)",
+    ]
     interrupt = (
         "import os, signal, threading\nfrom llm_flock import read_record, run\n"
         "def stop(now):\n"
@@ -67,6 +58,9 @@ def test_interrupted_cell_leaves_working_kernel_and_record(tmp_path: Path) -> No
         "assert read_record('broken').result['stopped'] == 'interrupted'\n"
         "assert not [t for t in threading.enumerate() if t.name == 'llm-flock run']\n"
     )
-    book = execute([interrupt, "run(n_robots=3, shape='triangle', seed=1).formed"], tmp_path)
-    assert shown(book.cells[1])["text/plain"] == "True"
+    book = execute([*cells, interrupt, "run(n_robots=3, shape='triangle', seed=1).formed"], tmp_path)
+    html = shown(book.cells[0])["text/html"]
+    assert "<progress" in html and "circle · round" in html
+    assert not book.cells[1].outputs
+    assert shown(book.cells[3])["text/plain"] == "True"
     assert os.listdir(tmp_path) == ["broken"]  # noqa: PTH208 - one folder

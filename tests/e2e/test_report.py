@@ -41,8 +41,7 @@ def report(chromium: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "results" / "report" / "report.html"
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize(("width", "scheme"), [(400, "dark"), (1280, "light")])
 def test_the_report_opens_without_error_or_request(report: Path, browser: Browser, scheme: str, width: int) -> None:
     dark = scheme == "dark"
     context = browser.new_context(color_scheme="dark" if dark else "light", viewport={"width": width, "height": 900})

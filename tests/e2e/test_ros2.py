@@ -386,17 +386,6 @@ def test_a_bridge_that_has_seen_nothing_ends_cleanly(flags: list[str], tmp_path:
     assert (process.returncode, errors) == (0, "")
 
 
-def test_swarm_that_takes_missions_does_not_end_once_formed(tmp_path: Path) -> None:
-    endpoint = f"tcp/127.0.0.1:{free_port()}"
-    team = ["--robots", "2", "--shape", "line", "--start", "connected", "--model", "simulated:ideal", "--max-s", "20"]
-    flags = [*team, "--connect", "", "--ros2", endpoint, "--ros-missions", "--no-record", "--json"]
-    with router(endpoint):
-        words = [sys.executable, "-m", "llm_flock", "swarm", *flags]
-        done = subprocess.run(words, cwd=tmp_path, env=ENV, capture_output=True, text=True, timeout=90)
-    result = json.loads(done.stdout)
-    assert (done.returncode, result["stopped"], result["formed"]) == (0, "time", True), done.stderr
-
-
 def hostile_bytes(kind: str) -> list[bytes]:
     """Messages of a type that are cut, changed, endless, far too large, or of another type."""
     good, rng = to_cdr(SAMPLES[kind], kind), random.Random(7)

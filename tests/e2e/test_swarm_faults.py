@@ -12,7 +12,6 @@ from swarms import fly, formed, living, swarm_config
 from llm_flock.record._reader import read_record
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.swarm import Swarm, SwarmResult, launch_swarm, run_swarm
-from llm_flock_swarm._network.watch import give_mission
 
 SAFE = 3.0 - 1e-6
 
@@ -30,15 +29,6 @@ def test_five_processes_form_and_leave_a_record(tmp_path: Path) -> None:
     assert len(found.states) > 5 and found.states[-1].phases.count("dead") == 0
     assert {event.kind for event in found.events} >= {"proposed", "adopted", "claimed"}
     assert found.llm and found.result is not None
-
-
-def test_a_killed_robot_is_done_without() -> None:
-    async def strike(swarm: Swarm) -> None:
-        await asyncio.sleep(2.0)
-        os.kill(swarm.pids["robot-2"], signal.SIGKILL)
-        await asyncio.sleep(0.5)
-
-    check(fly(swarm_config(5), strike, until=lambda o: formed(o) and len(o.robots) == 4), 4)
 
 
 def test_a_killed_recorder_is_not_missed(tmp_path: Path) -> None:
@@ -110,11 +100,13 @@ def test_a_late_robot_finds_its_place() -> None:
     check(fly(config, come, absent=frozenset({4}), until=lambda o: formed(o) and len(o.robots) == 5), 5)
 
 
-def test_a_killed_robot_that_starts_again_takes_its_place() -> None:
+def test_a_killed_robot_is_done_without_and_starts_again() -> None:
     async def strike(swarm: Swarm) -> None:
         await asyncio.sleep(2.0)
         os.kill(swarm.pids["robot-2"], signal.SIGKILL)
-        await asyncio.sleep(1.0)
+        await asyncio.sleep(0.5)
+        while not (formed(swarm.observer) and len(swarm.observer.robots) == 4):  # noqa: ASYNC110 - there is no event
+            await asyncio.sleep(0.1)
         await swarm.start_robot(2)
         await asyncio.sleep(2.0)
 
@@ -136,15 +128,3 @@ def test_one_robots_model_is_down() -> None:
     result = fly(config)
     check(result, 5)
     assert result.calls_failed > 0
-
-
-def test_another_mission_is_given_in_flight() -> None:
-    async def order(swarm: Swarm) -> None:
-        await asyncio.sleep(2.0)
-        assert await give_mission(swarm.config, {"shape": "line", "center": [45.0, 55.0]}, 1) == [1]
-        await asyncio.sleep(1.0)
-
-    def told(observer: Observer) -> bool:
-        return formed(observer) and observer.mission.shape == "line"
-
-    check(fly(swarm_config(5), order, until=told), 5)

@@ -75,27 +75,19 @@ def sweep(*arguments: str, cwd: Path) -> dict[str, object]:
     return json.loads(done.stdout)
 
 
-def test_a_cluster_gives_the_tables_of_one_process(tmp_path: Path, cluster: str) -> None:
+def test_all_workers_share_one_budget_and_give_the_tables_of_one(tmp_path: Path, cluster: str) -> None:
     links = "[run.links]\nloss = 0.2"
-    path = small_file(tmp_path, more=links)
-    found = sweep(str(path), "--out", "ray", "--cluster", cluster, "--keep-records", "failed", cwd=tmp_path)
-    assert found["complete"] is True and found["formed"] == 2
-    fly_sweep(small(tmp_path, more=links), tmp_path / "one", executor="one")
-    ray, one = results(tmp_path / "ray"), results(tmp_path / "one")
-    assert len(list((tmp_path / "ray/records").glob("*.mcap"))) == ray[0]["record"].count() == 2
-    assert_frame_equal(ray[0].drop("record"), one[0].drop("record"), check_exact=True)
-    assert_frame_equal(ray[1], one[1], check_exact=True)
-
-
-def test_all_workers_of_a_cluster_share_one_budget(tmp_path: Path, cluster: str) -> None:
-    path = small_file(tmp_path, seeds=3)
-    arguments = (str(path), "--out", "out", "--cluster", cluster)
+    path = small_file(tmp_path, seeds=3, more=links)
+    arguments = (str(path), "--out", "ray", "--cluster", cluster, "--keep-records", "failed")
     found = sweep(*arguments, "--budget-calls", "100", cwd=tmp_path)
     assert found["complete"] is False and "max_calls = 100" in str(found["reason"])
-    assert results(tmp_path / "out")[0]["model_calls"].sum() == 100
-    assert sweep(*arguments, cwd=tmp_path)["complete"] is True
-    fly_sweep(small(tmp_path, seeds=3), tmp_path / "here", executor="one")
-    apart = ("earlier_tries", "earlier_cost_usd")
-    assert_frame_equal(
-        results(tmp_path / "out")[0].drop(apart), results(tmp_path / "here")[0].drop(apart), check_exact=True
-    )
+    assert results(tmp_path / "ray")[0]["model_calls"].sum() == 100
+    found = sweep(*arguments, cwd=tmp_path)
+    assert found["complete"] is True and found["formed"] == 3
+    fly_sweep(small(tmp_path, seeds=3, more=links), tmp_path / "one", executor="one")
+    ray, one = results(tmp_path / "ray"), results(tmp_path / "one")
+    kept = ray[0]["record"].drop_nulls()
+    assert len(kept) == 3 and all((tmp_path / "ray" / name).is_file() for name in kept)
+    apart = ("earlier_tries", "earlier_cost_usd", "record")
+    assert_frame_equal(ray[0].drop(apart), one[0].drop(apart), check_exact=True)
+    assert_frame_equal(ray[1], one[1], check_exact=True)

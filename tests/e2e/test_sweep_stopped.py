@@ -19,7 +19,7 @@ from llm_flock_lab._experiments.store import read_trial, trial_files
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.trial import TrialResult
 
-SEEDS = 20
+SEEDS = 12
 TRIALS = 2 * SEEDS  # each seed with both protocols
 
 

@@ -93,11 +93,13 @@ def imported(lines: list[str]) -> list[list[str]]:
     return json.loads(probed(json.dumps([(line, (*HEAVY, *LINES[line])) for line in lines]))[-1])
 
 
+@pytest.mark.slow
 def test_commands_that_refuse_import_nothing_heavy() -> None:
     # The order of LINES is from the lightest to those with the configuration: one process will do.
     assert dict(zip(LINES, imported(list(LINES)), strict=True)) == {line: [] for line in LINES}
 
 
+@pytest.mark.slow
 def test_the_probe_would_notice() -> None:
     assert probed('[["shapes", ["numpy", "json", "shapely"]]]')[-1] == '[["numpy", "json"]]'
 

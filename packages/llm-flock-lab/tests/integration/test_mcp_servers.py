@@ -38,15 +38,13 @@ async def flown_and_read(client: Client) -> dict[str, Any]:
     return summary.structured_content
 
 
-@pytest.mark.parametrize("mode", ["auto", "legacy"])
-def test_agents_talk_to_a_process(tmp_path: Path, mode: str) -> None:
-    """By the protocol's present form, and by the handshake of older clients."""
+def test_agents_talk_to_a_process(tmp_path: Path) -> None:
     start = StdioServerParameters(
         command=sys.executable, args=[*COMMAND, "--runs", str(tmp_path)], env=dict(os.environ)
     )
 
     async def main() -> dict[str, Any]:
-        async with Client(start, mode=mode) as client:
+        async with Client(start) as client:
             assert (
                 client.server_info is not None
                 and client.server_info.name == "llm-flock"
@@ -58,10 +56,10 @@ def test_agents_talk_to_a_process(tmp_path: Path, mode: str) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
-@pytest.fixture
-def server(tmp_path: Path) -> Generator[tuple[str, str]]:
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Generator[tuple[str, str]]:
     """The address of a server, and what to say to it."""
-    command = [sys.executable, *COMMAND, "--http", "0", "--runs", str(tmp_path)]
+    command = [sys.executable, *COMMAND, "--http", "0", "--runs", str(tmp_path_factory.mktemp("runs"))]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -71,13 +69,15 @@ def server(tmp_path: Path) -> Generator[tuple[str, str]]:
             process.terminate()
 
 
-def test_agents_on_this_machine_show_a_token(server: tuple[str, str]) -> None:
+@pytest.mark.parametrize("mode", ["auto", "legacy"])
+def test_agents_on_this_machine_show_a_token(server: tuple[str, str], mode: str) -> None:
+    """By the protocol's present form, and by the handshake of older clients."""
     address, words = server
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/mcp", address) and re.fullmatch(r"Bearer \S{32}", words)
 
     async def main() -> dict[str, Any]:
         http = httpx2.AsyncClient(headers={"Authorization": words}, timeout=60.0)
-        async with http, Client(streamable_http_client(address, http_client=http)) as client:
+        async with http, Client(streamable_http_client(address, http_client=http), mode=mode) as client:
             return await flown_and_read(client)
 
     assert asyncio.run(main())["result"]["formed"]

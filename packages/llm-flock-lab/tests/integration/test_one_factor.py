@@ -16,7 +16,7 @@ from llm_flock_lab._report.results import Results
 FILE = """
 [sweep]
 name = "factors"
-seeds = 3
+seeds = 2
 
 [grid]
 team = ["triangle/3"]
@@ -43,7 +43,7 @@ def test_a_sweep_of_factors_goes_on_with_the_same_rows(tmp_path: Path) -> None:
     found = Results.read(tmp_path / "once")
     assert usual_reference(found) == "factor=default"
     lines = {line.cell.condition: line for line in pair_lines(found, "factor=default")}
-    assert len(lines) == 4 and all(line.formed.pairs == 3 for line in lines.values())
-    assert lines["factor in: baseline"].formed.only_second == 3
+    assert len(lines) == 4 and all(line.formed.pairs == 2 for line in lines.values())
+    assert lines["factor in: baseline"].formed.only_second == 2
     formed = found.frame.filter(pl.col("formed"))
     assert (formed["distance_flown"] >= formed["distance_least"] - 1.5).all() and formed["formed_twice_tolerance"].all()

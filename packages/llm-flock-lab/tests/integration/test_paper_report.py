@@ -11,13 +11,15 @@ from pathlib import Path
 import pytest
 from matplotlib.text import Text
 from sample_records import make_record
-from sample_results import write_results
+from sample_results import trial, write_results
 
 from llm_flock.errors import InputError
 from llm_flock.record import RunRecord, read_record
 from llm_flock_lab._cli.report import report as report_command
+from llm_flock_lab._experiments.store import Store
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.sweep_file import load_sweep
+from llm_flock_lab._report import page
 from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, claims_sheet
 from llm_flock_lab._report.draft import to_tex
 from llm_flock_lab._report.drawings import Drawing, draw_all
@@ -29,7 +31,7 @@ SWEEP = """
 [sweep]
 name = "few"
 about = "Both failures & what 100 % of a_b means."
-seeds = 4
+seeds = 2
 keep_records = "all"
 [grid]
 team = ["triangle/3"]
@@ -56,8 +58,16 @@ def results(folder: Path) -> Results:
 
 @pytest.fixture(scope="module")
 def report(folder: Path) -> Path:
-    write_report(folder / "runs", folder / "report", most=0, formats=["pdf"])
+    """A report whose figures are files without a drawing, as embedding fonts takes most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(page, "save", lambda _, path: touched(path))
+        write_report(folder / "runs", folder / "report", most=0, formats=["pdf"])
     return folder / "report"
+
+
+def touched(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.touch()
 
 
 def verdicts(found: Results, protocol: str) -> dict[str, tuple[str, str]]:
@@ -164,12 +174,12 @@ def record(tmp_path: Path) -> RunRecord:
     return read_record(make_record(tmp_path / "run.mcap", n=5, rounds=6))
 
 
-def test_pdf_figures_have_no_type_3_fonts(report: Path) -> None:
-    files = sorted((report / "figures").glob("*.pdf"))
-    assert len(files) > 8
-    for file in files:
-        data = file.read_bytes()
-        assert b"/Type3" not in data and b"/FontFile2" in data, file.name
+def test_pdf_figures_have_no_type_3_fonts(results: Results, tmp_path: Path) -> None:
+    drawn = [*draw_all(results, "baseline"), *draw_paper(evidence_of(results, "baseline", []), False)]
+    for drawing in (drawn[0], drawn[-1]):  # all are written by `save`
+        page.save(drawing.figure, tmp_path / "figure.pdf")
+        data = (tmp_path / "figure.pdf").read_bytes()
+        assert b"/Type3" not in data and b"/FontFile2" in data, drawing.name
 
 
 def test_draft_names_figures_that_exist_and_right_numbers(report: Path, results: Results) -> None:
@@ -179,7 +189,7 @@ def test_draft_names_figures_that_exist_and_right_numbers(report: Path, results:
     assert all((report / name).is_file() for name in shown)
     assert all(f"]({name})" in markdown for name in shown)
     formed = sum(trial.formed for trial in results.trials if trial.cell.protocol == "paper")
-    assert f"With paper, {formed} of 12 trials formed." in markdown and f"With paper, {formed} of 12" in tex
+    assert f"With paper, {formed} of 6 trials formed." in markdown and f"With paper, {formed} of 6" in tex
     assert "These are simulated: programs" in " ".join(tex.split()) and "Simulated language models." in tex
     assert "two robots came nearer than the safe distance" in " ".join(tex.split())
     assert "Starts: uniform" in markdown and "Most rounds of a trial: 40" in markdown
@@ -215,8 +225,9 @@ def test_claims_are_a_file_too(report: Path) -> None:
 
 
 def test_other_sweeps_have_a_draft_and_no_section_of_the_paper(tmp_path: Path) -> None:
-    results = write_results(tmp_path / "results", records=False)
-    write_report(results, tmp_path, reference="flock", most=0, formats=["svg"])
+    for protocol in ("flock", "paper"):
+        Store(tmp_path / "results").save(trial("circle", 10, protocol, 1))
+    write_report(tmp_path / "results", tmp_path, reference="flock", most=0, formats=["svg"])
     assert not (tmp_path / "claims.csv").exists() and not (tmp_path / "draft.tex").exists()
     draft = (tmp_path / "draft.md").read_text(encoding="utf-8")
     assert "figures/success.svg" in draft and "simulated" not in draft and "The claims of the paper" not in draft

@@ -401,3 +401,14 @@ def test_a_trial_has_the_name_of_its_file(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b'"id":"circle10paper1"', b'"id":"../../elsewhere"'))
     with pytest.raises(RecordError, match="another file"):
         Results.read(tmp_path)
+
+
+def test_a_report_says_who_answered_if_nobody_asked_for_it(tmp_path: Path) -> None:
+    store, one = Store(tmp_path), trial("triangle", 3, "flock", 1)
+    assert one.summary is not None
+    for seed, name in ((1, "openai:o3-mini-2025-01-31"), (2, "openai:other.gguf")):
+        store.save(trial("triangle", 3, "flock", seed, summary=one.summary | {"answered_by": [name]}))
+    tables.build_tables(tmp_path)
+    written = write_report(tmp_path, tmp_path / "out", formats=["svg"], fly_again=False)
+    text = next(path for path in written if path.suffix == ".html").read_text()
+    assert "the model that answered is openai:other.gguf, not openai:o3-mini." in text and "2025-01-31" not in text

@@ -83,10 +83,16 @@ def rest_of(env: FlockEnv, seen: dict[str, Any], most: int = 100) -> list[str]:
     return told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "fields", [{}, {"protocol": "released"}, {"gaps": "replan", "render_mode": "rgb_array"}], ids=str
+    ("control", "fields"),
+    [
+        ("waypoints", {"protocol": "released"}),
+        ("questions", {}),
+        ("questions", {"gaps": "replan", "render_mode": "rgb_array"}),
+    ],
+    ids=str,
 )
-@pytest.mark.parametrize("control", CONTROLS)
 def test_copies_go_on_as_the_original_does(control: Any, fields: dict[str, Any]) -> None:
     """Made after `reset` or in the middle, in a process or between two; none changes another's episode."""
     hard: dict[str, Any] = {"noise": 0.2, "loss": 0.2, "delay": 1, "kill": "1@6", "rounds": 12}

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from llm_flock_lab._experiments.paired import paired_means, paired_shares
 
 
 def test_paired_difference_matches_scipy() -> None:
+    from scipy import stats  # takes a second to import
+
     first, second = [5.0, 4.0, 7.0, 6.5, 8.0], [3.0, 4.5, 4.0, 5.0, 5.5]
     found = paired_means(first, second)
     expected = stats.ttest_rel(first, second).confidence_interval(0.95)
@@ -22,6 +23,8 @@ def test_paired_difference_matches_scipy() -> None:
 
 @pytest.mark.parametrize("shift", [0.0, 0.3, -1.0, 20.0])
 def test_effect_interval_matches_noncentral_t(shift: float) -> None:
+    from scipy import stats  # takes a second to import
+
     differences = np.random.default_rng(5).normal(shift, 1.0, 30)
     found = paired_means(differences.tolist(), [0.0] * 30)
     assert found is not None and found.effect is not None
@@ -44,6 +47,8 @@ def test_effect_interval_covers_the_true_effect() -> None:
 
 
 def test_p_values_are_those_of_wilcoxon_and_mcnemar() -> None:
+    from scipy import stats  # takes a second to import
+
     rng = np.random.default_rng(3)
     first, second = rng.normal(0.5, 1.0, 20), rng.normal(0.0, 1.0, 20)
     found = paired_means(first.tolist(), second.tolist())

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy import stats
 
 from llm_flock_lab._experiments.statistics import (
     Duration,
@@ -41,6 +40,8 @@ def test_wilson_ends_exactly_at_none_and_all() -> None:
 
 
 def test_mean_interval_matches_scipy() -> None:
+    from scipy import stats  # takes a second to import
+
     values = [3.0, 4.5, 4.0, 9.0]
     found = mean_interval(values)
     assert found is not None and found.value == 5.125
@@ -73,6 +74,8 @@ def test_restricted_mean_of_a_hand_example() -> None:
 
 @given(durations=DURATIONS, until=st.floats(0.5, 40.0))
 def test_restricted_mean_is_scipys_area_under_the_curve(durations: list[Duration], until: float) -> None:
+    from scipy import stats  # takes a second to import
+
     times = [time for time, formed in durations if formed]
     stopped = [time for time, formed in durations if not formed]
     sample: Any = stats.CensoredData(times, right=stopped)
@@ -132,6 +135,8 @@ def test_holm_lies_between_none_and_bonferroni(p_values: list[float]) -> None:
 
 
 def test_bootstrap_interval_matches_scipy() -> None:
+    from scipy import stats  # takes a second to import
+
     values = np.random.default_rng(3).exponential(2.0, 40)
     found = bootstrap_interval(values.tolist())
     expected = stats.bootstrap((values,), np.mean, n_resamples=20_000, rng=np.random.default_rng(1))

@@ -115,6 +115,7 @@ def test_a_file_that_is_none(tmp_path: Path) -> None:
         load_sweep(tmp_path / "bad.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "trials"),
     [

@@ -53,10 +53,10 @@ def test_splits_share_no_wording_number_distance_or_prompt() -> None:
         assert not set(said["train"]) & set(said["held-out"])
     assert not set(NEIGHBORS["train"]) & set(NEIGHBORS["held-out"])
     assert DISTANCES["train"][1] <= DISTANCES["held-out"][0]
-    held = list(choice_examples(1, 300, "held-out"))
-    assert not {example.user for example in held} & {example.user for example in choice_examples(0, 12_000, "train")}
+    held = list(choice_examples(1, 100, "held-out"))
+    assert not {example.user for example in held} & {example.user for example in choice_examples(0, 1_000, "train")}
     assert {example.team.partition(" ")[0] for example in held} <= {"star", "wedge"}
-    assert held == list(choice_examples(1, 300, "held-out")) != list(choice_examples(2, 300, "held-out"))
+    assert held == list(choice_examples(1, 100, "held-out")) != list(choice_examples(2, 100, "held-out"))
     assert all(example.kind == "choice" and example.system == system_message() for example in held)
 
 

@@ -92,7 +92,7 @@ def fly(seed: int, *, follows: bool, seconds: float = 6.0) -> tuple[float, float
     return honest, apart
 
 
-@cases(8)
+@cases(5)
 @given(seed=st.integers(0, 2**32), follows=st.booleans())
 def test_no_beacon_brings_bodies_near_that_the_sensors_see(seed: int, follows: bool) -> None:
     honest, apart = fly(seed, follows=follows)

@@ -168,8 +168,9 @@ def test_a_huge_message_is_cut(record: RunRecord, capsys: pytest.CaptureFixture[
     assert "and 1,900,000 more characters" in out and len(out) < 1_000_000
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device here")
-@pytest.mark.parametrize("line", ["models", "shapes", "--help"])
+@pytest.mark.parametrize("line", ["models", "--help"])
 def test_a_full_disk_is_one_line(line: str) -> None:
     with Path("/dev/full").open("w") as full:
         command = [sys.executable, "-m", "llm_flock", line]

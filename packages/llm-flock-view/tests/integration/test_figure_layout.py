@@ -68,7 +68,7 @@ def boxes(axes: Axes) -> tuple[list[Bbox], list[Bbox]]:
     return words, discs
 
 
-@pytest.mark.parametrize(("n", "wide"), [(5, 100.0), (5, 12.0), (10, 100.0), (10, 40.0), (10, 12.0), (15, 12.0)])
+@pytest.mark.parametrize(("n", "wide"), [(5, 100.0), (10, 40.0), (10, 12.0), (15, 12.0)])
 def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, wide: float) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=n, rounds=2))
     rng = np.random.default_rng(n)
@@ -82,7 +82,7 @@ def test_no_word_lies_on_another_or_on_a_disc(tmp_path: Path, n: int, wide: floa
         assert all(inside.x0 <= word.x0 and word.x1 <= inside.x1 for word in words)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_every_disc_of_a_crowd_is_visible(seed: int) -> None:
     rng = np.random.default_rng(seed)
     discs = np.concatenate([np.full((3, 2), 50.0), [[90.0, 50.0], [90.5, 50.0]], rng.uniform(0.0, 100.0, (6, 2))])
@@ -171,7 +171,7 @@ def test_word_beside_a_disc_crosses_outlines_only_without_room() -> None:
     assert beside(disc, 5.0, word, bounds, outlines=walls) == [plain], "rather on a line than nowhere"
 
 
-@pytest.mark.parametrize("rounds", [[10], [2, 10], [0, 5, 10], [0, 2, 5, 10], [0, 2, 5, 8, 10], [5, 6, 7, 8, 9, 10]])
+@pytest.mark.parametrize("rounds", [[10], [0, 5, 10], [0, 2, 5, 8, 10]])
 def test_titles_labels_and_legend_keep_apart_within_the_figure(record: RunRecord, rounds: list[int]) -> None:
     mission = {**record.mission.mission, "obstacles": [{"center": [20.0, 20.0], "radius": 5.0}]}
     states = tuple(state.model_copy(update={"phases": ["asleep", "dead", *["idle"] * 3]}) for state in record.states)

@@ -11,7 +11,6 @@ import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from sample_records import make_record
-from scipy import stats
 
 from llm_flock.errors import InputError
 from llm_flock.record._reader import RunRecord, read_record
@@ -92,6 +91,8 @@ def test_rounds_that_the_record_lacks_are_refused(record: RunRecord, rounds: lis
 
 
 def test_errors_of_one_label_are_averaged_with_t_intervals() -> None:
+    from scipy import stats  # takes a second to import
+
     curves = [np.array([4.0, 2.0, 1.0]), np.array([6.0, 4.0]), np.array([5.0, 6.0, 3.0])]
     mean, lows, highs = figures.mean_and_interval(curves)
     assert mean == pytest.approx([5.0, 4.0, 8.0 / 3.0])

@@ -50,6 +50,12 @@ def one_line(text: str, most: int = 1_000) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def same_model(asked: str, answered: str) -> bool:
+    """Whether `provider:model` agree: the name of one may have a date, a folder or other letter cases besides."""
+    one, other = (name.partition(":")[2].casefold() for name in (asked, answered))
+    return one in other or other in one
+
+
 def csv_cell(value: object) -> object:
     """A cell of a CSV file: text as `printable`, quoted if spreadsheets would read a formula (OWASP, CSV injection)."""
     if not isinstance(value, str):

@@ -8,15 +8,19 @@ import json
 import math
 import time
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from integration.fault_server import REFUSALS, Server, answering, completion, running
 from slowness import slowness
+from typer.testing import CliRunner
 
 import llm_flock
+from llm_flock.cli import app
 from llm_flock.errors import BudgetExceeded, ModelError
+from llm_flock.llm._dialect import Dialect
 from llm_flock.llm._limits import Budget, BudgetMeter, CallLimits, Limited, RetryPolicy
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._planner import LanguagePlanner
@@ -24,6 +28,7 @@ from llm_flock.llm._port import Attempt, Call, ChatMessage, LanguageModel, Reply
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.record import caveats
 
 KEY = "sk-very-secret-0123456789"
 ANSWER = "Position: [1.0, 2.0]"
@@ -124,6 +129,39 @@ def test_what_an_address_refuses_is_known_from_then_on() -> None:
         stats = server.stats()
     assert [reply.settings for reply in replies if isinstance(reply, Reply)] == [{"without": ["roles"]}] * 2
     assert stats["refused"] == 1
+
+
+@pytest.mark.parametrize(
+    ("message", "param", "left_out"),
+    [
+        ("Only user and assistant roles are supported!", None, ["roles"]),
+        ("Developer instruction is not enabled for models/gemma-3-27b-it", None, ["roles"]),
+        ("Invalid value: 'system'. Supported values are: 'assistant' and 'user'.", None, ["roles"]),
+        ("Unsupported value", "temperature", ["temperature"]),
+        ("JSON mode is not enabled for models/gemma-3-27b-it", None, ["response_format"]),
+        ("错", None, ["temperature", "roles", "response_format"]),
+        ("This answer would break our policy", None, []),
+    ],
+)
+def test_refusals_in_many_words_are_understood(message: str, param: str | None, left_out: list[str]) -> None:
+    """In words that mean nothing to the client, all that a server could lack is left out at once."""
+    dialect, sent = Dialect(message, "m"), {"temperature": 0.0, "roles": True, "response_format": True}
+    asked_again = dialect.refuses(f"{message} {param or ''}", sent, unclear=True)
+    assert asked_again == bool(left_out) and dialect.without == left_out
+
+
+def test_a_plain_request_that_is_refused_too_teaches_nothing() -> None:
+    body = json.dumps({"error": {"message": "Bad request"}}).encode()
+    with answering(body, status=400) as (url, requests):
+        error = asyncio.run(ask_once(url))
+        again = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and isinstance(again, ModelError) and len(requests) == 4
+
+
+def test_a_server_that_has_moved_is_not_asked_again() -> None:
+    with answering(b"", status=301, location="http://127.0.0.1:9/v1") as (url, _):
+        error = asyncio.run(ask_once(url))
+    assert isinstance(error, ModelError) and error.kind == "refused" and "new address into --base-url" in error.detail
 
 
 def test_a_request_that_is_too_large_is_asked_no_other_way() -> None:
@@ -316,3 +354,24 @@ def test_max_calls_is_exact_under_concurrency() -> None:
         refused = asyncio.run(scenario(server))
         assert server.stats()["requests"] == 7
     assert refused == 23
+
+
+@pytest.mark.parametrize(("asked", "warned"), [("small", False), ("gpt-9", True)])
+def test_a_run_names_the_model_that_answered(asked: str, warned: bool, tmp_path: Path) -> None:
+    body = json.loads(completion(b"", ANSWER)) | {"model": "/models/Small-[7B].gguf"}
+    with answering(json.dumps(body).encode()) as (url, _):
+        result = llm_flock.run(
+            llm_flock.Mission(shape="triangle", n_robots=3),
+            model=f"openai-compatible:{asked}",
+            base_url=url,
+            rounds=1,
+            max_retries=0,
+            fallback="hold",
+            out=str(tmp_path),
+        )
+    name, told = "openai-compatible:/models/Small-[7B].gguf", result.summary.to_dict()
+    caveat = f"the model that answered is {name}, not openai-compatible:{asked}"
+    assert told["answered_by"] == (name,)
+    assert (caveat in caveats(told, result.mission.model_dump())) is warned
+    shown = " ".join(CliRunner().invoke(app, ["inspect", str(tmp_path)]).stdout.split())
+    assert (caveat[1:] in shown) is warned and f"seed 0 · {name} · complete" in shown

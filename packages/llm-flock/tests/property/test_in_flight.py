@@ -32,7 +32,7 @@ def slots(team: StillTeam) -> list[int]:
     return sorted(agent.claim.slot for agent in team.active if agent.claim.slot is not None)
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(1, 6), faults=FAULTS, when=st.integers(1, 8))
 def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults: LinkFaults, when: int) -> None:
     rng = np.random.default_rng(seed)
@@ -46,7 +46,7 @@ def test_a_mission_given_to_any_one_robot_reaches_all(seed: int, n: int, faults:
     assert all(agent.mission == given for agent in team.active)
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS, later=st.integers(0, 3))
 def test_all_end_on_the_later_of_missions_given_to_two_robots(
     seed: int, n: int, faults: LinkFaults, later: int
@@ -68,7 +68,7 @@ def test_all_end_on_the_later_of_missions_given_to_two_robots(
     assert team.agents[0].mission == other
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, earlier=st.integers(1, 4))
 def test_last_order_is_flown_however_many_were_given_elsewhere(
     seed: int, n: int, faults: LinkFaults, earlier: int
@@ -92,7 +92,7 @@ def test_last_order_is_flown_however_many_were_given_elsewhere(
         assert team.agents[0].mission == last
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(3, 6), faults=FAULTS, comes_back=st.sampled_from(["restarted", "as it was"]))
 @example(  # two that live stand without end beside the place that the silent one's body had blocked
     seed=996,
@@ -132,7 +132,7 @@ def test_silent_robot_loses_its_place_and_returns_to_one(
     assert slots(team) == list(range(n))
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(2, 7), faults=FAULTS, changes=st.booleans())
 def test_late_joiner_finds_the_free_place_of_current_mission(
     seed: int, n: int, faults: LinkFaults, changes: bool
@@ -154,7 +154,7 @@ def test_late_joiner_finds_the_free_place_of_current_mission(
     assert {agent.mission.shape for agent in team.active} == {"line" if changes else "circle"}
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(2, 7), share=st.floats(0.1, 0.99), faults=FAULTS)
 def test_every_place_has_one_owner_and_spare_robots_have_none(
     seed: int, n: int, share: float, faults: LinkFaults
@@ -167,7 +167,7 @@ def test_every_place_has_one_owner_and_spare_robots_have_none(
     assert slots(team) == list(range(count))
 
 
-@cases(5)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS)
 def test_team_replans_for_the_robots_left_and_again_for_all(seed: int, n: int, faults: LinkFaults) -> None:
     rng = np.random.default_rng(seed)
@@ -201,7 +201,7 @@ LIMITS: dict[str, Any] = {
 }
 
 
-@cases(6)
+@cases(3)
 @given(
     seed=SEEDS,
     changed=st.sets(st.sampled_from(sorted(LIMITS)), min_size=1),
@@ -233,7 +233,7 @@ def test_no_mission_over_the_radio_changes_a_robots_limits(
     assert len(slots(team)) == n - 1
 
 
-@cases(6)
+@cases(3)
 @given(seed=SEEDS, n=st.integers(2, 6), faults=FAULTS, spare=st.integers(0, 3))
 def test_a_team_with_partial_tables_comes_to_rest(seed: int, n: int, faults: LinkFaults, spare: int) -> None:
     """A table of more than two places counts as large here: it is mostly said by its changes."""

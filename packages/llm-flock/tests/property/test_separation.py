@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from llm_flock.metrics import min_separation, segment_separation
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(2, 12), dim=st.sampled_from([2, 3]), step=st.floats(0, 20))
 def test_no_instant_is_nearer_and_some_instant_is_as_near(seed: int, n: int, dim: int, step: float) -> None:
     rng = np.random.default_rng(seed)

@@ -33,7 +33,7 @@ def in_range(positions: np.ndarray, i: int) -> list[tuple[float, ...]]:
     ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 12), dim=st.sampled_from([2, 3]), side=st.floats(14, 40))
 def test_any_wishes_keep_every_pair_at_the_safe_distance(seed: int, n: int, dim: int, side: float) -> None:
     rng = np.random.default_rng(seed)
@@ -53,7 +53,7 @@ def test_any_wishes_keep_every_pair_at_the_safe_distance(seed: int, n: int, dim:
         positions = after
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 8), noise=st.floats(0.001, 0.3))
 def test_no_pair_comes_too_near_with_bounded_noise(seed: int, n: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def test_no_pair_comes_too_near_with_bounded_noise(seed: int, n: int, noise: flo
         positions = moved
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 9), dim=st.sampled_from([2, 3]))
 def test_the_projection_is_the_nearest_safe_waypoint(seed: int, n: int, dim: int) -> None:
     """Against a general-purpose solver of the same convex problem."""

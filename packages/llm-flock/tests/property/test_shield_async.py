@@ -84,13 +84,13 @@ def fly(seed: int, n: int, *, oldest_s: float, error: float, seldom: bool, crowd
     return smallest
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 8), oldest_s=st.floats(0, 1.0), error=st.floats(0, 0.2))
 def test_no_schedule_or_stale_reading_brings_bodies_too_near(seed: int, n: int, oldest_s: float, error: float) -> None:
     assert fly(seed, n, oldest_s=oldest_s, error=error, seldom=False, crowd=16.0) >= SAFE - 1e-6
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 7), oldest_s=st.floats(0, 1.0), error=st.floats(0, 0.1))
 def test_bodies_that_decide_seldom_are_as_safe(seed: int, n: int, oldest_s: float, error: float) -> None:
     assert fly(seed, n, oldest_s=oldest_s, error=error, seldom=True, crowd=20.0) >= SAFE - 1e-6

@@ -45,7 +45,7 @@ def flown(position: tuple[float, ...], wish: tuple[float, ...], noise: float) ->
     )
 
 
-@cases(30)
+@cases(15)
 @given(seed=st.integers(0, 2**32), noise=st.sampled_from([0.0, 0.1, 0.5]))
 def test_no_way_leads_near_an_obstacle_or_out_of_the_arena(seed: int, noise: float) -> None:
     rng = np.random.default_rng(seed)
@@ -67,7 +67,7 @@ def test_no_way_leads_near_an_obstacle_or_out_of_the_arena(seed: int, noise: flo
         here = there
 
 
-@cases(20)
+@cases(10)
 @given(seed=st.integers(0, 2**32))
 def test_way_leads_back_from_obstacles_and_outside_the_arena(seed: int) -> None:
     rng = np.random.default_rng(seed)

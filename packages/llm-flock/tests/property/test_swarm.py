@@ -70,7 +70,7 @@ def owned(agent: Agent) -> list[int]:
     return [a for a, entry in enumerate(table) if entry[2] == agent.robot]
 
 
-@cases(15)
+@cases(6)
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 9))
 def test_a_connected_team_agrees_within_its_diameter(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
@@ -84,7 +84,7 @@ def test_a_connected_team_agrees_within_its_diameter(seed: int, n: int) -> None:
     assert len({a.plan for a in agents}) == 1
 
 
-@cases(15)
+@cases(6)
 @given(
     seed=st.integers(0, 2**32),
     n=st.integers(1, 8),
@@ -111,7 +111,7 @@ def test_a_connected_team_ends_on_distinct_slots_under_faults(
     assert not any(a.rejected for a in agents)
 
 
-@cases(8)
+@cases(6)
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 7), junk=st.lists(st.binary(max_size=300), max_size=20))
 def test_junk_on_the_radio_changes_nothing(seed: int, n: int, junk: list[bytes]) -> None:
     rng = np.random.default_rng(seed)

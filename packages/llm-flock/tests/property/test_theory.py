@@ -68,7 +68,7 @@ def key_of(team: DrivenTeam, robot: int) -> PlanKey:
     return plan_key(agent.plan, agent.provenance, 0)
 
 
-@cases(20)
+@cases(10)
 @given(seed=SEEDS, n=st.integers(1, 9))
 def test_highest_plan_spreads_one_hop_in_a_communication_round(seed: int, n: int) -> None:
     """Theorem 1: so all hold it after the diameter at the latest, and not a communication round before they are
@@ -86,7 +86,7 @@ def test_highest_plan_spreads_one_hop_in_a_communication_round(seed: int, n: int
     assert set(team.plans) == {highest}
 
 
-@cases(20)
+@cases(10)
 @given(seed=SEEDS, n=st.integers(2, 7), window=st.integers(1, 4))
 def test_a_jointly_connected_team_agrees(seed: int, n: int, window: int) -> None:
     """Theorem 2: each link of a random tree exists in one round of a window only; no graph needs to be whole."""
@@ -140,7 +140,7 @@ def greedy(bids: list[tuple[float, ...]]) -> list[int]:
     return slots
 
 
-@cases(20)
+@cases(10)
 @given(seed=SEEDS, n=st.integers(1, 8))
 def test_auction_ends_greedily_within_n_times_the_diameter(seed: int, n: int) -> None:
     """Theorem 5: all follow one plan from the beginning, none exchanges places, and none are assigned together."""
@@ -156,7 +156,7 @@ def test_auction_ends_greedily_within_n_times_the_diameter(seed: int, n: int) ->
     assert len({agent.claim.table for agent in team.agents}) == 1
 
 
-@cases(20)
+@cases(10)
 @given(seed=SEEDS, n=st.integers(2, 7))
 def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> None:
     """What theorem 4 leaves open: all comes to rest, and no pair is left with an exchange that it would make."""
@@ -191,7 +191,7 @@ def test_exchanges_come_to_rest_while_robots_stand_still(seed: int, n: int) -> N
     assert team.slots == settled
 
 
-@cases(20)
+@cases(10)
 @given(seed=SEEDS, n=st.integers(2, MANY))
 def test_robots_in_touch_are_jointly_placed_within_diameter(seed: int, n: int) -> None:
     """Theorem 6a: all have the same table, and it is the assignment of the smallest sum of squares."""

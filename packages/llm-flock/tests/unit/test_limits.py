@@ -125,6 +125,12 @@ def test_a_wait_longer_than_a_team_waits_ends_the_call() -> None:
     assert isinstance(error, ModelError) and error.retry_after_s == 61.0 and time.sleeps == []
 
 
+def test_waits_that_sum_to_more_than_a_team_waits_end_the_call() -> None:
+    time = FakeTime()
+    (error,) = outcomes(Scripted(*[ModelError("rate_limit", "x", 25.0) for _ in range(8)]), limits(time))
+    assert isinstance(error, ModelError) and len(time.sleeps) == 2 and len(error.faults) == 3
+
+
 def test_the_time_out_follows_the_first_answer() -> None:
     """A server that takes 0.3 s is given 0.1 s, then 0.2, then 0.4; then it is known to be that slow."""
     shared = limits(timeout_s=0.1, patient=True)

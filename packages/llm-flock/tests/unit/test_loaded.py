@@ -10,7 +10,8 @@ import pytest
 LOADED = 'import sys; print(*[name for name in sys.modules if name.split(".")[0] == "llm_flock"])'
 PAPER = (
     "import llm_flock; "
-    'llm_flock.run(llm_flock.Mission(shape="circle", n_robots=4), model="{model}", protocol="{protocol}", rounds=30)'
+    'mission = llm_flock.Mission(shape="circle", n_robots=4); '
+    '[llm_flock.run(mission, model="{model}", protocol=name, rounds=30) for name in ("paper", "baseline")]'
 )
 NOT_THE_PAPERS = ("llm_flock.protocol._membership", "llm_flock_swarm._signed", "llm_flock.roadmap")
 
@@ -31,9 +32,9 @@ def test_the_core_loads_few_modules(code: str, most: int) -> None:
     assert len(loaded(code)) <= most
 
 
-@pytest.mark.parametrize("protocol", ["paper", "baseline"])
+@pytest.mark.slow
 @pytest.mark.parametrize(("model", "most"), [("geometry", 60), ("simulated:ideal", 102)])
-def test_the_papers_rules_load_no_membership_keys_or_obstacles(model: str, most: int, protocol: str) -> None:
-    names = loaded(PAPER.format(model=model, protocol=protocol))
+def test_the_papers_rules_load_no_membership_keys_or_obstacles(model: str, most: int) -> None:
+    names = loaded(PAPER.format(model=model))
     assert not [name for name in names if name.startswith(NOT_THE_PAPERS)]
     assert len(names) <= most, sorted(names)

@@ -26,7 +26,7 @@ def star(seed: int) -> tuple[tuple[float, float], ...]:
     return corners if seed % 2 else corners[::-1]
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_pieces_are_convex_and_make_up_the_polygon(seed: int) -> None:
     corners = star(seed)
@@ -48,7 +48,7 @@ def test_pieces_are_convex_and_make_up_the_polygon(seed: int) -> None:
         assert abs(obstacle.distance(foot)) < 1e-9
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32))
 def test_the_distance_of_a_way_is_that_of_its_nearest_point(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import csv
 import math
 import re
 from collections import Counter
@@ -21,6 +22,7 @@ from llm_flock.llm._port import Call, ChatMessage
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import FAILURES, PROFILES, Profile, parse_profile
+from llm_flock.llm._simulated.seen import AFTER_REJECTION, SEEN, SMALL_MODELS
 from llm_flock.metrics import ShapeTarget
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
@@ -326,6 +328,9 @@ def test_profiles_compose() -> None:
         ("overshoot@half", "from 0 to 1"),
         ("overshoot@0.1,overshoot@0.2", "there twice"),
         ("ideal@0.5", "ideal without a rate"),
+        ("placeholders", "did you mean 'placeholder'?"),
+        ("placeholder@0.6,echo@0.5", "add up to 1 at most"),
+        ("smollm2-135m,gemma3-270m", "add up to 1 at most"),
     ],
 )
 def test_profiles_that_do_not_exist(text: str, why: str) -> None:
@@ -336,7 +341,8 @@ def test_profiles_that_do_not_exist(text: str, why: str) -> None:
 
 def test_the_documentation_lists_exactly_the_profiles() -> None:
     text = (ROOT / "docs" / "reference" / "simulated.md").read_text(encoding="utf-8")
-    assert re.findall(r"^\| `([a-z]+)` \|", text, re.MULTILINE) == list(PROFILES) == ["ideal", *FAILURES]
+    assert re.findall(r"^\| `([a-z0-9-]+)` \|", text, re.MULTILINE) == [*PROFILES, *SEEN, *SMALL_MODELS]
+    assert list(PROFILES) == ["ideal", *FAILURES]
 
 
 def test_turning_keeps_the_reference_unchanged() -> None:
@@ -350,3 +356,66 @@ def test_stand_in_plans_as_many_places_as_the_prompt_asks(places: int) -> None:
     mission = CIRCLE.change(places=places)
     plan, slot = parse_plan(responder().answer(plan_talk(mission, robot=9)), places, 2)
     assert len(plan) == places and slot == 9 % places and check_plan(mission, plan) is None
+
+
+STEP_QUESTION = StepQuestion(mission=CIRCLE, robot=3, round=1, position=(20, 20), neighbors=(), plan=PLAN, slot=0)
+CORRECTION = [
+    ("assistant", "Position: [1, 2, 3]"),
+    ("user", TEXT.retry("the position has 3 numbers, 2 are required.", STEP_QUESTION)),
+]
+SPOILED = {
+    "again": ("Position: [1, 2, 3]", "has 3 numbers"),
+    "parrot": ("the position has 3 numbers, 2 are required", ""),
+    "placeholder": ("Position: [x, y]", "placeholders"),
+    "echo": ("Where do you go in this round?", ""),
+    "miscounted": (", 0]", "has 3 numbers"),
+    "cutoff": ("a full step straight", ""),
+    "units": (" m, ", None),
+    "retracted": ("Corrected:", None),
+    "base": ("Position: ", None),
+}
+"""Words of a spoiled step, and of its refusal; None where the right step is read from it."""
+
+
+@pytest.mark.parametrize("fault", SPOILED)
+def test_an_answer_is_spoiled_as_those_of_small_models(fault: str) -> None:
+    talk = step_talk()
+    text, right = responder(fault).answer([*talk, *CORRECTION]), parse_step(responder().answer(talk), 2)
+    said, reason = SPOILED[fault]
+    assert said in text
+    if reason is None:
+        assert parse_step(text, 2) == right
+    else:
+        with pytest.raises(AnswerError, match=reason or "no complete position"):
+            parse_step(text, 2)
+
+
+def test_other_places_and_axes_are_read_as_they_stand() -> None:
+    plan, slot = parse_plan(responder("canonical").answer(plan_talk()), 10, 2)
+    swapped, _ = parse_plan(responder("canonical,swapped").answer(plan_talk()), 10, 2)
+    assert swapped.points == tuple(point[::-1] for point in plan.points)
+    assert parse_plan(responder("canonical,base").answer(plan_talk()), 10, 2) == (plan, slot + 1)
+    together, _ = parse_plan(responder("canonical,coincident").answer(plan_talk()), 10, 2)
+    assert set(together.points) == {plan.points[0]} and check_plan(CIRCLE, together) is not None
+
+
+@pytest.mark.parametrize("model", SMALL_MODELS)
+def test_small_models_fail_at_the_rates_that_were_seen(model: str) -> None:
+    with (ROOT / "docs" / "data" / "small-models.csv").open(encoding="utf-8", newline="") as file:
+        counts = {row["Profile"]: int(row[model]) for row in csv.DictReader(file)}
+    answers = counts.pop("all")
+    assert {name: round(share * answers) for name, share in SMALL_MODELS[model].items()} == {
+        name: count for name, count in counts.items() if count
+    }
+    right = responder().answer(step_talk())
+    first = [reply.text for reply in ask(model, step_talk(), 300)]
+    total = sum(SMALL_MODELS[model].values())
+    assert abs(sum(text != right for text in first) / 300 - total) < 0.1
+    assert not any(said in text for text in first for said in ("cannot be used", "Position: [1, 2, 3]"))
+    later = [reply.text for reply in ask(model, [*step_talk(), *CORRECTION], 300)]
+    again = SMALL_MODELS[model].get("again", 0.0)
+    assert abs(sum(text == "Position: [1, 2, 3]" for text in later) / 300 - again) < 0.1 and AFTER_REJECTION
+
+
+def test_a_cut_off_answer_says_so() -> None:
+    assert {reply.finish_reason for reply in ask("cutoff@0.5", step_talk(), 20)} == {"length", "stop"}

@@ -9,7 +9,8 @@ from answer_readers import parse_plan, parse_step, parse_step_json
 
 from llm_flock.errors import AnswerError
 from llm_flock.llm._answers import MAX_CHARS
-from llm_flock.llm._thoughts import spoken
+from llm_flock.llm._port import Reply
+from llm_flock.llm._thoughts import spoken, whole_answer
 
 SAID = "Position: [1, 2]"
 DRAFT = "I could go to Position: [5, 0]. "
@@ -92,16 +93,17 @@ UNITS = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("begin", ["", "analysisW", "{", '{"'])
 def test_unclosed_thought_marks_are_read_in_linear_time(unit: str, begin: str) -> None:
-    text = begin + unit * (MAX_CHARS // 10 // len(unit))
+    text = begin + unit * (MAX_CHARS // 20 // len(unit))
     began = time.process_time()
     spoken(text)
     for read in (parse_step, parse_step_json):
         with pytest.raises(AnswerError, match=NO_ANSWER):
             read(text, 2)
-    assert time.process_time() - began < 2.0  # some hundredths; anything quadratic would take minutes
+    assert time.process_time() - began < 0.5  # some hundredths; anything quadratic would take many seconds
 
 
 @pytest.mark.parametrize(
@@ -137,3 +139,17 @@ def test_a_reasoning_in_json_is_not_read(text: str, position: tuple[float, ...])
 def test_cut_off_json_object_is_not_read_as_text(text: str) -> None:
     with pytest.raises(AnswerError, match=r"no complete position|two different positions"):
         parse_step_json(text, 2)
+
+
+@pytest.mark.parametrize("mark", ["<|im_end|>", "<end_of_turn>", "<|eot_id|>", "<|endoftext|>", "\n<|im_start|>user"])
+@pytest.mark.parametrize("finish_reason", ["stop", "length"])
+def test_the_next_turn_is_not_the_answer(mark: str, finish_reason: str) -> None:
+    turns = Reply(text=f"{SAID}{mark}\nWhere now?\nPosition: [5, 0]", model="base", finish_reason=finish_reason)
+    assert parse_step(whole_answer(turns), 2) == (1.0, 2.0)
+
+
+def test_marks_of_turns_alone_are_no_answer() -> None:
+    for finish_reason, why in (("length", "cut off"), ("stop", "no complete position")):
+        marks = Reply(text="<|im_end|>user\n" * 9, model="base", finish_reason=finish_reason)
+        with pytest.raises(AnswerError, match=why):
+            parse_step(whole_answer(marks), 2)

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.printable import csv_cell, printable
-from llm_flock.record import read_record
+from llm_flock.record import answers_of_others, read_record
 from llm_flock_lab._experiments.store import write_whole
 from llm_flock_lab._report import sheets
 from llm_flock_lab._report.claims import claims_sheet
@@ -225,6 +225,11 @@ def _warnings(results: Results) -> Iterator[str]:
             f"{'Simulated language models' if every else 'Some of the language models are simulated'}: these figures "
             "say something about the protocol, and nothing about language models."
         )
+    named = {
+        tuple(str(trial.figures.get(name) or "") for name in ("models", "answered_by")) for trial in results.trials
+    }
+    for words in sorted({said for one in named for said in answers_of_others(*map(str.split, one))}):
+        yield f"{words}."
     yield from caveats(results)
     bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
     if bad:

@@ -74,6 +74,7 @@ TRACED = ("another mission", "speaks for others", "a plan in one place", "heartb
 """Lies whose flights are measured for coverage: a message is found guilty in each of the ways that there are."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lie", [pytest.param(lie, marks=() if lie in TRACED else pytest.mark.no_cover) for lie in LIES]
 )

@@ -27,6 +27,8 @@ from llm_flock_swarm._signed.certificates import (
 )
 from llm_flock_swarm._signed.words import MAX_PASSED_ON, in_turn
 
+pytestmark = pytest.mark.slow
+
 N, TWO = 7, 2
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
 HUNTS = {

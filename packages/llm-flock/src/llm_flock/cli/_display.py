@@ -104,7 +104,8 @@ def summary_table(result: RunResult) -> Table:
         ("missions", escape(", ".join(given)) if len(given) > 1 else ""),
         ("died", ", ".join(summary.killed)),
         ("joined", ", ".join(summary.joined)),
-        ("beware", "[bold red]" + "; ".join(beware) + "[/]" if beware else ""),
+        ("answered by", escape(", ".join(sorted({*summary.answered_by} - {*summary.models})))),
+        ("beware", "[bold red]" + escape("; ".join(beware)) + "[/]" if beware else ""),
         ("empty places", str(summary.gaps or "")),
         ("spare robots", str(summary.spares or "")),
         ("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())),
@@ -145,7 +146,8 @@ def show_overview(record: RunRecord) -> None:
     """Print the mission, and its progress round by round."""
     console = Screen()
     mission = record.mission.mission
-    simulated = " · simulated language models" if record.run.simulated else ""
+    names = "simulated language models" if record.run.simulated else ", ".join(record.models)
+    models = f" · {one_line(names)}" if names else ""
     state = "complete" if record.complete else "ends early (the run was stopped)"
     if record.result is not None and record.result.get("stopped") == "interrupted":
         calls, tokens = record.result["model_calls"], record.result["tokens"]
@@ -154,7 +156,7 @@ def show_overview(record: RunRecord) -> None:
         state = "under way"
     # Text(...) keeps brackets in names, answers and templates from being read as markup.
     console.print(
-        Text(f"{one_line(mission['shape'])}, {mission['n_robots']} robots, seed {record.run.seed}{simulated} · {state}")
+        Text(f"{one_line(mission['shape'])}, {mission['n_robots']} robots, seed {record.run.seed}{models} · {state}")
     )
     for sentence in record.run.unrepeatable or ():
         console.print(Text(one_line(sentence)))

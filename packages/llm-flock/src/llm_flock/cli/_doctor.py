@@ -21,16 +21,19 @@ from llm_flock import plugins
 from llm_flock.cli._extensions import Extension, Finding, extended
 from llm_flock.cli._options import EXIT_FAILED
 from llm_flock.cli._terminal import Screen, say
-from llm_flock.errors import InputError, ModelError
+from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS
 from llm_flock.printable import one_line
+
+WAIT_S = 60.0
+"""Longest wait for the answer of a model [s]; a run waits longer."""
 
 
 @extended("doctor")
 def doctor(
     json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list instead of a table")] = False,
     model: Annotated[
-        str | None, typer.Option(help="Ask this model one short question, as a run would", show_default=False)
+        str | None, typer.Option(help="Ask this model for one plan, as a run would", show_default=False)
     ] = None,
     base_url: Annotated[
         str | None, typer.Option(help="Address of an OpenAI-compatible server", show_default=False)
@@ -81,28 +84,30 @@ def _code(findings: Sequence[Finding]) -> int:
 
 
 async def _reach_model(text: str, base_url: str | None) -> Finding:
-    """Ask a model for a position; an unknown name or address is an InputError."""
-    import numpy as np
+    """Ask a model for the plan of a circle of ten, as a run would; an unknown name or address is an InputError."""
+    from llm_flock.llm._port import Attempt
+    from llm_flock.planner import PlanQuestion
+    from llm_flock.runtime import RunConfig, TeamPlanners
 
-    from llm_flock.llm._models import ModelPool
-    from llm_flock.llm._port import Call, ChatMessage
-    from llm_flock.llm._providers import parse_base_urls
-
-    words = "You are one of two robots, at [1.0, 2.0]. Answer with one line: Position: [x, y]"
-    messages = (ChatMessage("system", "You control a robot."), ChatMessage("user", words))
-    call = Call(robot=0, round=0, kind="step", attempt=0, messages=messages)
-    async with ModelPool() as pool:
-        urls = parse_base_urls(base_url, [text])
-        asked = pool.model(text, rng=np.random.default_rng(0), base_urls=urls, typed=base_url is not None)
-        try:
-            reply = await asked.ask(call)
-        except ModelError as error:
-            return Finding("model", text, False, f"{error.kind}: {error.detail}")
+    once = {"max_tries": 1, "max_retries": 0, "timeout_s": WAIT_S}
+    config = RunConfig.build({}, shape="circle", n_robots=10, model=text, base_url=base_url, **once)
+    planners, asked = TeamPlanners(config), list[Attempt]()
+    planners.listen(asked.append)
+    mission = config.mission
+    try:
+        await planners[0].plan(PlanQuestion(mission=mission, robot=0, round=1, position=mission.center, neighbors=()))
+    finally:
+        await planners.close()
+    if not asked:
+        return Finding("model", text, True, "geometry makes its plans, no model is asked for them")
+    (attempt,) = asked
+    if attempt.error is not None:
+        return Finding("model", text, False, ": ".join(attempt.error))
+    reply = attempt.reply
     without = f", asked without {', '.join(reply.settings['without'])}" if "without" in reply.settings else ""
-    said = one_line(reply.text, 60)
-    return Finding(
-        "model", text, bool(said.strip()), f"{reply.model} says {said!r} after {reply.latency_s:.1f} s{without}"
-    )
+    unfit = "" if attempt.rejected is None else f", which is no plan to fly: {one_line(attempt.rejected, 120)}"
+    said = f"{reply.model} says {one_line(reply.text, 60)!r} after {reply.latency_s:.1f} s{without}{unfit}"
+    return Finding("model", text, bool(reply.text.strip()), said)
 
 
 def is_set(variable: str) -> bool:

@@ -37,7 +37,7 @@ from llm_flock.llm._dialect import Dialect, fault
 from llm_flock.llm._port import Call, CallSettings, ChatMessage, Reply, Usage
 from llm_flock.llm._providers import cost_usd
 from llm_flock.llm._thoughts import spoken
-from llm_flock.printable import printable
+from llm_flock.printable import printable, same_model
 
 logger = logging.getLogger(__name__)
 
@@ -126,7 +126,9 @@ class PydanticModel:
             response = await self._request(call)
             reply = self._reply(response, call, time.perf_counter() - started)
         except (pai.AgentRunError, pai.UserError, httpx2.HTTPError, TimeoutError, OSError) as error:
-            raise ModelError(error_kind(error), self._clean(_describe(error)), retry_after_s(error)) from None
+            wait_s = retry_after_s(error)
+            asks = "" if wait_s is None else f"asks to wait {wait_s:g} s: "
+            raise ModelError(error_kind(error), self._clean(asks + _describe(error)), wait_s) from None
         except Exception as error:  # noqa: BLE001 - SDKs may raise anything; it is logged, recorded and counted
             # A malformed body that the SDK's parser cannot read must not end the run of all robots.
             # `from None`, here and above: the original exception may quote the request's headers.
@@ -154,8 +156,13 @@ class PydanticModel:
                 )
             except pai.ModelHTTPError as error:
                 body = cast("dict[str, Any] | None", error.body)
-                words = body.get("message") if isinstance(body, dict) else None
-                if not self._dialect.refuses(self._clean(str(words or error)), sent):
+                words = (
+                    " ".join(str(body[key]) for key in ("message", "param") if body.get(key))
+                    if isinstance(body, dict)
+                    else ""
+                )
+                unclear = error.status_code in (400, 422)
+                if not self._dialect.refuses(self._clean(words or str(error)), sent, unclear=unclear):
                     raise
 
     def _parameters(self, schema: Mapping[str, Any] | None) -> ModelRequestParameters:
@@ -181,13 +188,13 @@ class PydanticModel:
         text = _encodable(scrub(raw, self._secrets))
         # A server may return anything as its model's name, even the key.
         answered_by = _encodable(scrub(response.model_name or "", self._secrets)[:100])
-        asked = self.name.partition(":")[2]
-        answered_by = answered_by or asked
-        if asked not in answered_by and answered_by not in asked:  # some servers answer to any name
+        answered_by = answered_by or self.name.partition(":")[2]
+        model = f"{self._provider}:{answered_by}"
+        if not same_model(self.name, model):  # some servers answer to any name
             self._dialect.say_once(f"answers as {printable(answered_by)}, which the record has")
         return Reply(
             text=text,
-            model=f"{self._provider}:{answered_by}",
+            model=model,
             settings=settings,
             usage=usage,
             cost_usd=cost_usd(self._price_list, answered_by, usage),
@@ -247,6 +254,8 @@ def error_kind(error: Exception) -> str:
             return "server" if status >= 500 else {408: "timeout", 429: "rate_limit"}.get(status, "refused")
         case pai.UserError():
             return "refused"  # a feature that the model lacks, which a retry does not change
+        case pai.ModelAPIError() if getattr(_origin(error), "status_code", 0) in (301, 302, 307, 308):
+            return "refused"
         case _:
             return "garbage"
 
@@ -274,7 +283,7 @@ def _describe(error: Exception) -> str:
     text, cause = str(error) or type(error).__name__, _origin(error)
     if isinstance(error, pai.ModelConnectionError) and cause is not error:
         text += f" ({type(cause).__name__}: {cause})"
-    advice = fault(text).get("advice") if isinstance(error, pai.ModelHTTPError) else None
+    advice = fault(text).get("advice") if isinstance(error, pai.ModelAPIError) else None
     return f"{advice}: {text}" if advice else text
 
 

@@ -63,19 +63,28 @@ class Dialect:
         if self._first is not None:
             self._first.set()
 
-    def refuses(self, reason: str, sent: Mapping[str, Any]) -> bool:
+    def refuses(self, reason: str, sent: Mapping[str, Any], *, unclear: bool = False) -> bool:
         """Learn from the words of a refusal; returns whether to ask once more in another form.
 
-        `sent` holds what was sent: the names of `plain`, with `roles` and `response_format`.
+        `sent` holds what was sent: the names of `plain`, with `roles` and `response_format`. A request that is refused
+        as `unclear`, in words that mean nothing here, is asked once more with nothing that a server could lack.
         """
         if re.search(_WORDS["too_large"], reason, re.IGNORECASE):
             return False
         for name, words in _WORDS["left_out"].items():
             if name in sent and name not in self.without and re.search(words, reason, re.IGNORECASE):
                 self.without.append(name)
-                logger.warning("%s refuses %s, and is asked without: %s", self.name, name, printable(reason)[:200])
-                return True
+                return self._says(name, reason)
+        if unclear and not fault(reason)["words"] and not self.without:
+            self.without.extend(sent)
+            return self._says("this request", reason)
+        if unclear and all(name in self.without for name in sent):
+            self.without.clear()  # the plainest request is refused, too: its form is not the reason
         return False
+
+    def _says(self, what: str, reason: str) -> bool:
+        logger.warning("%s refuses %s, and is asked without: %s", self.name, what, printable(reason)[:200])
+        return True
 
     def settings(self, settings: Mapping[str, Any]) -> dict[str, Any]:
         """The settings that are sent, by the names of the protocol: one limit of tokens has two."""

@@ -32,7 +32,7 @@ class RetryPolicy:
 
     The wait before attempt k (k = 2, 3, ...) is drawn uniformly from the upper half of [0, first_wait_s * 2^(k-2)], at
     most longest_wait_s, so that robots that were turned away together do not return together. A wait by Retry-After is
-    kept in full, with up to a tenth on top; one above longest_retry_after_s ends the call at once.
+    kept in full, with up to a tenth on top; if those of a call sum to more than longest_retry_after_s, it ends at once.
 
     `max_garbage` responses in a row that are not of the protocol end the call: such a server is neither busy nor away.
     """
@@ -43,9 +43,9 @@ class RetryPolicy:
     longest_wait_s: float = 30.0
     longest_retry_after_s: float = 60.0
 
-    def gives_up(self, faults: tuple[str, ...], retry_after_s: float | None = None) -> bool:
-        """Whether another attempt is useless, by the kinds of all faults of a call and the wait that was asked for."""
-        if retry_after_s is not None and retry_after_s > self.longest_retry_after_s:
+    def gives_up(self, faults: tuple[str, ...], asked_s: float = 0.0) -> bool:
+        """Whether another attempt is useless, by the kinds of all faults of a call and the waits asked for [s]."""
+        if asked_s > self.longest_retry_after_s:
             return True
         return len(faults) >= self.max_tries or faults[-self.max_garbage :] == ("garbage",) * self.max_garbage
 
@@ -186,6 +186,7 @@ class Limited:
         limits.meter.spent += Spent(calls=1)
         faults: tuple[str, ...] = ()
         started: float | None = None
+        asked_s = 0.0
         while True:
             async with limits.slots:
                 ticket: int | None = None
@@ -228,11 +229,8 @@ class Limited:
                     return outcome  # a single attempt, timed by the model
                 return replace(outcome, faults=faults + outcome.faults, latency_s=limits.clock() - started)
             faults += outcome.faults or (outcome.kind,)
-            if (
-                call.probe
-                or outcome.kind in ("refused", "budget")
-                or limits.retry.gives_up(faults, outcome.retry_after_s)
-            ):
+            asked_s += outcome.retry_after_s or 0.0
+            if call.probe or outcome.kind in ("refused", "budget") or limits.retry.gives_up(faults, asked_s):
                 outcome.faults = faults
                 raise outcome
             await limits.sleep(limits.retry.wait_s(len(faults), outcome.retry_after_s, limits.rng))

@@ -50,6 +50,9 @@ _BARE_CHANNEL = re.compile(r"\s*+(?:assistant)?(?:analysis|commentary)(?=[A-Z])"
 
 _BARE_FINAL = "assistantfinal"
 
+_TURN = re.compile(r"<\|(?:im_(?:start|end)|eot_id|end_?of_?text)\|>|<(?:start|end)_of_turn>")
+"""Marks between the turns of a conversation: a base model writes them as text, and the next turns, too."""
+
 
 @dataclass(frozen=True, slots=True)
 class Spoken:
@@ -108,12 +111,16 @@ def _in_channels(text: str) -> Spoken:
 def whole_answer(reply: Reply, question: str = "") -> str:
     """The model's answer without thoughts; AnswerError if it was cut off, or holds only thoughts.
 
-    If it was cut off, the reason names what it did instead of answering: the `question` is known again in it.
+    It ends at a mark of the next turn, and is whole if there is one, even if the next turn was cut off. If it was cut
+    off, the reason names what it did instead of answering: the `question` is known again in it.
 
     The provider's `finish_reason` decides whether it was cut off. `Path: [[51.2, 4], [` or a draft before the answer
     could still be read, and `Position: [51.2, 4]` does not show whether more was to follow.
     """
     answer = spoken(reply.text)
+    turn = _TURN.search(answer.text)
+    if turn is not None and answer.text[: turn.start()].strip():
+        return answer.text[: turn.start()]
     cut = reply.finish_reason == "length"
     empty = answer.unfinished or not answer.text.strip()
     if empty and (cut or reply.thought or answer.thought):

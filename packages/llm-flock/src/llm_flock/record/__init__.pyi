@@ -46,6 +46,7 @@ from ._stream import RecordStream as RecordStream
 from ._words import MAX_PLACES as MAX_PLACES
 from ._words import NO_PLAN as NO_PLAN
 from ._words import PALETTE as PALETTE
+from ._words import answers_of_others as answers_of_others
 from ._words import begun as begun
 from ._words import caveats as caveats
 from ._words import counted as counted

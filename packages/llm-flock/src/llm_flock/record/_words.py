@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
-from llm_flock.printable import one_line
+from llm_flock.printable import one_line, same_model
 from llm_flock.protocol._agreement import PRESET_RULES
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def work_text(result: Mapping[str, Any]) -> str:
 
 
 def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
-    """What the error of a run does not tell: bodies too near, steps that were cut short, a team beside its centre."""
+    """What the error of a run does not tell: distances, steps that were cut short, models that nobody asked for."""
     from llm_flock.metrics import ROUNDING  # late: takes longer to import than many commands take
 
     separation, over, off = (result.get(key) for key in ("min_separation", "steps_over_limit", "center_distance"))
@@ -91,6 +91,16 @@ def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
         found.append(f"{counted(over, 'step')} over the limit ended there")
     if off is not None and off > mission["spacing"] / 10:
         found.append(f"the team is {off:.2f} beside the centre of its mission")
+    return found + answers_of_others(result.get("models") or (), result.get("answered_by") or ())
+
+
+def answers_of_others(asked: Sequence[str], answered: Sequence[str]) -> list[str]:
+    """A sentence for each model that answered and was not asked for: some servers answer to any name."""
+    found = list[str]()
+    for name in answered:
+        meant = [one for one in asked if one.partition(":")[0] == name.partition(":")[0]]  # none for a replay
+        if meant and not any(same_model(one, name) for one in meant):
+            found.append(f"the model that answered is {one_line(name, 200)}, not {one_line(', '.join(meant), 200)}")
     return found
 
 

@@ -56,7 +56,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         consensus=config.protocol.consensus or "",
         assignment=config.protocol.assignment or "",
         shield=bool(config.protocol.shield),
-        models=tuple(dict.fromkeys(planners.names)),
+        models=tuple(dict.fromkeys((*planners.names, *map(planners.model_of, range(config.mission.n_robots))))),
         simulated=planners.simulated,
         stopped=trial.stopped,
         reason=trial.reason,
@@ -117,6 +117,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         gaps=None if plan is None else len(plan) - len(owned),
         spares=None if plan is None else slots.count(None),
         flight=flight,
+        answered_by=tuple(sorted(journal.answered_by)),
     )
 
 

@@ -159,6 +159,7 @@ class Journal:
         self.silent_rounds = 0
         self.last_failure: str | None = None
         self._calls_before = (0, 0)
+        self.answered_by: set[str] = set()
         self.suppliers: dict[tuple[str, int], str] = {}
         self.breakers_opened: set[int] = set()
         self._known_plans: set[str] = set()
@@ -196,6 +197,7 @@ class Journal:
         else:
             self.calls_rejected += attempt.rejected is not None
             self.usage += attempt.reply.usage
+            self.answered_by.add(attempt.reply.model)
             cost = attempt.reply.cost_usd
             self.cost_usd = None if cost is None or self.cost_usd is None else self.cost_usd + cost
 

@@ -77,7 +77,7 @@ class Summary:
     consensus: str  #: Rule that chose the plan.
     assignment: str  #: Rule that chose the slots.
     shield: bool  #: Whether the safety shield was on.
-    models: tuple[str, ...]  #: The language models, each once.
+    models: tuple[str, ...]  #: The language models as configured, each once, with those given in flight.
     simulated: bool  #: Whether any of them was a simulated stand-in.
     #: Why the run ended: formed, rounds, budget, no_plan (no robot has a plan, and all models were refused until they
     #: are no longer asked), no_answers (the same, or three rounds on end without circuit breakers, and every model call
@@ -144,6 +144,7 @@ class Summary:
     formed_half_tolerance: bool = False  #: As `formed`, with both tolerances halved; the run ends as always.
     formed_twice_tolerance: bool = False  #: As `formed`, with both tolerances doubled.
     flight: FlightFigures | None = None  #: The figures of a flight; None in simulation.
+    answered_by: tuple[str, ...] = ()  #: The models that answered, by the names that their servers gave, sorted.
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""

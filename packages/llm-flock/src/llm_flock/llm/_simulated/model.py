@@ -34,6 +34,7 @@ from llm_flock.llm._simulated.prompt_reader import (
     read_ways,
     sensible_decimals,
 )
+from llm_flock.llm._simulated.seen import AFTER_REJECTION, SEEN, is_retry, spoiled
 from llm_flock.mission import ORIENTATIONS
 from llm_flock.protocol._geometry import turned
 
@@ -45,6 +46,9 @@ ADDED_LATER = 8
 
 CHANCE_WITHIN = 10.0
 """Largest distance of random coordinates from the centre [spacings] or the own position [step limits]."""
+
+CUT_OFF = frozenset({"cutoff", "rambling", "turns"})
+"""Faults that a server reports by the reason why the answer ended."""
 
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 """Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
@@ -67,6 +71,7 @@ class SimulatedModel:
     ) -> None:
         self.name = f"simulated:{profile.text}"
         self._rates = [profile.rates.get(name, 0.0) for name in FAILURES]
+        self._seen = profile.seen
         self._rng = rng
         self._settings = (settings or CallSettings()).plain()
         self._sleep = sleep
@@ -74,13 +79,14 @@ class SimulatedModel:
     async def ask(self, call: Call) -> Reply:
         """Answer one call; ModelError for `flaky`, InputError for prompts that are not from the packaged templates."""
         started = time.perf_counter()
-        failures = self.draw()
+        talk = [(message.role, message.text) for message in call.messages]
+        failures = self.draw() | self._draw_seen(talk)
         for profile in LATENCIES.keys() & failures:
             median, spread = LATENCIES[profile]
             await self._sleep(median * float(self._rng.lognormal(0.0, spread)))
         if "flaky" in failures:
             raise self._fault(call.robot)
-        text = self.answer([(message.role, message.text) for message in call.messages], failures)
+        text = self.answer(talk, failures)
         return Reply(
             text=text,
             model=self.name,
@@ -88,7 +94,7 @@ class SimulatedModel:
             usage=Usage(input=_tokens(sum(len(message.text) for message in call.messages)), output=_tokens(len(text))),
             cost_usd=0.0,
             latency_s=time.perf_counter() - started,
-            finish_reason="stop",
+            finish_reason="length" if failures & CUT_OFF else "stop",
         )
 
     def draw(self) -> frozenset[str]:
@@ -101,6 +107,14 @@ class SimulatedModel:
         chance += [float(self._rng.random()) if rate else 1.0 for rate in self._rates[-ADDED_LATER:]]
         return frozenset(name for name, x, rate in zip(FAILURES, chance, self._rates, strict=True) if x < rate)
 
+    def _draw_seen(self, talk: Sequence[tuple[str, str]]) -> frozenset[str]:
+        """Draw what the answer says wrong, if anything. First questions have all but what needs a rejected answer."""
+        if not self._seen or self._rng.random() >= sum(self._seen.values()):
+            return frozenset()
+        rates = {name: rate for name, rate in self._seen.items() if is_retry(talk) or name not in AFTER_REJECTION}
+        chance = np.array([*rates.values()])
+        return frozenset([str(self._rng.choice([*rates], p=chance / chance.sum()))]) if rates else frozenset()
+
     def _fault(self, robot: int) -> ModelError:
         return (
             ModelError("rate_limit", f"simulated 429 for robot {robot}", retry_after_s=0.02),
@@ -111,7 +125,10 @@ class SimulatedModel:
     def answer(self, conversation: Sequence[tuple[str, str]], failures: frozenset[str] | None = None) -> str:
         """The answer to the last question of a conversation of (role, text); failures are drawn if left out."""
         if failures is None:
-            failures = self.draw()
+            failures = self.draw() | self._draw_seen(conversation)
+        for fault in SEEN.keys() & failures:
+            right = self.answer(conversation, failures - SEEN.keys())
+            return spoiled(fault, right, conversation, self._rng)
         system = next((text for role, text in conversation if role == "system"), "")
         # After a rejected answer, the question is not the last message.
         for role, text in reversed(conversation):

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 
 from llm_flock.errors import InputError, unknown
+from llm_flock.llm._simulated.seen import SEEN, SMALL_MODELS
 
 PROFILES: Mapping[str, str] = {
     "ideal": "nothing: exact formations in a random orientation, straight steps that end at the goal",
@@ -31,34 +33,43 @@ HABITS = frozenset({"careful", "canonical", "first", "any", "alike"})
 """Profiles without wrong answers, which do not change how a step is made, or only where others are near."""
 
 FAILURES = tuple(name for name in PROFILES if name != "ideal")
-"""The failures, in the order in which they are drawn."""
+"""The failures, in the order in which they are drawn. At most one of `SEEN` comes on top."""
+
+_KNOWN = [*PROFILES, *SEEN, *SMALL_MODELS]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Profile:
-    """Share of calls that each failure affects, in [0, 1], default 0; `text` is the operator's spelling."""
+    """Share of calls that each of FAILURES, and of SEEN, affects, in [0, 1]; `text` is the operator's spelling."""
 
     text: str = "ideal"
     rates: Mapping[str, float] = field(default_factory=dict[str, float])
+    seen: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 def parse_profile(text: str) -> Profile:
     """Read profiles separated by commas, each with an optional rate: `overshoot`, `distorted@0.3,slow@0.5`.
 
-    A rate is a share of calls, 1 if left out. `ideal` adds nothing to the others and takes no rate.
+    A rate is a share of calls, 1 if left out. `ideal` adds nothing to the others and takes no rate. A small model
+    stands for its faults at their shares; shares of `SEEN` add up to 1 at most, for an answer has one of them.
     """
     rates: dict[str, float] = {}
+    seen: dict[str, float] = {}
     for part in text.split(","):
         name, at, rate = part.strip().partition("@")
-        if name not in PROFILES:
-            raise InputError("model", f"simulated:{text}", says=unknown(f"profile {name!r}", name, PROFILES))
+        if name not in _KNOWN:
+            near = get_close_matches(name, _KNOWN, 1)
+            raise InputError("model", f"simulated:{text}", says=unknown(f"profile {name!r}", name, near or PROFILES))
         if name in rates:
             raise InputError("model", f"simulated:{text}", says=f"profile {name!r} is there twice")
         if name == "ideal" and at:
             raise InputError("model", f"simulated:{text}", "ideal without a rate")
         rates[name] = _rate(text, name, rate) if at else 1.0
-    rates.pop("ideal", None)
-    return Profile(text=text, rates=rates)
+        for fault, share in SMALL_MODELS.get(name, {name: 1.0} if name in SEEN else {}).items():
+            seen[fault] = seen.get(fault, 0.0) + share * rates[name]
+    if sum(seen.values()) > 1 + 1e-9:
+        raise InputError("model", f"simulated:{text}", "rates of what an answer says that add up to 1 at most")
+    return Profile(text=text, rates={name: rates[name] for name in FAILURES if name in rates}, seen=seen)
 
 
 def _rate(text: str, name: str, rate: str) -> float:
