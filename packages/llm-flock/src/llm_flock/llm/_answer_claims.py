@@ -115,11 +115,10 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
     return [claim for claim in found if not (claim.bare and claim.rejected)]
 
 
-def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerClaim | None:
+def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerClaim:
     """A value without a label behind a claim; rejected if its sentence or its heading gives it to something else."""
     value = value_at(items, at, many=many)
-    if value is None:
-        return None
+    assert value is not None  # a point begins here
     claim = AnswerClaim(value[0], value[1], at, value[2], bare=True)
     signs = {items.kind(at - 1), items.kind(at + 1)}
     claim.rejected = bool(value[1]) or many == (len(value[0]) == 1) or not signs.isdisjoint(("operator", "equals"))
