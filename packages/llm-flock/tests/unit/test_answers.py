@@ -131,6 +131,7 @@ def test_plan_is_found_in_any_wrapping(text: str) -> None:
         ("Plan: [[1, 2], [3, NaN], [5, 6]]\nmy plan: 0", "point 1 of the plan holds nan"),
         ("Plan: [[1, 2], [3, 4], [-2e6, 6]]\nmy plan: 0", "point 2 of the plan holds -2e+06"),
         (f"Plan: {PLAN}", "it does not say which place is yours"),
+        (f"The goals of the robots are {PLAN}.\nmy plan: 1", "no complete plan"),
         (f"Plan: {PLAN}\nmy plan: a", "it does not say which place is yours"),
         (f"Plan: {PLAN}\nmy plan: [47.11, 55]", "it does not say which place is yours"),
         (f"Plan: {PLAN}\nmy plan: 3", "my plan is 3; a whole number from 0 to 2 is required"),
@@ -323,6 +324,7 @@ def test_a_path_that_cannot_be_used_says_why(text: str, reason: str) -> None:
         r'{"reasoning": "{\"position\": [1, 2]} is too slow"}',
         "Position: [1, 2] x 10^1",
         "Position != [1, 2]",
+        "Position: [[[1, 2]], [[3, 4]]]",
         "Position: [1, 2] is out of reach this round.",
     ],
 )
@@ -333,6 +335,7 @@ def test_what_is_no_position_of_the_robot_is_refused(text: str) -> None:
 
 def test_what_stands_around_an_answer_is_read_with_it() -> None:
     assert parse_step(r'{"result": "{\"position\": [1, 2]}", "goal": [3, 4]}', 2) == (1, 2)
+    assert parse_step("Position: [1, 2]\nOn the way I keep my distance.", 2) == (1, 2)
     assert parse_step("Position: [1, 2]\nRobots:\n[3, 4]\n[5, 6]\nfar - [7, 8]", 2) == (1, 2)
 
 
