@@ -108,7 +108,9 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
         )
         labels_itself = word in _FINAL and items.kind(at + 1) == "sign"  # "Updated: [x, y]"
         claim = _claim(items, at, moves=moves, many=many) if moves or labels_itself or word in labels else None
-        if found and found[-1].end <= at and items.kind(at) in ("point", "points"):
+        if found and found[-1].end == at and found[-1].bare and not found[-1].rejected and items.kind(at) == "point":
+            found[-1].rows, found[-1].wrong, found[-1].end = (), "gives two values", at + 1
+        elif found and found[-1].end <= at and items.kind(at) in ("point", "points"):
             claim = _beside(items, at, found[-1], many=many)
         if claim is not None and (not found or claim.end > found[-1].end):
             found.append(claim)
