@@ -131,6 +131,7 @@ def test_plan_is_found_in_any_wrapping(text: str) -> None:
         ("Plan: [[1, 2], [3, NaN], [5, 6]]\nmy plan: 0", "point 1 of the plan holds nan"),
         ("Plan: [[1, 2], [3, 4], [-2e6, 6]]\nmy plan: 0", "point 2 of the plan holds -2e+06"),
         (f"Plan: {PLAN}", "it does not say which place is yours"),
+        (f"The goals of the robots are {PLAN}.\nmy plan: 1", "no complete plan"),
         (f"Plan: {PLAN}\nmy plan: a", "it does not say which place is yours"),
         (f"Plan: {PLAN}\nmy plan: [47.11, 55]", "it does not say which place is yours"),
         (f"Plan: {PLAN}\nmy plan: 3", "my plan is 3; a whole number from 0 to 2 is required"),
@@ -312,3 +313,33 @@ def test_a_path_is_read_from_words_and_from_json(text: str, path: tuple[Point, .
 def test_a_path_that_cannot_be_used_says_why(text: str, reason: str) -> None:
     with pytest.raises(AnswerError, match=re.escape(reason)):
         parse_path_json(text, 2, 2)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"neighbors": [{"id": 3, "position": [1, 2]}]}',
+        '{"robot_3": {"position": [1, 2]',
+        '{"error": {"position": [1, 2], "message": "not reachable"}}',
+        r'{"reasoning": "{\"position\": [1, 2]} is too slow"}',
+        "Position: [1, 2] x 10^1",
+        "Position != [1, 2]",
+        "Position: [[[1, 2]], [[3, 4]]]",
+        "Position: [1, 2] is out of reach this round.",
+    ],
+)
+def test_what_is_no_position_of_the_robot_is_refused(text: str) -> None:
+    with pytest.raises(AnswerError, match="no complete position"):
+        parse_step(text, 2)
+
+
+def test_what_stands_around_an_answer_is_read_with_it() -> None:
+    assert parse_step(r'{"result": "{\"position\": [1, 2]}", "goal": [3, 4]}', 2) == (1, 2)
+    assert parse_step("Position: [1, 2]\nOn the way I keep my distance.", 2) == (1, 2)
+    assert parse_step("Position: [1, 2]\nRobots:\n[3, 4]\n[5, 6]\nfar - [7, 8]", 2) == (1, 2)
+
+
+@pytest.mark.parametrize("place", ["my plan: 1, i.e. [55.77, 50]", "I take [55.77, 50].\nmy plan: 1"])
+def test_a_place_named_by_a_number_and_by_another_point(place: str) -> None:
+    with pytest.raises(AnswerError, match=r"is not|two different places"):
+        parse_plan(f"Plan: {PLAN}\n{place}", 3, 2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -48,6 +48,7 @@ class AnswerClaim:
     soft: bool = False
     option: str = ""
     misfit: bool = False
+    bare: bool = False  #: Without a label, after one that has a label.
 
     @property
     def value(self) -> object:
@@ -107,9 +108,29 @@ def claims(items: Items, labels: Set[str], *, many: bool) -> list[AnswerClaim]:
         )
         labels_itself = word in _FINAL and items.kind(at + 1) == "sign"  # "Updated: [x, y]"
         claim = _claim(items, at, moves=moves, many=many) if moves or labels_itself or word in labels else None
+        if found and found[-1].end == at and found[-1].bare and not found[-1].rejected and items.kind(at) == "point":
+            found[-1].rows, found[-1].wrong, found[-1].end = (), "gives two values", at + 1
+        elif found and found[-1].end <= at and items.kind(at) in ("point", "points"):
+            claim = _beside(items, at, found[-1], many=many)
         if claim is not None and (not found or claim.end > found[-1].end):
             found.append(claim)
-    return found
+    return [claim for claim in found if not (claim.bare and claim.rejected)]
+
+
+def _beside(items: Items, at: int, last: AnswerClaim, *, many: bool) -> AnswerClaim:
+    """A value without a label behind a claim; rejected if its sentence or its heading gives it to something else."""
+    value = value_at(items, at, many=many)
+    assert value is not None  # a point begins here
+    claim = AnswerClaim(value[0], value[1], at, value[2], bare=True)
+    signs = {items.kind(at - 1), items.kind(at + 1)}
+    claim.rejected = bool(value[1]) or many == (len(value[0]) == 1) or not signs.isdisjoint(("operator", "equals"))
+    if not claim.rejected:
+        begin = at if at == last.end else max(items.start(at), last.end)
+        before = [*items.words(*_heading(items, begin)), *items.words(begin, at)]
+        spoken = [*before, *items.words(value[2], items.sentence(value[2], 10))]
+        claim.rejected = says(spoken, "foreign", "elsewhere") or (not before and last.bare and last.rejected)
+        claim.revises = claim.final = not claim.rejected and says(before, "revised")
+    return claim
 
 
 def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | None:
@@ -130,13 +151,13 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
         stands = first or not {"i", "i'll"}.isdisjoint(clause)
     else:
         plainly = many or option or not before or before in _CERTAIN | SAID["before"]
-        stands = label == "boxed" or bool(plainly and not foreign(near if not many else clause))
+        stands = label == "boxed" or bool(plainly and not says(near if not many else clause, "foreign"))
     if not stands:
         return None
     around, behind = {*clause, *heading, label}, items.sentence(end, 10)
     new_field = items.kind(end) == "comma" and "sign" in (items.kind(k) for k in range(end, behind))
     after = [] if new_field else [*items.words(end, behind)]
-    doubted = not SAID["hypothetical"].isdisjoint({*after, *items.words(items.start(at, reach=20), at)})
+    doubted = says(after, "hypothetical") or says(items.words(items.start(at, reach=20), at), "hypothetical")
     asks = items.kind(behind) == "stop" and items.all[behind].text == "?"
     revises = not around.isdisjoint(SAID["revised"])
     soft = {*clause, label, *SAID["first"].intersection(heading), *{"would"}.intersection(after)}
@@ -153,20 +174,17 @@ def _claim(items: Items, at: int, *, moves: bool, many: bool) -> AnswerClaim | N
     )
 
 
-def foreign(spoken: Iterable[str]) -> bool:
-    """Whether words before a value give it to others, or to another time."""
-    return any(word.removesuffix("'s") in SAID["foreign"] for word in spoken)
+def says(spoken: Iterable[str], *names: str) -> bool:
+    """Whether one of these lists holds a word, or two words in a row (as `too_close`)."""
+    words = [word.removesuffix("'s") for word in spoken]
+    words = [*words, *map("_".join, pairwise(words))]
+    return any(not SAID[name].isdisjoint(words) for name in names)
 
 
 def _dismissed(spoken: Sequence[str]) -> bool:
     """Whether the words behind a value, or a sentence about it, say that it is not the answer."""
-    if " ".join(spoken[:2]) in ("is not", "was not", "is where", "from here", "from me"):
-        return True
-    pairs = [*pairwise(spoken)]
-    if SAID["denials"].isdisjoint(spoken):
-        too = any(first == "too" and second in SAID["extremes"] for first, second in pairs)
-        return too or {"exceeds", "limit"} <= {*spoken} or not SAID["faulty"].isdisjoint(spoken)
-    return any(first == "not" and second in SAID["virtues"] for first, second in pairs)
+    faulty = (says(spoken, "faulty") or {"exceeds", "limit"} <= {*spoken}) and not says(spoken, "denials")
+    return faulty or says(spoken, "dismissed") or " ".join(spoken[:2]) in ("is not", "was not")
 
 
 def _heading(items: Items, begin: int) -> tuple[int, int]:
@@ -254,6 +272,7 @@ def _position(items: Items, at: int) -> Value | None:
             behind = items.past(end, {"line", "operator"})
             if items.word(behind) not in {"x", "y", "z"}.difference(items.words(at, end)):
                 break
+            end = behind
         end += 1
     if "number" not in {items.kind(k) for k in range(at, end)}:
         return None
@@ -317,14 +336,17 @@ def chosen(
     A sentence that corrects one of the `others` takes nothing back.
     """
     standing = [claim for claim in found if not claim.option and (claim.revises or not claim.rejected)]
-    standing = [claim for claim in standing if not claim.soft] or standing
+    firm = [claim for claim in standing if not claim.soft]
+    standing = firm if any(not claim.bare for claim in firm) else standing
+    labelled = next((k for k, claim in enumerate(standing) if not claim.bare), len(standing))
+    standing = [claim for claim in standing[labelled:] if not (claim.bare and claim.misfit)]
     current = standing[0] if standing else None
     disputed = turned = False
     for before, claim in pairwise(standing):
         assert current is not None
         turned = turned or _taken_back(items, before.end, claim.begin, SAID["turns"]) >= 0
         unfit = current.misfit or current.wrong or claim.misfit  # the last word counts, also if it will be refused
-        if claim.wrong == PLACEHOLDERS:
+        if claim.wrong == PLACEHOLDERS or (claim.bare and unfit and not (turned or claim.revises)):
             continue
         if claim.revises or turned or unfit or (claim.final and not current.final):
             current, disputed, turned = claim, False, False
@@ -338,7 +360,12 @@ def chosen(
         return _picked(options, current, items, what)
     if disputed:
         raise AnswerError(f"it gives two different {what}s and does not say which one counts; give one only.")
-    return None if current is None else _kept(current, items, what, {other.begin for other in others})
+    at, begins = -1 if current is None else current.end, {other.begin for other in others}
+    while at >= 0 and (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
+        if begins.isdisjoint(range(at, items.sentence(at) + 1)):
+            raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
+        at += 1
+    return current
 
 
 def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: Items, what: str) -> AnswerClaim:
@@ -359,34 +386,24 @@ def _picked(options: Sequence[AnswerClaim], current: AnswerClaim | None, items: 
 
 def _taken_back(items: Items, begin: int, end: int, signs: Set[str]) -> int:
     """Where a sentence in this part begins that takes back what stands before it; -1 if none does."""
-    fresh = False
+    fresh, said = False, POSITION | PLAN | PATH | SAID["place"]
     for at in range(begin, end):
         word, kind = items.word(at), items.kind(at)
         if word and fresh:
             following = {items.word(at + 1), items.word(at + 2)}
             if word in signs and items.word(at + 1) not in SAID["harmless"]:
-                if word not in ("on", "let", "after") or not following.isdisjoint(SAID["again"]):
+                if word not in ("on", "upon", "let", "after") or not following.isdisjoint(SAID["again"]):
                     return at
-            elif word in ("that", "this", "it", "which", "i"):
+            elif word in ("that", "this", "it", "which", "i") or (
+                word in ("my", "the") and said.intersection(following)
+            ):
                 rest = [*items.words(at, items.sentence(at, 20))]
-                if (word != "i" and _dismissed(rest)) or not {"mistake", "apologize"}.isdisjoint(rest):
+                if (word != "i" and _dismissed(rest)) or says(rest, "mistakes"):
                     return at
-        fresh = kind in ("stop", "line", "operator", "comma", "sign") or (fresh and not word and kind not in _VALUES)
+        fresh = kind in ("stop", "line", "operator", "comma", "sign", "dots") or (
+            fresh and not word and kind not in _VALUES
+        )
     return -1
-
-
-def _kept(current: AnswerClaim, items: Items, what: str, others: Set[int]) -> AnswerClaim:
-    """The claim, unless later words take it back; a value in that sentence replaces it."""
-    at = current.end
-    while (at := _taken_back(items, at, len(items.all), SAID["back"])) >= 0:
-        if others.isdisjoint(range(at, items.sentence(at) + 1)):
-            values = [item for item in items.all[at:] if item.rows or item.kind == "bad"]
-            doubts = {"close", *SAID["hard"]}.intersection(items.words(at, len(items.all)))
-            if len(values) == 1 and values[0].rows and not doubts:
-                return replace(current, rows=values[0].rows, wrong="", end=len(items.all))
-            raise AnswerError(f"it takes its {what} back and gives no other; give one {what} only.")
-        at += 1
-    return current
 
 
 def index_claims(items: Items) -> list[AnswerClaim]:
@@ -396,7 +413,8 @@ def index_claims(items: Items) -> list[AnswerClaim]:
         if items.word(at) in ("my", "i"):
             end = items.past(at + 1, {"operator"}, SAID["takes"] | SAID["within"])
             taken = items.word(at) == "my" or not SAID["takes"].isdisjoint(items.words(at, end))
-            claim = _index(items, at, end + 1) if taken and items.word(end) in SAID["place"] else None
+            named = items.word(end) in SAID["place"]
+            claim = _index(items, at, end + named) if taken and (named or items.kind(end) == "point") else None
             found += [] if claim is None else [claim]
     return found
 
@@ -444,7 +462,7 @@ def _another(items: Items, at: int) -> bool:
 
 _FROM_ONE = re.compile(
     r"\b(?:1|one)[- ](?:based|index)|\b(?:count|number|indices|index|start)\w*+ (?:\w++ ){0,2}(?:from|at) (?:1|one)\b"
-    r"|\b(?:numbered|numbering|labell?ed|counted) 1\b",
+    r"|\b(?:numbered|numbering|labell?ed|counted|places|indices|corners) 1\b(?! (?:and|or) 2\b)",
     re.IGNORECASE,
 )
 
@@ -452,7 +470,7 @@ _FROM_ONE = re.compile(
 def counts_from_one(text: str) -> bool:
     """Whether the answer says that it counts places from 1; "if counted from 1" says nothing."""
     for found in _FROM_ONE.finditer(text):
-        begin = max(text.rfind("\n", 0, found.start()), text.rfind(". ", 0, found.start()), found.start() - 200)
-        if {"if", "were", "would", "not"}.isdisjoint(text[begin + 1 : found.start()].lower().split()):
+        sentence = re.split(r"\n|\. ", text[max(0, found.start() - 200) : found.start()])[-1]
+        if {"if", "were", "would", "not"}.isdisjoint(sentence.lower().split()):
             return True
     return False

@@ -27,7 +27,7 @@ _TYPOGRAPHY = str.maketrans(
     | dict.fromkeys("\u200b\u2060\ufeff", "")
     | {"\uff1a": ":", "\uff0c": ",", "\uff1b": ";", "\uff3b": "[", "\uff3d": "]", "\uff08": "(", "\uff09": ")"}
     | {chr(0xFF10 + digit): str(digit) for digit in range(10)}
-    | {"\uff0e": "."}
+    | {"\uff0e": ".", "\u2260": " not ", "\u274c": " wrong ", "\u2717": " wrong ", "\u2718": " wrong "}
     | {
         "\u221e": "inf",
         "\u2018": "'",
@@ -63,6 +63,10 @@ _STRING = re.compile(
     re.DOTALL | re.VERBOSE,
 )
 """A field of a JSON object with a text, which may hold line ends and quotes of its own, and may be cut off."""
+
+_QUOTED = re.compile(r'"(\w{1,60}+)"\s{0,9}:\s{0,9}"\s{0,9}\{(?:[^"\\]|\\.)*+"', re.DOTALL)
+_NESTED = re.compile(r"""(?:["'](?P<key>\w{1,60}+)["']\s{0,9}:\s{0,9})?(?:(?P<open>[\[{])|[\]}])""")
+"""A field whose text is an object; where an object or a list begins, with its key, or ends."""
 
 _TOKEN = re.compile(
     r"""(?P<number>[-+]?+(?:(?:[0-9]++(?:\.[0-9]++|\.(?![.\s]|$))?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+
@@ -167,8 +171,12 @@ def _joined(opened: _Open, content: Sequence[Item], end: int) -> Item | None:
         if not kinds <= {"point", "points", "comma", "line", "bad", "axes", "dots", "to"}:
             return None
         text = next((group.text for group in groups if group.kind == "bad"), PLACEHOLDERS)
-        if "dots" not in kinds and all(group.rows for group in groups):
-            kind, text, rows = "points", "", tuple(row for group in groups for row in group.rows)
+        if len(groups) == 1 and groups[0].rows and "dots" not in kinds:
+            kind, text, rows = "points", "", groups[0].rows
+        elif "points" in kinds:
+            text = "gives two lists"
+        elif "dots" not in kinds and all(group.rows for group in groups):
+            kind, text, rows = "points", "", tuple(group.rows[0] for group in groups)
     elif "number" in kinds:
         row = row_of(content)
         if isinstance(row, tuple):
@@ -232,12 +240,13 @@ def plain(text: str) -> str:
     if not text.isascii():
         text = text.translate(_TYPOGRAPHY)
     if '{\\"' in text:  # an object as the text of a string
-        text = text.replace('\\"', '"')
+        text = _QUOTED.sub(lambda field: field[0] if _role(field[1]) != "other" else "", text).replace('\\"', '"')
     if "{" in text:
         text = _STRING.sub(_without_prose, re.sub(r"(?<=[a-z])(?=(?:Plan|Position|Path)\b)", "_", text))
-        text = re.sub(r"\}\s*+(?=\{)", "}\n", text)
+        text = re.sub(r"\}\s*+(?=\{)", "}\n", _without_others(text))
     text = _DECIMAL_COMMAS.sub(r"\1.\2; \3.\4", text)
-    text = _STRUCK.sub("", text)
+    text = _STRUCK.sub("", text.replace("!=", " not ").replace("i.e.", "ie"))
+    text = re.sub(r"(?<=[\])]) ?x(?= ?\d)", "\u00d7", text)
     if "<" in text:
         text = _TAG.sub(_without_tag, text)
     if "\\" in text:
@@ -257,7 +266,27 @@ def _without_tag(tag: re.Match[str]) -> str:
 
 
 def _without_prose(field: re.Match[str]) -> str:
-    return field[0] if re.split(r"[\W_]", field["key"].lower())[-1] in SAID["fields"] else field["key"] + ":"
+    return field[0] if _role(field["key"]) == "field" else field["key"] + ":"
+
+
+def _role(key: str) -> str:
+    """What the key of an object holds: an answer's `field`, something around it, or something `other`."""
+    words = re.split(r"[\W_]", key.lower())
+    return "field" if words[-1] in SAID["fields"] else "around" if SAID["around"].issuperset(words) else "other"
+
+
+def _without_others(text: str) -> str:
+    """The text without the objects and lists whose keys say that they are no answer: `robot_3`, `error`."""
+    roles, out, begin = ["around"], list[str](), 0
+    for found in _NESTED.finditer(text):
+        if found["open"]:
+            role = roles[-1] if roles[-1] != "around" or found["key"] is None else _role(found["key"])
+            if role == "other" != roles[-1]:
+                out.append(text[begin : found.start()])
+            roles.append(role)
+        elif len(roles) > 1 and roles.pop() == "other" != roles[-1]:
+            begin = found.end()
+    return "".join(out) if roles[-1] == "other" else "".join([*out, text[begin:]])
 
 
 def _without_tables(lines: list[str]) -> Iterator[str]:

@@ -24,8 +24,8 @@ from llm_flock.llm._answer_claims import (
     chosen,
     claims,
     counts_from_one,
-    foreign,
     index_claims,
+    says,
     value_at,
 )
 from llm_flock.llm._answer_items import CUT, PLACEHOLDERS, SAID, items_of, plain
@@ -96,7 +96,7 @@ def read_waypoints(text: str, form: AnswerForm, here: Point | None = None) -> tu
     if claim is None:
         found = claims(items, POSITION if horizon > 1 else POSITION | PATH, many=False)
         for one in found:
-            one.misfit = any(len(row) != dim for row in one.rows)
+            one.misfit = any(len(row) != dim or (one.bare and _near(row, here)) for row in one.rows)
         claim = chosen(found, items, "position")
     if claim is None:
         path = horizon > 1
@@ -115,11 +115,15 @@ def read_waypoints(text: str, form: AnswerForm, here: Point | None = None) -> tu
     return tuple(_point(f"position {k} of the path", row, dim) for k, row in enumerate(rows, start=1))
 
 
+def _near(row: Sequence[str | float], here: Point | None) -> bool:
+    return here is not None and len(row) == len(here) and math.dist([float(x) for x in row], here) < HERE
+
+
 def _one_of(rows: Sequence[Sequence[float]], dim: int, here: Point | None) -> Sequence[float]:
     """The position of a claim: its only row, a column, or where it leads from `here`."""
     if len(rows) == dim and all(len(row) == 1 for row in rows):
         return [row[0] for row in rows]
-    if len(rows) == 2 and here is not None and len(rows[0]) == dim and math.dist(rows[0], here) < HERE:
+    if len(rows) == 2 and _near(rows[0], here):
         return rows[1]
     if len(rows) > 1:
         raise AnswerError(f"it gives {len(rows)} positions, one is required.")
@@ -129,15 +133,16 @@ def _one_of(rows: Sequence[Sequence[float]], dim: int, here: Point | None) -> Se
 def _bare(items: Items, *, many: bool, first: int = 0) -> list[AnswerClaim]:
     """Values without a label: lists of points, or a position that is the whole answer."""
     found: list[AnswerClaim] = []
+    done = 0
     for at, item in enumerate(items.all):
-        if many and item.kind in ("point", "points") and (not found or found[-1].end <= at):
+        if many and item.kind in ("point", "points") and done <= at:
             numbered = items.kind(at - 1) == "sign" and items.kind(at - 2) == "number"
             begin = at - 2 if numbered else at
             value = value_at(items, begin, many=True, first=first)
             scaled = items.kind(begin - 1) == "operator" and items.all[begin - 1].text != "-"
-            field = '":' in items.text[max(0, item.start - 4) : item.start]  # of an object, with a name of its own
             words = items.words(items.start(begin, "comma", "point", "points"), begin)
-            if value and not scaled and not field and not foreign(words):
+            done = at if value is None else value[2]
+            if value and not scaled and not says(words, "foreign"):
                 found.append(AnswerClaim(value[0], value[1], at, value[2]))
         elif item.kind not in ("line", "stop", "sign") and item.text.lower() not in SAID["languages"] and not many:
             value = value_at(items, at, many=False)
@@ -170,10 +175,10 @@ def _items(text: str) -> Items:
     text = plain(answer.text)
     items = Items(items_of(text), text, answer.text)
     for at in range(len(items.all)):
-        if items.word(at) not in ("unit", "units") or items.kind(at + 1) == "stop":  # "6 units. In the next round"
-            continue
-        if (unit := items.word(at + 2)) in SAID["foreign_units"]:
-            raise AnswerError(f"it has units ({unit}), which are not allowed.")
+        if items.word(at) in ("unit", "units", "coordinates", "values", "numbers", "axes"):
+            near = {*items.words(items.start(at, reach=6), items.sentence(at, 8))} - {"in"}
+            for unit in near & (SAID["foreign_units"] | SAID["frames"]):
+                raise AnswerError(f"it has units ({unit}), which are not allowed.")
     return items
 
 
