@@ -58,7 +58,7 @@ def talk(
                 return error
 
     outcome = asyncio.run(scenario())
-    head, sent = got
+    head, sent = got[-2:]
     return outcome, head, json.loads(sent)
 
 

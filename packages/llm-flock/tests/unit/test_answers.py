@@ -251,9 +251,9 @@ def all_readings_s(text: str) -> float:
 @pytest.mark.parametrize("unit", HOSTILE, ids=lambda unit: ascii(unit[:12]))
 def test_hostile_answers_are_refused_in_linear_time(unit: str) -> None:
     count = MAX_CHARS // 20 // len(unit)
-    # A twentieth of a megabyte takes some 0.03 s; anything quadratic would take many seconds.
-    assert all_readings_s(unit * count) < 1.0
-    assert all_readings_s("Position: [1, Plan: [[1, my plan: " + unit * count) < 1.0
+    # A twentieth of a megabyte takes up to 1.5 s; anything quadratic would take many seconds.
+    assert all_readings_s(unit * count) < 4.0
+    assert all_readings_s("Position: [1, Plan: [[1, my plan: " + unit * count) < 4.0
 
 
 @pytest.mark.slow
