@@ -245,7 +245,7 @@ _CBAA = (
 )
 _D_CAPT: Mapping[str, Any] = {**_GIVEN, "assignment": "d-capt", "comm_rounds": 5}
 _AUCTION: Mapping[str, Any] = {**_GIVEN, "assignment": "cbaa", "comm_rounds": 5}
-_SHAPE = "all robots know the shape as a formula, to check plans, as those of `flock` do"
+_CHECKS = "all robots know the shape as a formula, to check plans, as those of `flock` do"
 _LYNCH = "Lynch: Distributed Algorithms. Morgan Kaufmann, 1996 (FloodMax)"
 
 RIVALS: Mapping[str, Rival] = {
@@ -327,13 +327,13 @@ RIVALS: Mapping[str, Rival] = {
     "leader election": Rival(
         source=f"{_LYNCH}; Garcia-Molina: Elections in a distributed computing system. IEEE Transactions on Computers "
         "C-31(1), 1982",
-        assumes=_SHAPE,
+        assumes=_CHECKS,
         options={"consensus": "highest-id", "assignment": "by-leader"},
     ),
-    "lowest id": Rival(source=_LYNCH, assumes=_SHAPE, options={"consensus": "lowest-id"}),
+    "lowest id": Rival(source=_LYNCH, assumes=_CHECKS, options={"consensus": "lowest-id"}),
     "random priority": Rival(
         source="Itai and Rodeh: Symmetry breaking in distributed networks. Information and Computation 88(1), 1990",
-        assumes=_SHAPE,
+        assumes=_CHECKS,
         options={"consensus": "random-priority"},
     ),
     "leader, one table": Rival(
