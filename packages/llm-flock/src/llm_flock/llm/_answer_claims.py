@@ -63,14 +63,16 @@ class Items:
         self.all = items
         self.text = text  #: In which the items stand.
         self.said = said  #: As the model wrote it.
+        self._kinds = {at: item.kind for at, item in enumerate(items)}
+        self._words = {at: item.text.lower() for at, item in enumerate(items) if item.kind == "word"}
 
     def kind(self, at: int) -> str:
         """The kind of an item; empty outside."""
-        return self.all[at].kind if 0 <= at < len(self.all) else ""
+        return self._kinds.get(at, "")
 
     def word(self, at: int) -> str:
         """A word in small letters; empty for anything else."""
-        return self.all[at].text.lower() if self.kind(at) == "word" else ""
+        return self._words.get(at, "")
 
     def words(self, begin: int, end: int) -> Iterator[str]:
         """The words of a part."""
