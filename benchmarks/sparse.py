@@ -11,7 +11,6 @@ hops, then straight to its place in the best assignment, through whatever is in 
 from __future__ import annotations
 
 import argparse
-import csv
 import math
 import os
 from collections.abc import Sequence
@@ -21,12 +20,11 @@ from typing import Any
 
 import numpy as np
 import scipy
-from benchmarks.figures import ROOT
+from benchmarks import figures
 
 import llm_flock
 from llm_flock.arrays import Points
 
-DATA = ROOT / "docs" / "data"
 CASES = {"line 7": ("line", 7), "line 9": ("line", 9), "wedge 13": ("wedge", 13), "cross 17": ("cross", 17)}
 CASES |= {"circle 20": ("circle", 20)}
 CANONICAL = "simulated:ideal,canonical"
@@ -89,8 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             columns = [*([flown for flown, _ in one] for one in ratios.values()), told]
             rows.append([case, *map(spread, columns)])
             print(*rows[-1], sep=" | ", flush=True)
-    with (DATA / "sparse.csv").open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
+    figures.write("sparse.csv", rows)
 
 
 def spread(ratios: Sequence[float]) -> str:
