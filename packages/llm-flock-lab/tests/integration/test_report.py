@@ -83,6 +83,13 @@ def test_what_errors_do_not_tell_is_said_of_each_protocol(tmp_path: Path) -> Non
     ]
 
 
+def test_without_a_baseline_a_preset_is_what_rules_are_compared_with(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    for name in ("my_rules:Own", "flock", "zebra"):
+        store.save(trial("circle", 10, name, 1))
+    assert usual_reference(Results.read(tmp_path)) == "flock"
+
+
 def test_pairs_share_a_seed_and_broken_trials_count_in_success(results: Results) -> None:
     assert usual_reference(results) == "baseline"
     lines = pair_lines(results, "baseline")
