@@ -83,11 +83,10 @@ def test_what_errors_do_not_tell_is_said_of_each_protocol(tmp_path: Path) -> Non
     ]
 
 
-def test_without_a_baseline_a_preset_is_what_rules_are_compared_with(tmp_path: Path) -> None:
-    store = Store(tmp_path)
-    for name in ("my_rules:Own", "flock", "zebra"):
-        store.save(trial("circle", 10, name, 1))
-    assert usual_reference(Results.read(tmp_path)) == "flock"
+def test_without_a_baseline_a_preset_is_the_reference(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
+    for protocols in (("flock", "flock with my_rules:Own"), ("flock", "paper")):
+        monkeypatch.setitem(vars(results), "protocols", protocols)
+        assert usual_reference(results) == "flock"
 
 
 def test_pairs_share_a_seed_and_broken_trials_count_in_success(results: Results) -> None:
