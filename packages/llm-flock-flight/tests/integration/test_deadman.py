@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -55,6 +56,26 @@ def test_a_closed_pipe_is_noticed_at_once_and_silence_in_time() -> None:
     began = time.monotonic()
     assert not listener.wait_for_end(0.3)
     assert 0.2 < time.monotonic() - began < 1.0
+    into.close()
+    listener.thread.join()
+
+
+def test_own_pause_of_the_deadman_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both stand still for 2 s, between two heartbeats: the flight goes on. One that then stays away does not."""
+    listener, into = pipe_to_listener()
+    say(into, aloft=(0,))
+    plain, lost_s = time.monotonic, [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: plain() + lost_s[0])
+    threading.Timer(0.2, lambda: lost_s.__setitem__(0, 2.0)).start()
+    threading.Timer(0.4, say, (into,), {"farewell": True}).start()
+    assert listener.wait_for_end(0.8)
+    listener.thread.join()
+    into.close()
+    listener, into = pipe_to_listener()
+    threading.Timer(0.2, lambda: lost_s.__setitem__(0, 4.0)).start()
+    began = plain()
+    assert not listener.wait_for_end(0.8)
+    assert 0.4 < plain() - began < 2.0
     into.close()
     listener.thread.join()
 
@@ -131,6 +152,8 @@ def test_a_flight_process_that_dies_or_hangs_is_taken_over(how: signal.Signals) 
             parent.kill()
         said = parent.stderr.read()
     assert "the flight process is gone; calling d0, d2" in said
+    killing = "has given no sign of life for 1 s; killing it, as d0, d2 cannot be called beside it"
+    assert (killing in said) is (how is signal.SIGSTOP)
     assert "d0: landed" in said and "d2: landed" in said and "d1" not in said
 
 

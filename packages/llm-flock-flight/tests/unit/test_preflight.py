@@ -12,7 +12,8 @@ from llm_flock.robots._base import Equipment, RobotState
 from llm_flock_flight._crazyflie.controllers import CONTROLLER, ESTIMATOR, equipment
 from llm_flock_flight._flight.lag import Tracking
 from llm_flock_flight._flight.monitors import Monitors, TroubleKind
-from llm_flock_flight._flight.preflight import look
+from llm_flock_flight._flight.preflight import _pauses, look
+from llm_flock_flight._pauses import own_pauses
 
 NAMES = ["d0", "d1", "d2", "d3"]
 GAINS = {f"posCtlPid.{axis}Kp": 2.0 for axis in "xyz"}
@@ -53,6 +54,15 @@ def test_unknown_controller_is_refused_unless_its_lag_is_given() -> None:
         failed(strange)[0] == "d0: controller: number 9, a controller whose lag is known, or lag_s in the flight file"
     )
     assert failed(strange, lag_s=0.5) == []
+
+
+@pytest.mark.parametrize(("longest_s", "passed", "warned"), [(0.1, True, False), (0.8, True, True), (1.3, False, True)])
+def test_own_pauses_are_held_against_the_limit(monkeypatch, longest_s: float, passed: bool, warned: bool) -> None:
+    monkeypatch.setattr(own_pauses(), "longest_s", longest_s)
+    (check,) = _pauses(flight_config(robot="flights:one_by_one", deadman=True))
+    assert check.passed is passed and ("WARNING" in check.found) is warned
+    assert f"at most {longest_s:.2f} s in " in check.found and "less than 1.2 s" in check.asked
+    assert not list(_pauses(flight_config())), "no deadman would take over"
 
 
 def test_the_estimator_without_positions_is_refused() -> None:

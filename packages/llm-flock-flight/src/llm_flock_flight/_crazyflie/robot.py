@@ -41,6 +41,7 @@ from llm_flock_flight._crazyflie.telemetry import (
     fault_of,
     says,
 )
+from llm_flock_flight._pauses import own_pauses
 
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
 """Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
@@ -114,6 +115,7 @@ class CrazyflieRobot:
     async def connect(self, timeout_s: float) -> None:
         """Open the link and wait for the first estimate, or raise RobotError; reopens a lost link, also in flight."""
         end = time.monotonic() + timeout_s
+        own_pauses()  # watches them from now on
         while True:
             try:
                 return await self._connect(end)
@@ -170,8 +172,8 @@ class CrazyflieRobot:
         log, now = self._log, time.monotonic()
         if not self._connected or log.position is None:
             raise RobotError(self.name, "was never connected")
-        if self._link.lost is not None or self._link.silent_s(now) > self._link_timeout_s:
-            self._lost = True
+        silent = self._link.silent_s(now) > self._link_timeout_s and not own_pauses().catching_up()
+        self._lost = self._lost or silent or self._link.lost is not None
         return RobotState(
             position=log.position,
             stamp_s=log.stamp_s,

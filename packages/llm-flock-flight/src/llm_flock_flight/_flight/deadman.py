@@ -1,8 +1,9 @@
 """The deadman: a separate process that lands the drones when the flight process dies or hangs.
 
 Without commands a drone flies on to its set-point and hovers there: no firmware is relied on to land it. So the flight
-process sends heartbeats that name the drones in the air. When they stop without a farewell, this process ends the
-flight process, which may hold the radio, opens links to the drones in the air, and lands them.
+process sends heartbeats that name the drones in the air. When they stop without a farewell, this process opens links to
+the drones in the air and lands them. It first ends a flight process that lives and holds what only one process can use,
+such as a radio. Any other it tells what it does, and leaves alive.
 """
 
 from __future__ import annotations
@@ -23,13 +24,14 @@ from llm_flock.record import NullWriter
 from llm_flock.robots import Robot, RobotError
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import build_fleet
-from llm_flock_flight._flight.heartbeat import Heartbeat
+from llm_flock_flight._flight.heartbeat import Heartbeat, TakeOver
 from llm_flock_flight._flight.landing import CALL_S, CONNECT_S, LANDED, LOST, STOPPED, Landing
 from llm_flock_flight._flight.log import FlightLog
 from llm_flock_flight._flight.positions import feeding
 from llm_flock_flight._flight.preflight import connect
 from llm_flock_flight._flight.shown import ros2_bridge
 from llm_flock_flight._flight.team import FlyingTeam
+from llm_flock_flight._pauses import PAUSE_S
 
 LOOK_S = 0.02
 """Time between two checks of the heartbeats [s]."""
@@ -56,9 +58,16 @@ class HeartbeatListener:
         self.closed = True
 
     def wait_for_end(self, silence_s: float) -> bool:
-        """Wait for the farewell (True), or until the pipe closes or is silent for too long (False)."""
-        while not self.last.farewell and not self.closed and time.monotonic() - self.heard_s <= silence_s:
+        """Wait for the farewell (True), or until the pipe closes or is silent for too long (False).
+
+        A long time between two looks was a pause of this process, and probably of the flight's: it is no silence.
+        """
+        heard_s, silent_s, looked_s = self.heard_s, 0.0, time.monotonic()
+        while not self.last.farewell and not self.closed and silent_s <= silence_s:
             time.sleep(LOOK_S)
+            now = time.monotonic()
+            silent_s = silent_s + min(now - looked_s, PAUSE_S) if self.heard_s == heard_s else 0.0
+            heard_s, looked_s = self.heard_s, now
         return self.last.farewell
 
 
@@ -99,19 +108,34 @@ async def _land(config: FlightConfig, robots: Sequence[Robot]) -> dict[str, str]
     return {robots[robot].name: end for robot, end in landing.ends.items()}
 
 
-def take_over(config: FlightConfig, aloft: Sequence[int], parent: int) -> dict[str, str]:
-    """End the flight process if it still runs, and land the drones in the air; returns how each ended, by name."""
-    if os.getppid() == parent:  # it hangs, and may hold the radio
-        os.kill(parent, signal.SIGKILL)
-    fleet = build_fleet(config)
-    robots = [fleet[robot] for robot in aloft]
+def take_over(
+    config: FlightConfig, aloft: Sequence[int], parent: int, why: str, tell: Callable[[TakeOver], None]
+) -> dict[str, str]:
+    """Land the drones in the air; returns how each ended, by name. What is done, and `why`, is written before.
 
-    say = _say_while_heard
-    say(f"the flight process is gone; calling {', '.join(robot.name for robot in robots)}")
-    ends = asyncio.run(_land_with_poses(config, robots, say))
+    A flight process that lives is told, and killed only if a drone cannot be called beside it.
+    """
+    say, fleet = _say_while_heard, build_fleet(config)
+    robots, ends = [fleet[robot] for robot in aloft], dict[str, str]()
+    if os.getppid() == parent and config.fleet.shares_links and not config.positions.outside:
+        say(f"the flight process {parent} {why}; leaving it alive, and calling {_names(robots)} beside it")
+        tell(TakeOver())
+        ends = asyncio.run(_land_with_poses(config, robots, say))
+        robots = [robot for robot in robots if ends[robot.name] == LOST]
+    if robots and os.getppid() == parent:
+        say(f"the flight process {parent} {why}; killing it, as {_names(robots)} cannot be called beside it")
+        os.kill(parent, signal.SIGKILL)
+    if robots:
+        say(f"the flight process is gone; calling {_names(robots)}")
+        ends |= asyncio.run(_land_with_poses(config, robots, say))
     for name, end in ends.items():
         say(f"{name}: {end}")
+    tell(TakeOver(ends=ends))
     return ends
+
+
+def _names(robots: Sequence[Robot]) -> str:
+    return ", ".join(robot.name for robot in robots)
 
 
 def _say_while_heard(text: str) -> None:
@@ -155,11 +179,18 @@ def main() -> int:
         ros2_bridge().prepare()
     sys.stdout.write("ready\n")
     sys.stdout.flush()
-    _to_nowhere(1)  # it leads to the flight process, which reads nothing more
+    flight = os.dup(1)
+    _to_nowhere(1)  # what a library prints must not reach the flight process
+
+    def tell(word: TakeOver) -> None:
+        with contextlib.suppress(OSError):
+            os.write(flight, word.model_dump_json().encode() + b"\n")
+
     listener = HeartbeatListener(sys.stdin)
     if listener.wait_for_end(config.fleet.deadman_s) or not listener.last.aloft:
         return 0
-    ends = take_over(config, listener.last.aloft, parent)
+    why = "has failed" if listener.closed else f"has given no sign of life for {config.fleet.deadman_s:g} s"
+    ends = take_over(config, listener.last.aloft, parent, why, tell)
     return 0 if all(end in (LANDED, STOPPED) for end in ends.values()) else 1
 
 

@@ -193,6 +193,8 @@ class Flight:
         landing = Landing(config, team, log)
         async with HeartbeatSender(config, lambda: team.aloft, claims) as heartbeats:
             team.on_take_off = heartbeats.beat
+            silent = f"this process gave no sign of life for {config.fleet.deadman_s:g} s: the deadman lands all drones"
+            heartbeats.on_taken = lambda: supervisor.trip(Trouble(TroubleKind.HUNG, detail=silent))
             watchers = [asyncio.create_task(supervisor.watch())]
             if feed is not None:
                 watchers.append(watching(config, feed, team, log, supervisor.trip))
@@ -204,7 +206,7 @@ class Flight:
                 try:
                     self._enter("landing")
                 finally:  # a listener may raise
-                    await landing.land_all()
+                    await self._land(landing, heartbeats)
                 await supervisor.cuts_done()
                 for task in watchers:
                     task.cancel()
@@ -235,6 +237,23 @@ class Flight:
             trial.stopped, trial.reason = RETURN, "the operator lets all drones return"
         if supervisor.trouble is not None:
             trial.stopped, trial.reason = supervisor.trouble.kind.value, supervisor.trouble.detail
+
+    async def _land(self, landing: Landing, heartbeats: HeartbeatSender) -> None:
+        """Land all drones. Once the deadman lands them, leave them to it, and call only those that it did not land."""
+        work, taken = asyncio.ensure_future(landing.land_all()), asyncio.ensure_future(heartbeats.taken.wait())
+        try:
+            await asyncio.wait((work, taken), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            taken.cancel()
+            if not work.done():
+                work.cancel()
+                await asyncio.wait((work,))
+        if not work.cancelled():
+            work.result()
+            return
+        await asyncio.gather(*map(_close, self._robots))  # its links work only while ours are silent
+        landing.take(await heartbeats.ends())
+        await landing.land_all()
 
     async def _until_ordered_home(self, trial: Trial, team: FlyingTeam) -> None:
         """Fly the mission to its end, or until all are ordered home; never breaks off a joint motion for that."""

@@ -36,10 +36,19 @@ class Heartbeat(BaseModel):
     farewell: bool = False
 
 
+class TakeOver(BaseModel):
+    """The deadman's word to a flight process that lives: it lands the drones, and then how each ended, by name."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    ends: dict[str, str] | None = None
+
+
 class HeartbeatSender:
     """Runs a deadman, if the flight needs one, as long as its context lasts; heartbeats stop when the event loop does.
 
-    `aloft` returns the drones in the air. The deadman keeps the files open whose handles are `kept`.
+    `aloft` returns the drones in the air. The deadman keeps the files open whose handles are `kept`. Once it has taken
+    over, `taken` is set and `on_taken` called.
     """
 
     def __init__(self, config: FlightConfig, aloft: Callable[[], Collection[int]], kept: Collection[int] = ()) -> None:
@@ -49,6 +58,10 @@ class HeartbeatSender:
         self._process: subprocess.Popen[bytes] | None = None
         self._beating: asyncio.Task[None] | None = None
         self._missed = False
+        self.taken = asyncio.Event()
+        self.on_taken: Callable[[], None] = lambda: None
+        self._ends: asyncio.Future[dict[str, str]] = asyncio.get_running_loop().create_future()
+        self._heard = b""
 
     async def __aenter__(self) -> Self:
         if self._config.fleet.watched:
@@ -63,9 +76,31 @@ class HeartbeatSender:
                 process.kill()
                 await asyncio.to_thread(_wait_for_end, process, None)
                 raise NoDeadman("the deadman process did not start; nothing has taken off")
+            asyncio.get_running_loop().add_reader(process.stdout, self._hear, process.stdout.fileno())
             self.beat()
             self._beating = asyncio.create_task(self._beat_periodically())
         return self
+
+    def _hear(self, handle: int) -> None:
+        """Read what the deadman says; at its end, nothing more will come."""
+        data = os.read(handle, 65536)
+        *lines, self._heard = (self._heard + data).split(b"\n")
+        for line in lines:
+            word = TakeOver.model_validate_json(line)
+            if not self.taken.is_set():
+                self._missed = True  # it ends when all are down
+                self.taken.set()
+                self.on_taken()
+            if word.ends is not None and not self._ends.done():
+                self._ends.set_result(word.ends)
+        if not data:
+            asyncio.get_running_loop().remove_reader(handle)
+            if not self._ends.done():
+                self._ends.set_result({})
+
+    async def ends(self) -> dict[str, str]:
+        """How each drone ended that the deadman has landed, by name, as soon as all have; empty if it died."""
+        return await asyncio.shield(self._ends)
 
     def _open(self) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
@@ -112,6 +147,8 @@ class HeartbeatSender:
             return
         if self._beating is not None:
             self._beating.cancel()
+        assert process.stdout is not None
+        asyncio.get_running_loop().remove_reader(process.stdout)
         left = tuple(sorted(self._aloft())) if error is not None else ()
         self._send(Heartbeat(aloft=left, farewell=not left))
         await asyncio.to_thread(_wait_for_end, process, None if left else FAREWELL_S)

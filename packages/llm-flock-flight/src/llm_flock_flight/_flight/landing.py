@@ -123,6 +123,14 @@ class Landing:
                     if not reached:
                         group.create_task(self._call_down(descent))
 
+    def take(self, ends: Mapping[str, str]) -> None:
+        """Note the ends of drones that the deadman has landed, by name."""
+        for robot, name in enumerate(self._team.names):
+            if name in ends and ends[name] != LOST:
+                self._log.note("landed_by_deadman", robot, end=ends[name])
+                self._team.aloft.discard(robot)
+                self.ends[robot] = ends[name]
+
     async def _land(self, descent: Descent) -> bool:
         """Land one drone; returns False if a command did not reach it."""
         safety, robot = self._config.safety, self._team.robots[descent.robot]

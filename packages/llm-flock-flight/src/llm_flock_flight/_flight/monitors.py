@@ -41,6 +41,7 @@ class TroubleKind(Enum):
     TIME_UP = "time_up"
     REFUSED = "refused"
     UNWATCHED = "unwatched"
+    HUNG = "hung"
     ABORT = "abort"
     EMERGENCY = "emergency"
 

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from llm_flock.robots import Equipment, Robot, RobotError, RobotState, SelfChecked
 from llm_flock_flight._crazyflie.radios import MAX_SHARE, RadioPlan, exchanges_of, plan_radios
 from llm_flock_flight._flight.config import ON_FLOOR_M, FlightConfig, good_place, wrong_place
+from llm_flock_flight._pauses import own_pauses
 
 SETTLE_S = 3.0  # longest time from the connections until all checks pass: batteries are read, links rated [s]
 CONVERGE_S = 10.0  # the same where an estimator converges, or a landed drone still reports that it flies [s]
 SLOW = ("estimator", "on the floor")  # checks for which that time is given
+MEASURE_S = 1.0  # shortest time in which this computer's own pauses are measured [s]
 LOOK_S = 0.05  # time between two checks [s]
 
 CHECKS = (
@@ -31,7 +33,8 @@ CHECKS = (
 """Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
 
 RADIO = "radio"  # name of the line of a radio
-NAMES = ("connected", *CHECKS, "apart", "in step")  # names of all checks, in order
+PAUSES = "pauses"  # name of the check of this computer's own pauses
+NAMES = ("connected", *CHECKS, "apart", "in step", PAUSES)  # names of all checks, in order
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +91,7 @@ async def preflight(
     more: Callable[[Sequence[RobotState], float], list[Check]] = lambda states, now_s: [],
 ) -> PreflightReport:
     """Connect, then repeat the checks until all pass or the time for that is over; `more` returns further checks."""
+    own_pauses().restart()
     connections, seconds = await connect(robots, config.fleet.connect_s, on_connect)
     if not all(check.passed for check in connections):
         return PreflightReport(checks=tuple(connections), connect_s=seconds)
@@ -97,8 +101,10 @@ async def preflight(
         checks = [*look(config, [robot.name for robot in robots], states, now_s), *more(states, now_s)]
         failed = {check.name for check in checks if not check.passed}
         patience_s = CONVERGE_S if failed and failed <= {*SLOW} else SETTLE_S
-        if not failed or now_s - began > patience_s:
-            return PreflightReport(checks=(*connections, *checks, *_own(robots)), connect_s=seconds)
+        measured = not config.fleet.watched or own_pauses().measured_for_s >= MEASURE_S
+        if (not failed and measured) or now_s - began > patience_s:
+            checks += [*_own(robots), *_pauses(config)]
+            return PreflightReport(checks=(*connections, *checks), connect_s=seconds)
         await asyncio.sleep(LOOK_S)
 
 
@@ -108,6 +114,18 @@ def _own(robots: Sequence[Robot]) -> Iterator[Check]:
         if isinstance(robot, SelfChecked):
             for check in robot.checks():
                 yield Check(check.name, robot.name, check.passed, check.found, check.asked)
+
+
+def _pauses(config: FlightConfig) -> Iterator[Check]:
+    """How far this computer's own pauses, since the connections began, are from those that end a flight."""
+    if not config.fleet.watched:
+        return
+    own, most_s = own_pauses(), 0.8 * config.fleet.deadman_s  # a heartbeat may have been due just then
+    longest_s, found = own.longest_s, f"at most {own.longest_s:.2f} s in {own.measured_for_s:.0f} s"
+    if longest_s > most_s / 2:
+        found = f"WARNING: {found}"
+    asked = f"less than {most_s:.2g} s, after which the deadman takes over: end other programs, or raise deadman_s"
+    yield Check(PAUSES, "team", longest_s < most_s, found, asked)
 
 
 def look(config: FlightConfig, names: Sequence[str], states: Sequence[RobotState], now_s: float) -> list[Check]:

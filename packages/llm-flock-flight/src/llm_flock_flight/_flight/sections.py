@@ -75,6 +75,12 @@ class FleetConfig(ConfigSection):
         """Whether to start a deadman: simulated drones end with the process, and the stop watchdog would be faster."""
         return self.deadman and not self.stop_watchdog and self.robot not in ("simulated", "physics")
 
+    @property
+    def shares_links(self) -> bool:
+        """Whether two processes can call the drones: by network, unless they call us, at a port that one can open."""
+        scheme = {"crazyflie": "udp://", "mavlink": "udpout://"}.get(self.robot)
+        return scheme is not None and all((drone.uri or "").startswith(scheme) for drone in self.drones)
+
 
 class SafetyConfig(ConfigSection):
     """Distances to keep, conditions to monitor, and times to react."""

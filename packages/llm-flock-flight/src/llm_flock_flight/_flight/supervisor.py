@@ -13,10 +13,9 @@ from llm_flock_flight._flight.lag import LagTracker
 from llm_flock_flight._flight.log import FlightLog
 from llm_flock_flight._flight.monitors import PERIOD_S, Monitors, Trouble, TroubleKind
 from llm_flock_flight._flight.team import FlyingTeam
+from llm_flock_flight._pauses import CATCH_UP_S, PAUSE_S
 
 T = TypeVar("T")
-
-LATE_S = 0.25  # after a pause of this length this process is behind with reading what has arrived [s]
 
 
 class FlightEnded(Exception):
@@ -58,7 +57,7 @@ class FlightSupervisor:
         team, before = self._team, time.monotonic()
         while True:
             now = time.monotonic()
-            if now - before > LATE_S:
+            if now - before > PAUSE_S:
                 await self._catch_up()
                 now = time.monotonic()
             before = now
@@ -78,7 +77,7 @@ class FlightSupervisor:
 
     async def _catch_up(self) -> None:
         """This process stood still: give its threads time to read what the drones have sent, before blaming those."""
-        for _ in range(10):
+        for _ in range(round(CATCH_UP_S / PERIOD_S)):
             await asyncio.sleep(PERIOD_S)
             now = time.monotonic()
             if all(now - state.stamp_s <= self._config.safety.stall_s for state in self._team.states()):

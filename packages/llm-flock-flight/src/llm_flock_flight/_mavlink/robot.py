@@ -31,6 +31,7 @@ from llm_flock_flight._mavlink.modes import Flavour
 from llm_flock_flight._mavlink.port import Ports
 from llm_flock_flight._mavlink.stream import SetPointStream
 from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
+from llm_flock_flight._pauses import own_pauses
 
 BELOW_M = 0.3
 """Until take-off, set-points are this far below the ground: PX4 would lift off for one above it [m]."""
@@ -103,6 +104,7 @@ class MavlinkRobot:
     async def connect(self, timeout_s: float) -> None:
         """Open the link, and wait for the first estimate, or raise RobotError; reopens a lost link, also in flight."""
         end = time.monotonic() + timeout_s
+        own_pauses()  # watches them from now on
         await self.close()
         talk = Conversation(self.name, self._port, self.system_id)
         log = talk.telemetry
@@ -302,8 +304,8 @@ class MavlinkRobot:
 
     def _look_for_loss(self) -> bool:
         now, log = time.monotonic(), self._log
-        if now - log.heard_s > self._link_timeout_s or now - log.heartbeat_s > self._heartbeat_timeout_s:
-            self._lost = True
+        silent = now - log.heard_s > self._link_timeout_s or now - log.heartbeat_s > self._heartbeat_timeout_s
+        self._lost = self._lost or (silent and not own_pauses().catching_up())
         return self._lost
 
     def _ready(self) -> RobotState:

@@ -1,0 +1,99 @@
+"""Pauses of the flight process, and of the whole computer: whole flights of stand-ins, in a process of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("cflib")
+
+from flights import STARTS, STOCK, flight_config
+from slowness import slowness
+
+from llm_flock.record._reader import read_record
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._testing.crtp import StandIns
+
+ROOT = Path(__file__).parents[4]
+TABLES = Path(tempfile.gettempdir()) / "llm-flock-test-tables"
+HOMES = [(x / 2, y / 2, 0.0) for x, y in STARTS]
+CODE = """
+import asyncio, json, sys
+from flights import yes
+from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._flight.fleet import build_fleet
+from llm_flock_flight._flight.flight import Flight
+config = FlightConfig.model_validate_json(sys.stdin.read())
+flight = Flight(config, build_fleet(config), on_stage=lambda stage: print(stage, flush=True))
+print(json.dumps(asyncio.run(flight.run(yes)).result.summary.to_dict()), flush=True)
+"""
+CALM: dict[str, Any] = {**STOCK, "reach_s": 6.0, "robot": "crazyflie", "cache": str(TABLES), "deadman": True}
+
+
+def config_of(stand_ins: StandIns, out: Path) -> FlightConfig:
+    drones = [{"name": f"d{k}", "uri": uri, "start": HOMES[k][:2]} for k, uri in enumerate(stand_ins.uris)]
+    return flight_config(**CALM, drones=drones, out=str(out))
+
+
+def children(pid: int) -> list[int]:
+    """The deadman."""
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
+
+
+def flown(tmp_path: Path, stand_ins: StandIns, pause_s: float, *, together: bool) -> tuple[dict[str, Any], str]:
+    """Stop a flight in its first round for a while, with its deadman or without; its summary, and what was said."""
+    env = {**os.environ, "PYTHONPATH": "tests"}
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        [sys.executable, "-c", CODE], stdin=pipe, stdout=pipe, stderr=pipe, text=True, env=env, cwd=ROOT
+    ) as process:
+        assert process.stdin is not None and process.stdout is not None and process.stderr is not None
+        try:
+            process.stdin.write(config_of(stand_ins, tmp_path).model_dump_json(exclude_none=True))
+            process.stdin.close()
+            while process.stdout.readline().strip() not in ("flying", ""):
+                pass
+            time.sleep(0.6)
+            stopped = [process.pid, *(children(process.pid) if together else [])]
+            for pid in stopped:
+                os.kill(pid, signal.SIGSTOP)
+            time.sleep(pause_s)
+            heights = [drone.position[2] for drone in stand_ins]
+            for pid in stopped:
+                os.kill(pid, signal.SIGCONT)
+            *_, last = process.stdout.read().splitlines()
+            said = process.stderr.read()
+            assert process.wait(20.0) == 0, said
+        finally:
+            process.kill()
+        return {**json.loads(last), "heights": heights}, said
+
+
+@pytest.mark.parametrize(("pause_s", "together"), [(2.0, True), (1.05, False)])
+def test_a_pause_of_the_computer_ends_no_flight(tmp_path: Path, pause_s: float, together: bool) -> None:
+    """The drones fly on by themselves: nobody blames them, or the flight, for the silence."""
+    with StandIns(HOMES) as stand_ins:
+        summary, said = flown(tmp_path, stand_ins, pause_s, together=together)
+    assert summary["flight"]["ended"] == "mission", (summary["flight"], said)
+    assert "deadman" not in said and summary["formed"]
+
+
+def test_a_flight_that_stays_away_is_landed_and_reports_it(tmp_path: Path) -> None:
+    with StandIns(HOMES) as stand_ins:
+        summary, said = flown(tmp_path, stand_ins, 6.0 * slowness(), together=False)
+    flight = summary["flight"]
+    assert max(summary["heights"]) < 0.05, "all were down before the flight went on"
+    assert flight["ended"] == "hung" and flight["safe"] and set(flight["ends"].values()) == {"landed"}, (flight, said)
+    assert "has given no sign of life for 1.5 s; leaving it alive, and calling d0, d1, d2, d3 beside it" in said
+    record = read_record(tmp_path / "run.mcap")
+    assert record.result is not None and record.result["flight"]["ended"] == "hung"
+    assert [event.kind for event in record.flight].count("landed_by_deadman") == 4
