@@ -78,7 +78,7 @@ def _drones(
     if mavlink is not None:
         from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
-        return AutopilotStandIns(homes, flavour=mavlink, host=host, port=port, loss=loss)
+        return AutopilotStandIns(homes, flavour=mavlink, host=host, port=port, loss=loss, lifelike=True)
     from llm_flock_flight._crazyflie.radios import EXCHANGE_S, SETTING_S
     from llm_flock_flight._testing.crtp import ModelledRadio, StandIns
 

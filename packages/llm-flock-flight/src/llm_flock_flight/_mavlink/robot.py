@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import time
 from collections.abc import Coroutine
 from typing import Any
@@ -37,7 +38,11 @@ BELOW_M = 0.3
 """Until take-off, set-points are this far below the ground: PX4 would lift off for one above it [m]."""
 
 LIFT_M = 0.3
-"""ArduPilot lifts off by a command of its own to this height; from there it follows set-points [m]."""
+"""It lifts off to this height above the ground, ArduPilot by a command of its own; then it follows set-points [m]."""
+
+CLIMB_M_S2, PEAK_ACCELERATION = 0.5, 7.52
+"""Highest vertical acceleration of a set-point after take-off, half of what ArduCopter's own controllers give by
+default, and that of a segment from rest to rest, as a multiple of its length over its squared duration [m/s^2]."""
 
 LIFT_S = 10.0
 TOUCH_DOWN_S = 30.0
@@ -185,25 +190,34 @@ class MavlinkRobot:
             raise
 
     async def take_off(self, height_m: float, duration_s: float) -> Commanded:
-        """Rise straight up to `height_m`; ArduPilot's first `LIFT_M` are its own."""
+        """Rise straight up to `height_m`: the time counts from when it is seen to lift; `reference` is None until then.
+
+        It is extended where set-points would be too fast or accelerate too much.
+        """
         start = self._ready().position
         stream = self._need_stream()
         if not self._in_charge or not self._log.armed:
             raise RobotError(self.name, "refused take-off: it is not armed")
         sent = self._limits.clip(start, (start[0], start[1], height_m), duration_s)
         before, self._aloft = self._aloft, True
-        if not self._flavour.takes_off_by_command:
-            self._follow(sent.target, duration_s, start)
-            return sent
         lift = max(0.1, min(LIFT_M, sent.target[2] - start[2]))
-        try:
-            await orders.lift_off(self._talk, lift)
-        except CommandRefused:
-            self._aloft = before
-            raise
-        stream.stop()
-        self._begin(self._rise(start, lift, sent, time.monotonic()))
+        if self._flavour.takes_off_by_command:
+            try:
+                await orders.lift_off(self._talk, lift)
+            except CommandRefused:
+                self._aloft = before
+                raise
+            stream.stop()
+        else:
+            x, y, z = start
+            stream.follow(Segment(start=(x, y, z + lift), target=(x, y, z + lift), duration_s=1.0))
+        self._begin(self._rise(start, lift, sent))
         return sent
+
+    @property
+    def reference(self) -> Segment | None:
+        """The trajectory of the set-points that are sent; None before it is seen to lift."""
+        return None if self._stream is None or self._waiting else self._stream.segment
 
     async def go_to(self, target: Position, duration_s: float) -> Commanded:
         """Fly the straight segment from the last set-point."""
@@ -330,11 +344,15 @@ class MavlinkRobot:
             raise RobotError(self.name, f"refused {what}: its mode is {mode}, and it can only be landed")
         self._in_charge, self._landing = True, False
 
-    def _follow(self, target: Position, duration_s: float, start: Position, *, clamp: bool = True) -> None:
-        """Stream a segment to the target, from the set-point of the moment or else from `start`."""
+    def _follow(
+        self, target: Position, duration_s: float, start: Position, *, clamp: bool = True, climb: float = 0.0
+    ) -> None:
+        """Stream a segment to the target, from the set-point of the moment or else from `start`, climbing already."""
         stream, now = self._need_stream(), time.monotonic()
         rest: Position = (0.0, 0.0, 0.0)
-        at, v, a = (start, rest, rest) if stream.segment is None or self._waiting else stream.segment.at(now)
+        at, v, a = (
+            (start, (0.0, 0.0, climb), rest) if stream.segment is None or self._waiting else stream.segment.at(now)
+        )
         self._waiting = False
         self._end_work()
         segment = Segment(start=at, target=target, duration_s=duration_s, began_s=now, velocity=v, acceleration=a)
@@ -349,16 +367,16 @@ class MavlinkRobot:
         if work is not None and work is not asyncio.current_task():
             work.cancel()
 
-    async def _rise(self, start: Position, lift: float, sent: Commanded, began_s: float) -> None:
-        """Follow set-points as soon as the autopilot's own lift-off is done."""
+    async def _rise(self, start: Position, lift: float, sent: Commanded) -> None:
+        """Follow set-points to the top as soon as the vehicle is seen to have lifted off, from where it is then."""
         high = start[2] + 0.8 * lift
         if not await self._talk.until(lambda: self.state().position[2] >= high, LIFT_S):
             logger.warning("%s: did not lift off within %g s%s", self.name, LIFT_S, self._log.says(time.monotonic()))
             return
         here = self.state().position
-        rest_s = sent.duration_s - (time.monotonic() - began_s)
-        least_s = PEAK_SPEED * abs(sent.target[2] - here[2]) / self._limits.max_speed_m_s
-        self._follow(sent.target, max(rest_s, least_s, 0.1), here)
+        way = abs(sent.target[2] - here[2])
+        fast_s, steep_s = PEAK_SPEED * way / self._limits.max_speed_m_s, math.sqrt(PEAK_ACCELERATION * way / CLIMB_M_S2)
+        self._follow(sent.target, max(sent.duration_s, fast_s, steep_s), here, climb=self._log.climb)
 
     async def _touch_down(self, landing: bool, after_s: float = 0.0) -> None:
         """Let the autopilot land and stop the motors; `landing` if its own mode does so already."""

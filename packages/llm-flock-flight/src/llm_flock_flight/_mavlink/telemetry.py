@@ -13,6 +13,7 @@ from llm_flock_flight._mavlink.frames import Geodetic
 from llm_flock_flight._mavlink.modes import COPTERS, FLAVOURS, Flavour
 
 FARTHEST_M = 100_000.0  # a position farther from the autopilot's origin is none [m]
+FASTEST_M_S = 100.0  # a speed above this is none [m/s]
 ARMED = 0x80  # bit of a heartbeat's `base_mode` (MAV_MODE_FLAG_SAFETY_ARMED)
 NEEDED = 0x01 | 0x02 | 0x20  # bits of an estimator's report that must be set: attitude, horizontal velocity, height
 PLACES = 0x08 | 0x10  # bits of which one must be set: horizontal position, relative or absolute
@@ -25,7 +26,8 @@ SAMPLES = 100  # packets by which the share that got through is judged
 class VehicleTelemetry:
     """The last values of one autopilot. All times are those of arrival on `time.monotonic` [s].
 
-    `refusal` says why it cannot be driven; `ned` is (north, east, down) [m]; `yaw` is clockwise from north [rad].
+    `refusal` says why it cannot be driven; `ned` is (north, east, down) [m], `climb` the speed upwards [m/s]; `yaw` is
+    clockwise from north [rad].
     Heartbeats tell mode and arming from `certain_s` on: until then a confirmed command counts.
     """
 
@@ -34,6 +36,7 @@ class VehicleTelemetry:
         self.refusal: str | None = None
         self.ned: Position | None = None
         self.ned_s = 0.0
+        self.climb = 0.0
         self.heard_s = 0.0
         self.heartbeat_s = 0.0
         self.mode = -1
@@ -125,6 +128,8 @@ class VehicleTelemetry:
         ned = (float(message.x), float(message.y), float(message.z))
         if all(math.isfinite(v) and abs(v) < FARTHEST_M for v in ned):
             self.ned, self.ned_s = ned, now
+            climb = -float(message.vz)
+            self.climb = climb if abs(climb) < FASTEST_M_S else 0.0
 
     def _attitude(self, message: Any, _now: float) -> None:
         yaw = float(message.yaw)

@@ -21,6 +21,9 @@ GAP_S = 0.5
 HEALTHY, ASTRAY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20, 0x1 | 0x80
 """Reports of an estimator with a position, and of one that holds it constant for want of measurements."""
 
+ARMED_S, SPOOL_S = 2.0, 2.0
+"""A lifelike one's motors do nothing for this time after arming, and then gain speed for that [s]."""
+
 PERIODS_S = {0: 1.0, 1: 1.0, 30: 0.0, 32: 0.0, 193: 0.0, 230: 0.0, 245: 0.0}
 """Messages by number and their default periods [s]; 0 for never."""
 
@@ -48,15 +51,15 @@ class Autopilot:
 
     Tests give `refuse` an answer and a text by command, and `deaf_to` the number of answers by command that are lost,
     after the command was done. It keeps the numbers of all `commands` and all `set_points` (north, east, down) [m] that
-    came.
+    came. A `lifelike` one takes off and climbs as late and as slowly as ArduCopter 4.7 in its own simulator.
     """
 
-    def __init__(self, flavour: str, system_id: int) -> None:
+    def __init__(self, flavour: str, system_id: int, *, lifelike: bool = False) -> None:
         self.px4 = {"px4": True, "ardupilot": False}[flavour]
         self.flavour = PX4_FLAVOUR if self.px4 else ARDUPILOT_FLAVOUR
         self.kind, self.autopilot = 2, PX4 if self.px4 else ARDUPILOT  # a quadrotor
         self.mode = px4(4, 3) if self.px4 else 0
-        self.body = Airframe()
+        self.body = Airframe(lifelike=lifelike)
         self.battery_v = 15.6
         self.healthy = True
         self.origin: Geodetic | None = None
@@ -74,6 +77,7 @@ class Autopilot:
         self._heard_s: float | None = None
         self._climb_to: float | None = None
         self._landed_s: float | None = None
+        self._ready_s = 0.0
         self._out: list[bytes] = []
 
     @property
@@ -134,7 +138,7 @@ class Autopilot:
         elif self.mode != self.flavour.guided:
             body.target = body.target if body.feed_forward == REST and body.target else body.ned
             body.feed_forward = REST
-        elif self._climb_to is not None:
+        elif self._climb_to is not None and now >= self._ready_s:
             body.lifted, body.feed_forward = True, (0.0, 0.0, -CLIMB_M_S / 2)
             body.target = (body.ned[0], body.ned[1], max(-self._climb_to, body.ned[2] - 0.15))
             if body.height_m >= 0.95 * self._climb_to:
@@ -175,7 +179,7 @@ class Autopilot:
         if self.mode != self.flavour.guided or not body.motors or self._climb_to is not None:
             return
         if not body.lifted:
-            if not self.px4 or ned[2] > body.ned[2] - 1e-4:
+            if not self.px4 or ned[2] > body.ned[2] - 1e-4 or now < self._ready_s:
                 return  # PX4 lifts off for a set-point above it; ArduPilot only by command
             body.lifted = True
         body.target = ned
@@ -222,7 +226,7 @@ class Autopilot:
         self.switch(mode)
         return ACCEPTED
 
-    def _do_arm(self, parameters: list[float], _now: float) -> int:
+    def _do_arm(self, parameters: list[float], now: float) -> int:
         wanted, forced = parameters[0] > 0.5, parameters[1] == 21196.0
         refused = TEMPORARILY if self.px4 else FAILED
         if wanted and not self.healthy and not forced:
@@ -231,6 +235,8 @@ class Autopilot:
         if not wanted and not self.on_ground and not forced:
             self.say("Disarming denied: not landed")
             return refused
+        if wanted and not self.body.motors and self.body.lifelike:
+            self._ready_s = now + ARMED_S + SPOOL_S
         self.body.motors = wanted
         return ACCEPTED
 
@@ -238,7 +244,6 @@ class Autopilot:
         if self.mode != self.flavour.guided or not self.body.motors or self.body.lifted:
             return FAILED
         self._climb_to = parameters[6]
-        self.body.lifted = True
         return ACCEPTED
 
     def _do_terminate(self, _parameters: list[float], _now: float) -> int:

@@ -13,6 +13,9 @@ GRAVITY = 9.81
 LANDING_M_S = 0.7
 CLIMB_M_S = 0.8  # of a landing and of a take-off that the autopilot flies by itself [m/s]
 
+CLIMB_M_S2, CLIMB_LAG_S = 1.0, 0.2  # of a lifelike body: most vertical acceleration, and time constant of its climb
+LAG_S = 0.08  # time constant of the speed, elsewhere [s]
+
 REST: Position = (0.0, 0.0, 0.0)
 
 
@@ -20,7 +23,8 @@ REST: Position = (0.0, 0.0, 0.0)
 class Airframe:
     """Position [m] and velocity [m/s] (north, east, down) from the place where it was switched on; the ground is at 0.
 
-    It flies to `target` [m], which moves with `feed_forward` [m/s]; None to stop. It has moved up to the time `at_s`.
+    It flies to `target` [m], which moves with `feed_forward` [m/s]; None to stop. It has moved up to the time `at_s`. A
+    `lifelike` one climbs and sinks as sluggishly as ArduCopter's, by its own simulator.
     """
 
     ned: Position = REST
@@ -29,6 +33,7 @@ class Airframe:
     feed_forward: Position = REST
     motors: bool = False
     lifted: bool = False
+    lifelike: bool = False
     at_s: float = field(default=0.0)
 
     @property
@@ -50,8 +55,10 @@ class Airframe:
             self.velocity = (0.0, 0.0, fall)
         elif self.lifted:
             wanted = self._desired_velocity()
-            share = STEP_S / 0.08  # the time constant of the speed
-            north, east, down = (v + share * (w - v) for v, w in zip(self.velocity, wanted, strict=True))
+            north, east, down = (v + STEP_S / LAG_S * (w - v) for v, w in zip(self.velocity, wanted, strict=True))
+            if self.lifelike:
+                pull = (wanted[2] - self.velocity[2]) / CLIMB_LAG_S
+                down = self.velocity[2] + STEP_S * min(max(pull, -CLIMB_M_S2), CLIMB_M_S2)
             self.velocity = (north, east, down)
         else:
             self.velocity = REST

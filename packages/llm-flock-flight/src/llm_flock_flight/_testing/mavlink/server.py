@@ -113,7 +113,7 @@ class AutopilotStandIns:
 
     They start at `homes` [m; world frame], the zeros of their local frames, and call the driver at `host`: if `shared`
     all at one port, with system ids 1, 2 and so on; otherwise each at its own, from `port` on (0: free ones). When
-    `listening` they wait to be called instead, at `udpout://`.
+    `listening` they wait to be called instead, at `udpout://`. `lifelike` as of `Autopilot`.
     """
 
     def __init__(
@@ -127,6 +127,7 @@ class AutopilotStandIns:
         listening: bool = False,
         loss: float = 0.0,
         seed: int = 0,
+        lifelike: bool = False,
     ) -> None:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="stand-ins", daemon=True)
@@ -136,7 +137,7 @@ class AutopilotStandIns:
             ports = _free_ports(host, 1) * len(homes) if shared else _free_ports(host, len(homes))
         self._vehicles: list[AutopilotStandIn] = []
         for k, (home, at) in enumerate(zip(homes, ports, strict=True)):
-            autopilot = Autopilot(flavour, k + 1)
+            autopilot = Autopilot(flavour, k + 1, lifelike=lifelike)
             calls = None if listening else (host, at)
             vehicle = AutopilotStandIn(f"udp://{host}:{at}", home, autopilot, k + 1, calls, loss, rng)
             if listening:
