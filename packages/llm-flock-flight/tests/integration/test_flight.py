@@ -179,6 +179,12 @@ def test_default_flight_forms_and_lands_with_stock_controller(shape: str, n: int
     assert flight.tracking_max_m is not None and flight.tracking_max_m < 0.04
 
 
+def test_smallest_distance_covers_the_landing() -> None:
+    """One comes within 0.1 m of another on the way down, by their own estimates, which the mission's end is not."""
+    flight = figures(flown(flight_config(), too_near, "landing"))
+    assert flight.ended == "mission" and (flight.min_separation_m or 1.0) < 0.12
+
+
 def test_a_drone_whose_controller_changes_in_flight_is_noticed() -> None:
     def tune(flight: Flight, robots: Robots) -> None:
         robots[1].body.follow(None, time.monotonic())

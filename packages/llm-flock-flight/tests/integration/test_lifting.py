@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
+from typing import Any
 
 import pytest
 from flights import STOCK, Robots, figures, flight_config, flown
@@ -22,13 +23,20 @@ from llm_flock_flight._mavlink.frames import enu
 from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
 HOME = (0.0, 0.0, 0.0)
-CALM = {"altitude_m": 1.6, "take_off_s": 4.0, "land_s": 4.0, "round_s": 7.0, "max_speed_m_s": 1.5, "tracking_m": 0.35}
+CALM: dict[str, Any] = {
+    "altitude_m": 1.6,
+    "take_off_s": 4.0,
+    "land_s": 4.0,
+    "round_s": 7.0,
+    "max_speed_m_s": 1.5,
+    "tracking_m": 0.35,
+}
 
 
 def config_of(vehicles: AutopilotStandIns) -> FlightConfig:
     drones = [{"name": "d0", "uri": vehicles.uris[0], "start": (0.0, 0.0)}]
-    room = {"geofence": [[-9.0, -9.0, -1.0], [9.0, 9.0, 4.0]], "scale_m": 0.5, "robot": "mavlink"}
-    return flight_config(1, "circle", drones=drones, **room, **CALM)
+    room: dict[str, Any] = {"geofence": [[-9.0, -9.0, -1.0], [9.0, 9.0, 4.0]], "scale_m": 0.5, "max_speed_m_s": 1.5}
+    return flight_config(1, "circle", drones=drones, robot="mavlink", **room, **CALM)
 
 
 async def risen(vehicles: AutopilotStandIns) -> list[tuple[float, float, float, float]]:

@@ -241,7 +241,7 @@ def _flight_table(found: FlightFigures) -> Table:
     for name, end in found.ends.items():
         table.add_row(escape(name), end)
     table.add_row("in the air", f"{found.air_s:.1f} s")
-    table.add_row("smallest distance", length(found.min_separation_m))
+    table.add_row("smallest distance", f"{length(found.min_separation_m)}, by the drones' own estimates")
     for reason, count in (found.poses_refused or {}).items():
         table.add_row("poses refused", f"{escape(reason)}, {count} times")
     table.add_row("off the set-points", f"rms {length(found.tracking_rms_m)}, at most {length(found.tracking_max_m)}")

@@ -7,7 +7,8 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from llm_flock import metrics
+import numpy as np
+
 from llm_flock.record import BodySample, FlightEvent, RecordSink
 from llm_flock.robots import RobotState, Segment
 from llm_flock_flight._flight.config import FlightConfig
@@ -18,7 +19,10 @@ SAMPLE_S = 0.1  # time between two samples in the record [s]
 
 
 class FlightLog:
-    """Writes the entries of a record that only flights have, and keeps measurements over drones in the air."""
+    """Writes the entries of a record that only flights have, and keeps measurements over drones in the air.
+
+    `nearest_m` is the smallest distance of a drone in the air from another one, by the drones' own estimates.
+    """
 
     def __init__(self, config: FlightConfig, sink: RecordSink) -> None:
         self.round = 0
@@ -41,9 +45,10 @@ class FlightLog:
         states: Sequence[RobotState],
         motions: Sequence[Segment],
         airborne: frozenset[int],
+        aloft: frozenset[int],
         tracking: Tracking,
     ) -> None:
-        """Measure all drones; every `SAMPLE_S` also record them."""
+        """Measure all drones, those `aloft` until they are down; every `SAMPLE_S` also record them."""
         commanded = [motion.at(state.stamp_s)[0] for state, motion in zip(states, motions, strict=True)]
         for robot in airborne:
             off = tracking.off_m[robot]
@@ -52,10 +57,10 @@ class FlightLog:
             self.counted += 1
             self.lag_s = max(self.lag_s, tracking.delay_s[robot])
         safety = self._safety
-        flying = [states[robot].position for robot in sorted(airborne)]
-        if len(flying) > 1:
-            nearest = metrics.min_separation(scale_heights(flying, safety.min_separation_m, safety.downwash_m))
-            self.nearest_m = min(self.nearest_m, nearest)
+        places = scale_heights([state.position for state in states], safety.min_separation_m, safety.downwash_m)
+        for robot in aloft:  # from each other, and from those that stand
+            others = np.delete(places, robot, axis=0)
+            self.nearest_m = min(self.nearest_m, *np.linalg.norm(others - places[robot], axis=1).tolist(), math.inf)
         if now_s - self._sampled >= SAMPLE_S:
             self._sampled = now_s
             sample = BodySample(

@@ -63,7 +63,7 @@ class FlightSupervisor:
             before = now
             states, motions, airborne = team.states(), team.motions, frozenset(team.airborne)
             tracking = self._tracker.look(states, motions, airborne)
-            self._log.look(now, states, motions, airborne, tracking)
+            self._log.look(now, states, motions, airborne, frozenset(team.aloft), tracking)
             for trouble in self._monitors.look(now, states, tracking, airborne):
                 # A drone on the way down is left alone, unless its motors must be cut.
                 if trouble.robot in (team.aloft if trouble.cut else airborne):
