@@ -15,7 +15,7 @@ pytest.importorskip("pymavlink")
 
 from mavlink_flights import FLAVOURS, HOME, in_air, on_ground, robot_of, until
 
-from llm_flock.robots._base import RobotError
+from llm_flock.robots._base import MotionLimits, RobotError
 from llm_flock_flight._mavlink import Geodetic, LocalFrame, MavlinkRobot, Ports
 from llm_flock_flight._mavlink.codec import Codec
 from llm_flock_flight._testing.mavlink import AutopilotStandIns
@@ -224,7 +224,7 @@ def test_positions_by_a_common_origin_on_the_earth():
 # Before a flight: what the autopilot does without this computer.
 
 
-def checks_with(flavour, **parameters):
+def checks_with(flavour, limits=None, **parameters):
     found = []
 
     async def act(robot, vehicle):
@@ -232,7 +232,7 @@ def checks_with(flavour, **parameters):
         await robot.connect(3.0)
         found.extend(robot.checks())
 
-    on_ground(flavour, act, connected=False)
+    on_ground(flavour, act, connected=False, limits=limits)
     return {check.name: check for check in found}
 
 
@@ -286,6 +286,47 @@ def test_fence_of_the_autopilot_is_reported():
     assert checks_with("px4")["its own fence"].found == "on: 50 m around"
     assert checks_with("ardupilot")["its own fence"].found == "off"
     assert checks_with("ardupilot", FENCE_ENABLE=1.0, FENCE_ALT_MAX=20.0)["its own fence"].found == "on: 20 m up"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "passed"),
+    [
+        ({"FENCE_RADIUS": 25.0, "FENCE_ALT_MAX": 9.0}, True),
+        ({"FENCE_RADIUS": 12.0, "FENCE_ALT_MAX": 9.0}, False),
+        ({"FENCE_RADIUS": 12.0, "FENCE_ALT_MAX": 9.0, "FENCE_TYPE": 1.0}, True),
+        ({"FENCE_RADIUS": 25.0, "FENCE_ALT_MAX": 7.0}, False),
+        ({"FENCE_RADIUS": 25.0, "FENCE_ALT_MAX": 7.0, "FENCE_MARGIN": 0.5}, True),
+    ],
+)
+def test_fence_of_the_autopilot_has_to_hold_ours(parameters, passed):
+    """Ours reaches 16.4 m from its home, and 6 m up; the margin is 2 m unless it tells another one."""
+    limits = MotionLimits(low=(-8.0, -8.0, -1.0), high=(14.0, 11.0, 6.0))
+    check = checks_with("ardupilot", limits, FENCE_ENABLE=1.0, **parameters)["its own fence"]
+    assert check.passed is passed and bool(check.asked) is not passed
+
+
+@pytest.mark.parametrize(
+    ("flavour", "name", "value", "said"),
+    [
+        ("ardupilot", "FS_THR_ENABLE", 1.0, "radio control lost: RTL"),
+        ("ardupilot", "BATT_FS_LOW_ACT", 2.0, "battery low: RTL"),
+        ("ardupilot", "FS_EKF_ACTION", 2.0, "estimator lost: AltHold"),
+        ("px4", "NAV_RCL_ACT", 2, "radio control lost: Return"),
+        ("px4", "COM_LOW_BAT_ACT", 3, "battery low: Return, then Land"),
+    ],
+)
+def test_vehicle_that_would_go_home_by_itself_is_refused(flavour, name, value, said):
+    good = checks_with(flavour)["its failsafes"]
+    assert good.passed and "radio control lost: Land" in good.found
+    check = checks_with(flavour, **{name: value})["its failsafes"]
+    assert not check.passed and said in check.found and check.asked.startswith(f"{name} ")
+
+
+def test_no_message_is_asked_for_that_a_vehicle_does_not_know():
+    async def act(robot, vehicle):
+        assert "No ap_message" not in robot._log.says(time.monotonic())
+
+    on_ground(("px4", "ardupilot"), act)
 
 
 # Limits, and what strangers send.

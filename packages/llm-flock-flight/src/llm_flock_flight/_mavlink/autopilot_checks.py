@@ -1,14 +1,38 @@
-"""An autopilot's own failsafes for a silent computer: judges its parameters before a flight."""
+"""An autopilot's own failsafes and its own fence: judges its parameters before a flight.
+
+Parameters and their values: ardupilot.org/copter/docs/parameters.html (4.5), docs.px4.io (1.14, parameter reference).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Collection, Mapping, Sequence
 
-from llm_flock.robots import DriverCheck
+from llm_flock.robots import DriverCheck, MotionLimits, Position
 from llm_flock_flight._mavlink.codec import GROUND_STATION
 from llm_flock_flight._mavlink.modes import Flavour
 
-PX4_NAMES = ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST")
+_SMART = ("SmartRTL or RTL", "SmartRTL or Land")
+_LAST = ("the landing of the mission, or RTL", "Brake or Land")
+_BATTERY = ("nothing", "Land", "RTL", *_SMART, "Terminate", *_LAST)
+_RADIO = ("nothing", "RTL", "RTL unless in a mission", "Land", *_SMART, *_LAST)
+_LINK = ("nothing", "Hold", "Return", "Land", "action 4", "Terminate", "Disarm")
+
+ARDUPILOT_FAILSAFES: Mapping[str, tuple[str, Sequence[str], Collection[int]]] = {
+    "FS_THR_ENABLE": ("radio control lost", _RADIO, (3, 0, 7)),
+    "BATT_FS_LOW_ACT": ("battery low", _BATTERY, (1, 0, 7)),
+    "BATT_FS_CRT_ACT": ("battery critical", _BATTERY, (1, 0, 7)),
+    "FS_EKF_ACTION": ("estimator lost", ("nothing", "Land", "AltHold", "Land"), (1, 3)),
+}
+PX4_FAILSAFES: Mapping[str, tuple[str, Sequence[str], Collection[int]]] = {
+    "NAV_RCL_ACT": ("radio control lost", _LINK, (3, 0, 1)),
+    "NAV_DLL_ACT": ("ground station lost", _LINK, (3, 0, 1)),
+    "COM_LOW_BAT_ACT": ("battery low", ("a warning", "Return", "Land", "Return, then Land"), (2, 0)),
+}
+"""What each is for, its actions by value, and those allowed, the advised one first: none flies home by itself, where no
+shield keeps it from the others, and none stops the motors in the air."""
+
+PX4_NAMES = ("COM_OF_LOSS_T", "COM_OBL_RC_ACT", "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST", *PX4_FAILSAFES)
 ARDUPILOT_NAMES = (
     "FS_GCS_ENABLE",
     "FS_GCS_TIMEOUT",
@@ -16,9 +40,13 @@ ARDUPILOT_NAMES = (
     "GUID_TIMEOUT",
     "FENCE_ENABLE",
     "FENCE_ACTION",
+    "FENCE_TYPE",
     "FENCE_RADIUS",
     "FENCE_ALT_MAX",
+    "FENCE_MARGIN",
+    *ARDUPILOT_FAILSAFES,
 )
+MAX_HEIGHT, CIRCLE, POLYGON = 1, 2, 4  # bits of FENCE_TYPE
 
 MAX_DELAY_S = 5.0
 """Longest silence of this computer after which an autopilot has to act [s]."""
@@ -30,11 +58,9 @@ GCS_ACTIONS = (
     "nothing",
     "RTL",
     "RTL unless in a mission",
-    "SmartRTL or RTL",
-    "SmartRTL or Land",
+    *_SMART,
     "Land",
-    "the landing of the mission, or RTL",
-    "Brake or Land",
+    *_LAST,
 )
 """Of ArduPilot's FS_GCS_ENABLE, by value."""
 
@@ -44,11 +70,34 @@ def names_for(flavour: Flavour) -> Sequence[str]:
     return ARDUPILOT_NAMES if flavour.takes_off_by_command else PX4_NAMES
 
 
-def judge(flavour: Flavour, values: Mapping[str, float]) -> tuple[DriverCheck, ...]:
-    """The checks, by the parameters that the autopilot told; one that it did not tell is not judged."""
+def judge(
+    flavour: Flavour, values: Mapping[str, float], home: Position, limits: MotionLimits
+) -> tuple[DriverCheck, ...]:
+    """The checks, by the parameters that the autopilot told; one that it did not tell is not judged.
+
+    Set-points may lead anywhere within the `limits` [m], and the autopilot measures its fence from `home` [m].
+    """
+    far = [max(home[axis] - limits.low[axis], limits.high[axis] - home[axis]) for axis in range(2)]
+    reach = math.hypot(*far), limits.high[2] - home[2]
     if flavour.takes_off_by_command:
-        return (_ground_station(values), _fence(values, "FENCE_ENABLE", "FENCE_RADIUS", "FENCE_ALT_MAX"))
-    return (_stream(values), _fence(values, "GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"))
+        kinds, margin = int(values.get("FENCE_TYPE", MAX_HEIGHT | CIRCLE)), values.get("FENCE_MARGIN", 2.0)
+        on, around, up = (values.get(name) for name in ("FENCE_ENABLE", "FENCE_RADIUS", "FENCE_ALT_MAX"))
+        around, up = around if kinds & CIRCLE else None, up if kinds & MAX_HEIGHT else None
+        fence = _fence(on, around, up, margin, reach, drawn=bool(kinds & POLYGON and "FENCE_TYPE" in values))
+        return (_ground_station(values), _failsafes(ARDUPILOT_FAILSAFES, values), fence)
+    on, around, up = (values.get(name) for name in ("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"))
+    return (_stream(values), _failsafes(PX4_FAILSAFES, values), _fence(on, around, up, 0.0, reach, drawn=False))
+
+
+def _failsafes(
+    known: Mapping[str, tuple[str, Sequence[str], Collection[int]]], values: Mapping[str, float]
+) -> DriverCheck:
+    """Failsafes other than for a silent computer: a vehicle that goes home by itself is under no shield."""
+    told = {name: int(values[name]) for name in known if name in values}
+    found = "; ".join(f"{known[name][0]}: {_word(known[name][1], value)}" for name, value in told.items())
+    wrong = [name for name, value in told.items() if value not in known[name][2]]
+    asked = ", ".join(f"{name} {next(iter(known[name][2]))}" for name in wrong)
+    return DriverCheck(name="its failsafes", passed=not wrong, found=found or "not told", asked=asked)
 
 
 def _word(names: Sequence[str], value: float) -> str:
@@ -79,13 +128,21 @@ def _ground_station(values: Mapping[str, float]) -> DriverCheck:
     return DriverCheck(name=name, passed=action >= 1 and station == GROUND_STATION, found=found, asked=asked)
 
 
-def _fence(values: Mapping[str, float], on: str, radius: str, height: str) -> DriverCheck:
-    """Its own fence: told, not required, as the driver keeps the flight's own geofence."""
-    if on not in values:
-        return DriverCheck(name="its own fence", passed=True, found="not told")
-    if not values[on]:
-        return DriverCheck(name="its own fence", passed=True, found="off")
-    limits = ", ".join(
-        f"{values[key]:g} m {where}" for key, where in ((radius, "around"), (height, "up")) if values.get(key)
-    )
-    return DriverCheck(name="its own fence", passed=True, found=f"on{': ' if limits else ''}{limits}")
+def _fence(
+    on: float | None,
+    around: float | None,
+    up: float | None,
+    margin: float,
+    reach: tuple[float, float],
+    *,
+    drawn: bool,
+) -> DriverCheck:
+    """Its own fence has to hold ours: set-points outside it would be dropped without an answer, or end the flight."""
+    name = "its own fence"
+    if not on:
+        return DriverCheck(name=name, passed=True, found="not told" if on is None else "off")
+    sides = [(limit, far, where) for limit, far, where in ((around, reach[0], "around"), (up, reach[1], "up")) if limit]
+    limits = ", ".join([f"{limit:g} m {where}" for limit, _, where in sides] + ["a polygon, not compared"] * drawn)
+    wrong = [f"at least {far + margin:.1f} m {where}" for limit, far, where in sides if far > limit - margin]
+    asked = f"{', '.join(wrong)}, for our geofence and its margin of {margin:g} m" if wrong else ""
+    return DriverCheck(name=name, passed=not wrong, found=f"on{': ' if limits else ''}{limits}", asked=asked)

@@ -14,7 +14,7 @@ from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
 
 PERIODS_MS = {0: 200, 1: 500, 30: 200, 32: 50, 193: 500, 230: 500, 245: 200}
 """Messages to send, by number, and their periods [ms]: HEARTBEAT, SYS_STATUS, ATTITUDE, LOCAL_POSITION_NED, the reports
-of ArduPilot's and of PX4's estimator, EXTENDED_SYS_STATE. An autopilot that does not know one refuses it."""
+of ArduPilot's and of PX4's estimator, EXTENDED_SYS_STATE."""
 
 SET_INTERVAL, REQUEST_MESSAGE = 511, 512
 """Commands (MAV_CMD)."""
@@ -43,10 +43,12 @@ async def introduce(
         refuse_a_second(talk, port, system_id)
         if time.monotonic() >= end:
             raise RobotError(talk.name, f"{missing[0]} within {timeout_s:g} s at {port.uri}")
-        if log.heartbeat_s:
+        if log.heartbeat_s and log.flavour is not None:
             asked = True
+            unknown = 230 if log.flavour.takes_off_by_command else 193  # it would complain, each time
             for number, period_ms in PERIODS_MS.items():
-                talk.tell(SET_INTERVAL, (float(number), 1000.0 * period_ms))
+                if number != unknown:
+                    talk.tell(SET_INTERVAL, (float(number), 1000.0 * period_ms))
             if origin is not None and log.gps_origin is None:
                 talk.tell(REQUEST_MESSAGE, (49.0,))  # GPS_GLOBAL_ORIGIN
         await talk.until(going_on, min(0.5, max(0.0, end - time.monotonic())))

@@ -131,8 +131,10 @@ class MavlinkRobot:
         self._stream = SetPointStream(talk, self.system_id, frame, self._limits, self._may_stream, log.yaw)
 
     def checks(self) -> tuple[DriverCheck, ...]:
-        """Checks of the autopilot's failsafes for a silent computer, and of its own fence."""
-        return judge(self._flavour, self._log.parameters) if self._connected else ()
+        """Checks of the autopilot's failsafes, and of its own fence."""
+        if not self._connected:
+            return ()
+        return judge(self._flavour, self._log.parameters, self.state().position, self._limits)
 
     def state(self) -> RobotState:
         """The newest state that the autopilot sent."""

@@ -33,6 +33,9 @@ PX4_PARAMETERS = {
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 50.0,
     "GF_MAX_VER_DIST": 0.0,
+    "NAV_RCL_ACT": 3,
+    "NAV_DLL_ACT": 0,
+    "COM_LOW_BAT_ACT": 2,
 }
 ARDUPILOT_PARAMETERS = {
     "FS_GCS_ENABLE": 5.0,
@@ -43,6 +46,10 @@ ARDUPILOT_PARAMETERS = {
     "FENCE_ACTION": 1.0,
     "FENCE_RADIUS": 0.0,
     "FENCE_ALT_MAX": 0.0,
+    "FS_THR_ENABLE": 3.0,
+    "BATT_FS_LOW_ACT": 1.0,
+    "BATT_FS_CRT_ACT": 1.0,
+    "FS_EKF_ACTION": 1.0,
 }
 
 
@@ -253,6 +260,7 @@ class Autopilot:
     def _do_interval(self, parameters: list[float], _now: float) -> int:
         number = int(parameters[0])
         if number not in self._periods or number == (193 if self.px4 else 230):
+            self.say(f"No ap_message for mavlink id ({number})")  # as ArduPilot answers
             return DENIED
         if number == 0 and not self.px4:
             return DENIED  # ArduPilot's heartbeat stays at 1 Hz
