@@ -35,7 +35,7 @@ CALM: dict[str, Any] = {
 
 def config_of(vehicles: AutopilotStandIns) -> FlightConfig:
     drones = [{"name": "d0", "uri": vehicles.uris[0], "start": (0.0, 0.0)}]
-    room: dict[str, Any] = {"geofence": [[-9.0, -9.0, -1.0], [9.0, 9.0, 4.0]], "scale_m": 0.5, "max_speed_m_s": 1.5}
+    room: dict[str, Any] = {"geofence": [[-9.0, -9.0, -1.0], [9.0, 9.0, 4.0]], "scale_m": 0.5}
     return flight_config(1, "circle", drones=drones, robot="mavlink", **room, **CALM)
 
 
