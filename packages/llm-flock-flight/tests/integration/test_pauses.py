@@ -22,6 +22,7 @@ from slowness import slowness
 from llm_flock.record._reader import read_record
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._testing.crtp import StandIns
+from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
 ROOT = Path(__file__).parents[4]
 TABLES = Path(tempfile.gettempdir()) / "llm-flock-test-tables"
@@ -39,9 +40,13 @@ print(json.dumps(asyncio.run(flight.run(yes)).result.summary.to_dict()), flush=T
 CALM: dict[str, Any] = {**STOCK, "reach_s": 6.0, "robot": "crazyflie", "cache": str(TABLES), "deadman": True}
 
 
-def config_of(stand_ins: StandIns, out: Path) -> FlightConfig:
+def config_of(stand_ins: StandIns | AutopilotStandIns, out: Path) -> FlightConfig:
     drones = [{"name": f"d{k}", "uri": uri, "start": HOMES[k][:2]} for k, uri in enumerate(stand_ins.uris)]
-    return flight_config(**CALM, drones=drones, out=str(out))
+    if isinstance(stand_ins, StandIns):
+        return flight_config(**CALM, drones=drones, out=str(out))
+    drones = [{**drone, "system_id": k + 1} for k, drone in enumerate(drones)]
+    own = {"robot": "mavlink", "tracking_m": 0.12, "min_separation_m": 0.05, "low_battery_v": 13.0, "settle_s": 2.0}
+    return flight_config(**{**CALM, **own, "ready_battery_v": 14.0}, drones=drones, out=str(out))
 
 
 def children(pid: int) -> list[int]:
@@ -49,7 +54,9 @@ def children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
 
 
-def flown(tmp_path: Path, stand_ins: StandIns, pause_s: float, *, together: bool) -> tuple[dict[str, Any], str]:
+def flown(
+    tmp_path: Path, stand_ins: StandIns | AutopilotStandIns, pause_s: float, *, together: bool
+) -> tuple[dict[str, Any], str]:
     """Stop a flight in its first round for a while, with its deadman or without; its summary, and what was said."""
     env = {**os.environ, "PYTHONPATH": "tests"}
     pipe = subprocess.PIPE
@@ -67,7 +74,7 @@ def flown(tmp_path: Path, stand_ins: StandIns, pause_s: float, *, together: bool
             for pid in stopped:
                 os.kill(pid, signal.SIGSTOP)
             time.sleep(pause_s)
-            heights = [drone.position[2] for drone in stand_ins]
+            heights = [stand_ins[k].position[2] for k in range(len(stand_ins))]
             for pid in stopped:
                 os.kill(pid, signal.SIGCONT)
             *_, last = process.stdout.read().splitlines()
@@ -87,9 +94,12 @@ def test_a_pause_of_the_computer_ends_no_flight(tmp_path: Path, pause_s: float, 
     assert "deadman" not in said and summary["formed"]
 
 
-def test_a_flight_that_stays_away_is_landed_and_reports_it(tmp_path: Path) -> None:
-    with StandIns(HOMES) as stand_ins:
-        summary, said = flown(tmp_path, stand_ins, 6.0 * slowness(), together=False)
+@pytest.mark.parametrize("radio", ["crazyflie", "mavlink"])
+def test_a_flight_that_stays_away_is_landed_and_reports_it(tmp_path: Path, radio: str) -> None:
+    pytest.importorskip("cflib" if radio == "crazyflie" else "pymavlink")
+    made = StandIns(HOMES) if radio == "crazyflie" else AutopilotStandIns(HOMES, listening=True)
+    with made as stand_ins:
+        summary, said = flown(tmp_path, stand_ins, 8.0 * slowness(), together=False)
     flight = summary["flight"]
     assert max(summary["heights"]) < 0.05, "all were down before the flight went on"
     assert flight["ended"] == "hung" and flight["safe"] and set(flight["ends"].values()) == {"landed"}, (flight, said)
