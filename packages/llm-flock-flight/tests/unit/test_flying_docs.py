@@ -43,6 +43,14 @@ def test_all_of_the_paper_s_flights_landed() -> None:
     assert f"all {sum(int(row['Runs']) for row in flights)} formed" in PAGE.replace("\n", " ")
 
 
+def test_the_example_formed_and_landed_on_late_stand_ins() -> None:
+    rows = measured("autopilot-flights.csv")
+    assert {row["Flight"] for row in rows} == {"triangle 3", "square 4", "cross 5", "circle 5"}
+    for row in rows:
+        assert (row["Formed"], row["Landed"], row["Ended"]) == ("True", "True", "mission"), row
+        assert float(row["Tracking, at most [m]"]) < 0.35 and float(row["Smallest distance [m]"]) >= 0.8
+
+
 def test_page_lists_every_trouble_that_ends_a_flight() -> None:
     table = re.search(r"^\| Kind \|.*\n(?:^\|.*\n)+", PAGE, re.MULTILINE)
     assert table is not None
