@@ -66,7 +66,8 @@ class ConnectivityRecovery:
 
     def _standing_at(self, now: Situation, places: Plan, table: BidTable) -> set[int]:
         """Slots without owner on which a body stands, or stood when last in sight: no search begins for these."""
-        near, bodies = AT_GOAL * now.mission.spacing, now.sensed.values()
+        near, owners = AT_GOAL * now.mission.spacing, {owner for _, _, owner in table}
+        bodies = [x for j, x in now.sensed.items() if j not in owners]  # others that search are no news
         free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
         known = self._standing[1] if self._standing[0] == places.digest else {}
         seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
