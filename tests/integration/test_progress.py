@@ -49,7 +49,7 @@ def test_groups_with_orders_of_their_own_find_each_other(each: int, later: int, 
     assert flown.formed and np.allclose(flown.positions[-1].mean(axis=0), (80.0, 20.0), atol=1.0)
 
 
-def test_robot_that_returns_after_the_search_for_it_finds_the_team() -> None:
+def test_robot_that_returns_after_the_search_finds_the_team() -> None:
     """The team was sent elsewhere meanwhile, and has given its place up."""
     changes = [{"round": 18, "robot": 0, "set": {"center": [75, 50]}}]
     options = {"kill": "1@15", "join": "1@60", "changes": changes, "trace": False, "center": (20.0, 50.0)}
