@@ -278,6 +278,8 @@ class Agent:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
         membership, agreement = self._membership, self._agreement
         assert scene is not None, "a round has begun"
+        if rest := self._pilot.rest(scene):
+            return Phase.MOVING, rest
         effects, target, idle = list[Effect](), None, None
         unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
         if unanswered if plan is None else membership.lost if slot is None else membership.deserted:

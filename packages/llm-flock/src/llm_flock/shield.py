@@ -15,12 +15,41 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 from llm_flock.arrays import Point, moved
+from llm_flock.mission import Mission
 from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, relaxed_move
 
 Sides = Callable[[float], Sequence[HalfSpace]]
 """Further sides of a cell for a given longest step [units]: walls and obstacles."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """What the shield may assume of positions. If this holds in truth, so does the safe distance (theory, Theorem 11a).
+
+    A team that `rests` flies in one round, and then stands still in that many: what is sensed late is still true.
+    """
+
+    error: float = 0.0  #: Largest error of a position; of two robots' distance, twice that [units].
+    delay: float = 0.0  #: Largest age of a sensed position of another body [rounds].
+    rests: int = 0  #: Rounds in which every robot stands still after each one in which it may fly.
+
+    @classmethod
+    def of(cls, limits: Mission, error: float, delay: float) -> Self:
+        """Bounds for positions with this error [units], and of others also with this delay [rounds].
+
+        Others fly for a part of a round at most after they were sensed, unless the team rests for that part too: if
+        the margin of the shield, or the range of the sensors, leaves no room for what they can fly in it.
+        """
+        whole = math.floor(delay)
+        unseen = (delay - whole) * limits.max_step
+        most, needed = limits.safe_distance / 4, limits.safe_distance + 2 * limits.max_step + 2 * unseen
+        if unseen > 0.0 and (error + unseen / 2 > most or limits.sensing < needed):
+            return cls(error=error, delay=delay, rests=whole + 1)
+        return cls(error=error + unseen / 2, delay=delay, rests=whole)
 
 
 def separation_half_spaces(

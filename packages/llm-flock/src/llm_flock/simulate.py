@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
@@ -115,27 +116,62 @@ def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
 class Readings:
     """Positions of all robots (`places`, shape (n, d) [units; world frame]), and the robots' readings of them.
 
-    Each reading adds a uniform vector in the ball of radius `noise` [units].
+    Each reading adds a uniform vector in the ball of radius `noise` [units], and the offset of that robot's
+    localisation, which begins anywhere in the ball of radius `drift` and walks at random in it. A robot reads its own
+    position of now, and where others were `delay` rounds ago, all of them flying evenly throughout a round.
+    `nearest_read` is the smallest distance of another robot that any of them has read [units].
     """
 
-    def __init__(self, mission: Mission, positions: Points, noise: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        positions: Points,
+        noise: float,
+        rng: np.random.Generator,
+        *,
+        drift: float = 0.0,
+        delay: float = 0.0,
+    ) -> None:
         self._mission = mission
-        self._noise = noise
+        self._noise, self._drift, self._delay = noise, drift, delay
+        self._exact = noise == drift == delay == 0.0
         self._rng = rng
+        self._offsets = np.array([self._in_ball(drift) for _ in positions]) if drift else np.zeros_like(positions)
+        self._past = [positions] * (math.ceil(delay) + 1)
+        self.nearest_read = math.inf
         self.place(positions.copy())
 
     def place(self, places: Points) -> None:
         """Set the positions of all robots, and compute which are in range. Call once per round."""
         self.places = places
+        if self._drift:
+            self._offsets = self._walk()
         self._distances: Pairwise = graph.distances(places)
+        self._past = [*self._past[1:], places]
+        whole = math.ceil(self._delay)
+        share = whole - self._delay  # of the round that was in flight then
+        self._seen = self._past[0] + share * (self._past[min(1, whole)] - self._past[0]) if whole else places
         self._rows: list[Point] = [tuple(row) for row in places.tolist()]
-        self.in_radio_range = self._within(self._mission.comm_range)
+        self.in_radio_range = self._within(self._mission.comm_range, self._distances)
         sensing = self._mission.sensing
-        same = sensing == self._mission.comm_range
-        self.in_sense_range = self.in_radio_range if same else self._within(sensing)
+        same = sensing == self._mission.comm_range and not whole
+        seen = graph.distances(self._seen) if whole else self._distances
+        self.in_sense_range = self.in_radio_range if same else self._within(sensing, seen)
 
-    def _within(self, reach: float) -> list[tuple[int, ...]]:
-        close = self._distances <= reach
+    def _walk(self) -> Points:
+        """The offsets one step of a tenth of their bound later."""
+        offsets = self._offsets + [self._in_ball(self._drift / 10) for _ in self.places]
+        lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+        return offsets * np.minimum(1.0, self._drift / np.maximum(lengths, self._drift))
+
+    def _in_ball(self, radius: float) -> Vector:
+        """A uniform vector in the ball of this radius."""
+        direction = self._rng.normal(size=self._mission.dim)
+        direction /= np.linalg.norm(direction)
+        return radius * float(self._rng.random()) ** (1.0 / self._mission.dim) * direction
+
+    def _within(self, reach: float, distances: Pairwise) -> list[tuple[int, ...]]:
+        close = distances <= reach
         np.fill_diagonal(close, False)
         return [tuple(np.flatnonzero(row).tolist()) for row in close]
 
@@ -146,24 +182,22 @@ class Readings:
 
     def sense(self, robot: int) -> Sensing:
         """One robot's readings, with new errors at every call."""
-        if self._noise == 0.0:
-            rows = self._rows
-            return Sensing(position=rows[robot], sensed={j: rows[j] for j in self.in_sense_range[robot]})
-        readings = {j: self._reading(j) for j in (robot, *self.in_sense_range[robot])}
-        return Sensing(position=readings.pop(robot), sensed=readings)
+        if self._exact:
+            return Sensing(position=self._rows[robot], sensed={j: self._rows[j] for j in self.in_sense_range[robot]})
+        here = self._reading(robot, self.places)
+        sensed = {j: self._reading(j, self._seen) for j in self.in_sense_range[robot]}
+        self.nearest_read = min(self.nearest_read, *(math.dist(here, there) for there in sensed.values()), math.inf)
+        return Sensing(position=here, sensed=sensed)
 
     def others(self, robot: int) -> tuple[Point, ...]:
         """Readings of all other robots, in ascending order of ids, at any distance (`observe = "all"`)."""
-        return tuple(self._reading(j) for j in range(len(self._rows)) if j != robot)
+        return tuple(self._reading(j, self._seen) for j in range(len(self._rows)) if j != robot)
 
-    def _reading(self, robot: int) -> Point:
-        if self._noise == 0.0:
+    def _reading(self, robot: int, places: Points) -> Point:
+        if self._exact:
             return self._rows[robot]
-        dim = self._mission.dim
-        direction = self._rng.normal(size=dim)
-        direction /= np.linalg.norm(direction)
-        radius = self._noise * float(self._rng.random()) ** (1.0 / dim)
-        return tuple((self.places[robot] + radius * direction).tolist())
+        place = places[robot] + self._offsets[robot] if self._drift else places[robot]
+        return tuple((place + self._in_ball(self._noise) if self._noise else place).tolist())
 
     def move(self, displacements: Points) -> None:
         """Fly every robot by its displacement, shape (n, d) [units], all at once."""

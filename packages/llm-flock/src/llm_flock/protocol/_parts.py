@@ -176,6 +176,10 @@ class Safety:
     def begin_mission(self) -> None:
         """Begin another mission: heed all requests for a way again."""
 
+    def rests(self, round_: int) -> bool:
+        """Whether the whole team stands still in a round, so that sensors that are late see it where it is."""
+        return False
+
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint."""
         return SafeStep(waypoint=scene.position, origin=Origin.HOLD)

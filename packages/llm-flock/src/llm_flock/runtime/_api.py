@@ -156,6 +156,8 @@ class Parameters(TypedDict, total=False):
     join_random: int
     changes: Sequence[Change | Mapping[str, Any]]
     noise: float
+    drift: float
+    sensing_delay: float
     out: str | Path | None
 
 
@@ -243,10 +245,11 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
 
     # Build every part first, which rejects invalid values; then open files, and fly.
     asked = config.trial
-    warn_of_mission(config.mission, asked.noise)
+    warn_of_mission(config.mission, asked.noise + asked.drift)
     rng = stream(asked.seed, Stream.START)
     start = start_positions(config.mission, asked.start_positions, asked.start, rng, asked.start_area)
-    bodies = InstantBodies(Readings(config.mission, start, asked.noise, stream(asked.seed, Stream.NOISE)))
+    rng, drift, delay = stream(asked.seed, Stream.NOISE), asked.drift, asked.sensing_delay
+    bodies = InstantBodies(Readings(config.mission, start, asked.noise, rng, drift=drift, delay=delay))
     planners = TeamPlanners(config, lane, own)
     code = own_rules((consensus, assignment))
     with ExitStack() as stack:

@@ -25,6 +25,7 @@ from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, LeftOut, Rules, assignment_rule, consensus_rule
 from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points, read_points
+from llm_flock.shield import Sight
 from llm_flock.validation import checked, fields_of, unknown_section
 
 logger = logging.getLogger(__name__)
@@ -203,17 +204,30 @@ class RunConfig(ConfigSection):
     def _check(self) -> Self:
         if self.protocol.shield:
             self.mission.check_sensing()
-            most = self.mission.safe_distance / 4
-            if self.trial.noise > most:
-                raise InputError(
-                    "noise", self.trial.noise, f"at most safe_distance / 4 = {most:g} while the shield is on"
-                )
-        self.schedule()
+            most, noise, drift = self.mission.safe_distance / 4, self.trial.noise, self.trial.drift
+            if noise + drift > most:
+                field, other = ("drift", noise) if drift > noise else ("noise", drift)
+                allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
+                both = "" if other == 0.0 else f", drift and noise together (the other is {other:g})"
+                raise InputError(field, max(noise, drift), allowed + both)
+        if self.sight.rests and any(mission.velocity is not None for mission in self.missions()):
+            says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
+            raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
         return self
+
+    def missions(self) -> list[Mission]:
+        """All missions of the run, the first one first. InputError as `schedule`."""
+        return [self.mission, *(mission for given in self.schedule().missions.values() for _, mission in given)]
 
     def schedule(self) -> Schedule:
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
+
+    @property
+    def sight(self) -> Sight:
+        """What each robot may assume of positions; without the shield it assumes nothing, and never rests."""
+        error = self.trial.noise + self.trial.drift
+        return Sight.of(self.mission, error, self.trial.sensing_delay) if self.protocol.shield else Sight(error=error)
 
     @property
     def record(self) -> Path | None:
@@ -226,7 +240,7 @@ class RunConfig(ConfigSection):
         if self.trial.rounds is not None:
             return self.trial.rounds
         across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
-        return self.schedule().last + deadline(across)
+        return self.schedule().last + deadline(across * (1 + self.sight.rests))
 
     @classmethod
     def section_of(cls, field: str) -> str:
@@ -337,8 +351,8 @@ def warn_of_mission(mission: Mission, noise: float = 0.0) -> None:
     ideal, tolerance = mission.ideal, metrics.AT_GOAL * mission.spacing
     if noise > tolerance:
         logger.warning(
-            "noise = %g is more than a robot may be away from its place, %g: the team may stand in its shape as it "
-            "sees itself, and hardly ever count as formed.",
+            "noise and drift, together %g, are more than a robot may be away from its place, %g: the team may stand in "
+            "its shape as it sees itself, and hardly ever count as formed.",
             noise,
             tolerance,
         )

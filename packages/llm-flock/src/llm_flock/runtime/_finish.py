@@ -74,6 +74,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         procrustes_mean_squared=None if error is None else error.mean_squared,
         min_separation=finite(journal.min_separation),
         start_violations=journal.start.start_violations,
+        nearest_read=finite(trial.bodies.readings.nearest_read),
         rounds_to_separate=journal.start.separated_at,
         min_separation_after_start=finite(journal.start.smallest),
         min_clearance=finite(journal.min_clearance),

@@ -98,8 +98,12 @@ class Summary:
     #: Mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
     procrustes_mean: float | None
     procrustes_mean_squared: float | None  #: Mean squared distance [units^2] (paper, appendix C).
-    #: Smallest distance of any two robots over the whole run, along the segments too [units].
+    #: Smallest distance of any two robots over the whole run, along the segments too [units]: of true positions in
+    #: simulation, of estimates in flight.
     min_separation: float | None
+    #: Smallest distance of another robot that any of them has sensed, with noise, drift and delay [units]; None if
+    #: positions are exact.
+    nearest_read: float | None
     start_violations: int  #: Pairs that were nearer than the safe distance at the start (min_separation has them too).
     #: First round at whose end each of these had come apart; 0 without any, None if it never came.
     rounds_to_separate: int | None

@@ -38,6 +38,9 @@ RANDOM_ROUNDS = 20
 MAX_ROUNDS = 100_000
 """Most rounds of a run."""
 
+MAX_DELAY = 20.0
+"""Largest age of what a robot senses [rounds]."""
+
 Turn: TypeAlias = tuple[int, int]
 """A robot and a round."""
 
@@ -87,6 +90,15 @@ class TrialConfig(BaseModel):
         default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
     )
     noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
+    drift: float = Field(
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="Maximum offset of a robot's localisation, which wanders from round to round [units]",
+    )
+    sensing_delay: float = Field(
+        default=0.0, ge=0, le=MAX_DELAY, allow_inf_nan=False, description="Age of sensed positions of others [rounds]"
+    )
     out: str | None = Field(default=None, description="Folder for the record (run.mcap) and the figures drawn from it")
 
 

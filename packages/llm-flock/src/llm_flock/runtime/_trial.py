@@ -144,7 +144,8 @@ class Trial:
 
             missing = sum(map(len, self.schedule.kills.values()))
             after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
-        return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
+        awake, pace = self.roster.awake, 1 + self.config.sight.rests
+        return self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace)
 
     async def run(self) -> None:
         """Fly rounds until the formation is held, rounds or budget are used up, or no model gives usable answers."""

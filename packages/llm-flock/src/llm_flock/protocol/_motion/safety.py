@@ -22,11 +22,22 @@ class ShieldedSafety(Safety):
     """Turns waypoints into safe ones, gives way to others, and asks them to give way: `step` or `stay` in each round.
 
     `limits` is the mission at the start: no message changes safe distance, step limit, arena and obstacles.
-    `noise_bound` is the largest error of a believed position [units]. Unless it `asks`, it claims no right of way.
+    `noise_bound` is the largest error of a believed position [units]; `delay` and `rests` are as in `shield.Sight`.
+    Unless it `asks`, it claims no right of way.
     """
 
-    def __init__(self, robot: int, limits: Mission, noise_bound: float, passing_distance: float | None = None) -> None:
+    def __init__(
+        self,
+        robot: int,
+        limits: Mission,
+        noise_bound: float,
+        passing_distance: float | None = None,
+        *,
+        delay: float = 0.0,
+        rests: int = 0,
+    ) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
+        self._delay, self._rests = delay, rests
         # With uncertain positions the sides of cells move inwards: bodies need more room to pass each other.
         margin = 2.0 * noise_bound * (1.0 + 4.0 * STEP * limits.max_step / limits.safe_distance)
         passing_distance = limits.safe_distance if passing_distance is None else passing_distance
@@ -38,6 +49,10 @@ class ShieldedSafety(Safety):
     def course(self) -> Course | None:
         """The way that this robot asks others to leave free; None if nothing is in its way."""
         return self._right_of_way.course
+
+    def rests(self, round_: int) -> bool:
+        """As `Safety.rests`: in all rounds but the first of each turn."""
+        return (round_ - 1) % (1 + self._rests) > 0
 
     def begin_mission(self) -> None:
         """Begin another mission: heed all requests for a way again."""
