@@ -210,14 +210,11 @@ class RunConfig(ConfigSection):
                 allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
                 both = "" if other == 0.0 else f", drift and noise together (the other is {other:g})"
                 raise InputError(field, max(noise, drift), allowed + both)
-        if self.sight.rests and any(mission.velocity is not None for mission in self.missions()):
+        given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
+        if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
             says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
             raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
         return self
-
-    def missions(self) -> list[Mission]:
-        """All missions of the run, the first one first. InputError as `schedule`."""
-        return [self.mission, *(mission for given in self.schedule().missions.values() for _, mission in given)]
 
     def schedule(self) -> Schedule:
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
