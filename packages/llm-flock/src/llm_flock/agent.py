@@ -246,6 +246,7 @@ class Agent:
             drift=mission.drift(number - 1) if moving else (),
             ahead=mission.drift(number) if moving else (),
             courses=self._messaging.courses,
+            moving=event.moving,
             still=self._agreement.bodies,
             period=self._period if self._own_clock else None,
         )

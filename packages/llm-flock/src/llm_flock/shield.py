@@ -15,41 +15,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Self
 
 from llm_flock.arrays import Point, moved
-from llm_flock.mission import Mission
 from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, relaxed_move
 
 Sides = Callable[[float], Sequence[HalfSpace]]
 """Further sides of a cell for a given longest step [units]: walls and obstacles."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sight:
-    """What the shield may assume of positions. If this holds in truth, so does the safe distance (theory, Theorem 11a).
-
-    A team that `rests` flies in one round, and then stands still in that many: what is sensed late is still true.
-    """
-
-    error: float = 0.0  #: Largest error of a position; of two robots' distance, twice that [units].
-    delay: float = 0.0  #: Largest age of a sensed position of another body [rounds].
-    rests: int = 0  #: Rounds in which every robot stands still after each one in which it may fly.
-
-    @classmethod
-    def of(cls, limits: Mission, error: float, delay: float) -> Self:
-        """Bounds for positions with this error [units], and of others also with this delay [rounds].
-
-        Others fly for a part of a round at most after they were sensed, unless the team rests for that part too: if
-        the margin of the shield, or the range of the sensors, leaves no room for what they can fly in it.
-        """
-        whole = math.floor(delay)
-        unseen = (delay - whole) * limits.max_step
-        most, needed = limits.safe_distance / 4, limits.safe_distance + 2 * limits.max_step + 2 * unseen
-        if unseen > 0.0 and (error + unseen / 2 > most or limits.sensing < needed):
-            return cls(error=error, delay=delay, rests=whole + 1)
-        return cls(error=error + unseen / 2, delay=delay, rests=whole)
 
 
 def separation_half_spaces(
@@ -138,6 +109,13 @@ def project(
 
     if noise_bound == 0.0:
         return within(max_step)
+    further = () if also is None else also(max_step)
+    back = [side for side in further if side.violated]
+
+    def cost(target: Point) -> tuple[float, float]:
+        """How much the step lacks to lead back from where it has to, and its distance from the waypoint."""
+        lacks = [sum(n * (b - a) for n, a, b in zip(x.normal, position, target, strict=True)) - x.room for x in back]
+        return max(TOLERANCE, *lacks, 0.0), math.dist(target, waypoint)
+
     # The margin for the direction grows with the step, so a shorter step may lead farther through a narrow gap.
-    shares = (1.0, 0.5, 0.25, 0.125)
-    return min((within(max_step * share) for share in shares), key=lambda target: math.dist(target, waypoint))
+    return min((within(max_step * share) for share in (1.0, 0.5, 0.25, 0.125)), key=cost)

@@ -13,7 +13,7 @@ from llm_flock import graph
 from llm_flock.arrays import Pairwise, Point, Points, Vector
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
-from llm_flock.obstacles import clearance
+from llm_flock.obstacles import Mover, MovingObstacle, clearance
 
 StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
@@ -26,6 +26,7 @@ class Sensing:
 
     position: Point
     sensed: Mapping[int, Point]
+    moving: tuple[Mover, ...] = ()  #: Moving obstacles in sensing range.
 
 
 Area: TypeAlias = tuple[Point, Point] | None  #: Two opposite corners in the arena [units]; None for all of it.
@@ -119,7 +120,8 @@ class Readings:
     Each reading adds a uniform vector in the ball of radius `noise` [units], and the offset of that robot's
     localisation, which begins anywhere in the ball of radius `drift` and walks at random in it. A robot reads its own
     position of now, and where others were `delay` rounds ago, all of them flying evenly throughout a round.
-    `nearest_read` is the smallest distance of another robot that any of them has read [units].
+    `nearest_read` is the smallest distance of another robot that any of them has read [units]. `moving` obstacles
+    are seen up to the sensing range, by their surface, and as late as others.
     """
 
     def __init__(
@@ -131,6 +133,7 @@ class Readings:
         *,
         drift: float = 0.0,
         delay: float = 0.0,
+        moving: Sequence[MovingObstacle] = (),
     ) -> None:
         self._mission = mission
         self._noise, self._drift, self._delay = noise, drift, delay
@@ -138,12 +141,13 @@ class Readings:
         self._rng = rng
         self._offsets = np.array([self._in_ball(drift) for _ in positions]) if drift else np.zeros_like(positions)
         self._past = [positions] * (math.ceil(delay) + 1)
+        self._moving, self._round = moving, -1
         self.nearest_read = math.inf
         self.place(positions.copy())
 
     def place(self, places: Points) -> None:
         """Set the positions of all robots, and compute which are in range. Call once per round."""
-        self.places = places
+        self.places, self._round = places, self._round + 1
         if self._drift:
             self._offsets = self._walk()
         self._distances: Pairwise = graph.distances(places)
@@ -153,9 +157,8 @@ class Readings:
         self._seen = self._past[0] + share * (self._past[min(1, whole)] - self._past[0]) if whole else places
         self._rows: list[Point] = [tuple(row) for row in places.tolist()]
         self.in_radio_range = self._within(self._mission.comm_range, self._distances)
-        sensing = self._mission.sensing
+        sensing, seen = self._mission.sensing, graph.distances(self._seen) if whole else self._distances
         same = sensing == self._mission.comm_range and not whole
-        seen = graph.distances(self._seen) if whole else self._distances
         self.in_sense_range = self.in_radio_range if same else self._within(sensing, seen)
 
     def _walk(self) -> Points:
@@ -183,11 +186,23 @@ class Readings:
     def sense(self, robot: int) -> Sensing:
         """One robot's readings, with new errors at every call."""
         if self._exact:
-            return Sensing(position=self._rows[robot], sensed={j: self._rows[j] for j in self.in_sense_range[robot]})
+            rows = self._rows
+            sensed = {j: rows[j] for j in self.in_sense_range[robot]}
+            return Sensing(position=rows[robot], sensed=sensed, moving=self._movers(robot))
         here = self._reading(robot, self.places)
         sensed = {j: self._reading(j, self._seen) for j in self.in_sense_range[robot]}
         self.nearest_read = min(self.nearest_read, *(math.dist(here, there) for there in sensed.values()), math.inf)
-        return Sensing(position=here, sensed=sensed)
+        return Sensing(position=here, sensed=sensed, moving=self._movers(robot))
+
+    def _movers(self, robot: int) -> tuple[Mover, ...]:
+        seen = list[Mover]()
+        for number, one in enumerate(self._moving):
+            place = one.at(self._round - self._delay)
+            if math.dist(self._rows[robot], place) - one.radius <= self._mission.sensing:
+                if self._noise:
+                    place = tuple((np.array(place) + self._in_ball(self._noise)).tolist())
+                seen.append(Mover(number=number, position=place, radius=one.radius, speed=one.speed))
+        return tuple(seen)
 
     def others(self, robot: int) -> tuple[Point, ...]:
         """Readings of all other robots, in ascending order of ids, at any distance (`observe = "all"`)."""

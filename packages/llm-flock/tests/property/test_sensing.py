@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from llm_flock.metrics import segment_separation
 from llm_flock.mission import Mission
-from llm_flock.shield import Sight, project
+from llm_flock.runtime._schedule import Sight
+from llm_flock.shield import project
 from llm_flock.simulate import Readings
 
 SAFE, STEP = 3.0, 6.0
@@ -78,7 +79,7 @@ def test_late_and_wrong_positions_cost_no_separation(
         (0.0, 1.0, Sight()),
         (0.0, 0.2, Sight()),
         (0.5, 0.0, Sight()),
-        (0.5, 0.5, Sight(error=0.5, delay=0.5)),
+        (0.5, 0.5, Sight(error=0.5)),
     ],
 )
 def test_sensors_worse_than_told_cost_separation(error: float, delay: float, told: Sight) -> None:

@@ -18,7 +18,7 @@ from llm_flock_flight._flight.sections import FleetConfig, PositionsConfig, Safe
 
 NOT_IN_FLIGHT = (
     *("kill", "join", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
-    "start_positions",
+    *("moving_obstacles", "start_positions"),
 )
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
 

@@ -20,12 +20,20 @@ from llm_flock.links import LinkFaults
 from llm_flock.llm._port import FrameName
 from llm_flock.metrics import deadline
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol._agreement.consensus import Ties
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, LeftOut, Rules, assignment_rule, consensus_rule
-from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points, read_points
-from llm_flock.shield import Sight
+from llm_flock.runtime._schedule import (
+    MAX_ROUNDS,
+    Schedule,
+    Sight,
+    TrialConfig,
+    build_schedule,
+    load_points,
+    read_points,
+)
 from llm_flock.validation import checked, fields_of, unknown_section
 
 logger = logging.getLogger(__name__)
@@ -204,12 +212,16 @@ class RunConfig(ConfigSection):
     def _check(self) -> Self:
         if self.protocol.shield:
             self.mission.check_sensing()
-            most, noise, drift = self.mission.safe_distance / 4, self.trial.noise, self.trial.drift
-            if noise + drift > most:
-                field, other = ("drift", noise) if drift > noise else ("noise", drift)
-                allowed = f"at most safe_distance / 4 = {most:g} while the shield is on"
-                both = "" if other == 0.0 else f", drift and noise together (the other is {other:g})"
-                raise InputError(field, max(noise, drift), allowed + both)
+            most, error = self.mission.safe_distance / 4, self.trial.noise + self.trial.drift
+            if error > most:
+                allowed = f"at most safe_distance / 4 = {most:g}, noise and drift together, while the shield is on"
+                raise InputError("noise" if self.trial.noise else "drift", error, allowed)
+            rounds = 1 + self.sight.rests + self.trial.sensing_delay
+            reach = self.mission.sensing - self.mission.body_radius - self.mission.max_step
+            for one in self.trial.moving_obstacles:
+                if one.speed * rounds > reach + 1e-9:
+                    allowed = f"a speed of at most {reach / rounds:.4g}: robots must see an obstacle before it is there"
+                    raise InputError("moving_obstacles", one.model_dump(), allowed)
         given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
         if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
             says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
@@ -225,6 +237,12 @@ class RunConfig(ConfigSection):
         """What each robot may assume of positions; without the shield it assumes nothing, and never rests."""
         error = self.trial.noise + self.trial.drift
         return Sight.of(self.mission, error, self.trial.sensing_delay) if self.protocol.shield else Sight(error=error)
+
+    @property
+    def start_scene(self) -> Mission:
+        """The mission with all obstacles where they are at the start, for random start positions."""
+        moving = tuple(Obstacle(center=one.center, radius=one.radius) for one in self.trial.moving_obstacles)
+        return self.mission.model_copy(update={"obstacles": (*self.mission.obstacles, *moving)})
 
     @property
     def record(self) -> Path | None:

@@ -78,6 +78,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         rounds_to_separate=journal.start.separated_at,
         min_separation_after_start=finite(journal.start.smallest),
         min_clearance=finite(journal.min_clearance),
+        obstacle_violations=journal.obstacle_violations,
         plans_in_use=metrics.plans_in_use(plan_ids),
         distinct_goals=metrics.distinct_goals(plan_ids, slots),
         robots_without_plan=plan_ids.count(None),

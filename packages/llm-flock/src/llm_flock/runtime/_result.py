@@ -109,9 +109,11 @@ class Summary:
     rounds_to_separate: int | None
     #: As min_separation, each of these pairs counted from when it had come apart [units].
     min_separation_after_start: float | None
-    #: Smallest distance of a robot's centre to an obstacle, along the segments too, negative inside [units]; None
-    #: without obstacles.
+    #: Smallest distance of a robot's centre to an obstacle, moving ones too, along the segments too, negative inside
+    #: [units]; None without obstacles.
     min_clearance: float | None
+    #: Rounds of robots in which a moving obstacle came nearer to their centre than half the safe distance.
+    obstacle_violations: int
     plans_in_use: int  #: Different plans at the end.
     distinct_goals: int  #: Different goals at the end.
     robots_without_plan: int  #: Robots that never got a plan.

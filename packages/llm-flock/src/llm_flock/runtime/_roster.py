@@ -35,8 +35,8 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
     if protocol.shield:
         from llm_flock.protocol._motion.safety import ShieldedSafety
 
-        sight = config.sight
-        safety = ShieldedSafety(robot, mission, sight.error, apart, delay=sight.delay, rests=sight.rests)
+        sight, delay = config.sight, config.trial.sensing_delay
+        safety = ShieldedSafety(robot, mission, sight.error, apart, delay=delay, rests=sight.rests)
         safety.asks = protocol.without != "right-of-way"
     if protocol.verify:
         from llm_flock.protocol._verification.validator import Validator

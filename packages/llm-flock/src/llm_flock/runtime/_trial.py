@@ -232,7 +232,7 @@ class Trial:
         for robot in joined:
             journal.rejected_before += roster.join(robot).rejected
             journal.note(number, None, robot, Note("joined", {}))
-        if killed or joined:
+        if killed or joined or number == schedule.crossed:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
@@ -271,6 +271,7 @@ class Trial:
                 degree=len(self.roster.hears(self.bodies, robot)),
                 sensed=sensing.sensed,
                 observed=observed,
+                moving=sensing.moving,
             )
             for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):
