@@ -172,15 +172,15 @@ def moving_half_spaces(
     """The places that moving obstacles can reach within a `horizon` [rounds], as sides of the robot's cell.
 
     The robot keeps clear of them alone: an obstacle makes no room. Where one can reach the robot, its side leads back,
-    as far as other sides allow. Own position and that of the obstacle are off by `noise_bound` each [units].
+    as far as other sides allow. Own position and that of the obstacle are off by `noise_bound` each [units]. The side
+    is one-sided, so it does not matter how far they turn the line of sight.
     """
     sides: list[HalfSpace] = []
     for mover in movers:
         gap = math.dist(position, mover.position)
         if gap < TOLERANCE:
             continue  # no direction leads away from it
-        margin = 2.0 * noise_bound * (1.0 + 2.0 * max_step / gap)
-        room = gap - mover.radius - mission.body_radius - mover.speed * horizon - margin
+        room = gap - mover.radius - mission.body_radius - mover.speed * horizon - 2.0 * noise_bound
         if room < max_step:
             normal = tuple((b - a) / gap for a, b in zip(position, mover.position, strict=True))
             sides.append(HalfSpace(normal, max(-max_step, room), room < 0.0))

@@ -209,8 +209,7 @@ class ShieldedSafety(Safety):
         # Robots that stand in the way pass on the right to leave it, by their own name: obstacles make no requests.
         highest = rank(self._robot, MAX_LEVEL, self._robot)
         for mover in scene.moving:
-            apart = mover.radius + limits.body_radius
-            apart += error * (1.0 + 2.0 * STEP * limits.max_step / apart)
+            apart = mover.radius + limits.body_radius + error
             width = apart + mover.speed * self._horizon
             before, here = met.get(mover.number, mover.position), mover.position
             flown, far = math.dist(before, here), mover.speed * (1 + self._rests) * (2.0 + width / limits.max_step)
