@@ -94,6 +94,8 @@ def test_a_robot_in_the_very_middle_of_it_has_no_side() -> None:
     assert moving_half_spaces(HOME, [seen(50.0)], MISSION, **one) == []
     (side,) = moving_half_spaces(HOME, [seen(48.0)], MISSION, **one)
     assert side.violated and side.room == pytest.approx(2.0 - 3.5 - 2.0) and side.normal == (-1.0, 0.0)
+    (unsure,) = moving_half_spaces(HOME, [seen(48.0)], MISSION, **one | {"noise_bound": 0.1})
+    assert unsure.room == pytest.approx(side.room - 0.2)
     assert moving_half_spaces(HOME, [seen(30.0)], MISSION, **one) == []
 
 
