@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ import llm_flock
 from llm_flock.arrays import Points
 from llm_flock.obstacles import MovingObstacle
 
+TABLE = ROOT / "docs" / "data" / "sensing.csv"
 CENTER, BEGIN, END = np.array([50.0, 50.0]), 42.0, 75.0  # how far from the centre obstacles begin, and end [units]
 FORMED_BY = 25  # round after which obstacles set out where the team is to stand in its shape by then
 
@@ -122,7 +124,9 @@ def left(moving: Sequence[MovingObstacle], places: Points, step: float) -> int:
 
 def fly(team: str, case: Case, seed: int) -> Seen:
     moving = crossing(case, seed)
-    result = llm_flock.run(seed=seed, trace=False, moving_obstacles=moving, **TEAMS[team], **case.options)
+    decide: Any = "on-event" if moving else "every-round"  # these runs are long
+    options = {"moving_obstacles": moving, "decide": decide} | TEAMS[team] | case.options
+    result = llm_flock.run(seed=seed, trace=False, **options)
     mission, ideal = result.mission, np.array(result.mission.ideal)
     near = [gaps(result.positions, one) for one in moving]
     return Seen(
@@ -154,22 +158,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--case", default="", help="only cases whose name contains this")
+    parser.add_argument("--case", default="", help="only cases whose name contains this; other lines stay")
     parser.add_argument("--no-write", action="store_true", help="print the lines only")
     given = parser.parse_args(arguments)
-    lines = list[dict[str, str]]()
+    lines = kept()
     with ProcessPoolExecutor(given.jobs) as pool:
         for name, case in CASES.items():
             for team in TEAMS if given.case in name else ():
-                lines.append(figures(name, team, list(pool.map(partial(fly, team, case), range(given.seeds)))))
-                print(*lines[-1].values(), sep=" | ", flush=True)
-    if given.no_write or not lines:
-        return
-    with (ROOT / "docs" / "data" / "sensing.csv").open("w", encoding="utf-8", newline="") as file:
+                seen = list(pool.map(partial(fly, team, case), range(given.seeds)))
+                lines[name, team] = figures(name, team, seen)
+                print(*lines[name, team].values(), sep=" | ", flush=True)
+                if not given.no_write:
+                    write([lines[key] for key in product(CASES, TEAMS) if key in lines])
+
+
+def kept() -> dict[tuple[str, str], dict[str, str]]:
+    """The lines of the table as it is, by case and team."""
+    if not TABLE.is_file():
+        return {}
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        return {(row["Case"], row["Team"]): row for row in csv.DictReader(file)}
+
+
+def write(lines: Sequence[dict[str, str]]) -> None:
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, lines[0], lineterminator="\n")
         writer.writeheader()
         writer.writerows(lines)
-    stamp("sensing.csv")
+    stamp(TABLE.name)
 
 
 if __name__ == "__main__":
