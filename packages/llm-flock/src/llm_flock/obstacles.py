@@ -242,10 +242,7 @@ class MovingObstacle(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mover:
-    """A moving obstacle as a robot senses it: where its centre is, its radius [units], and its largest speed.
-
-    The speed is in units per round. A `number` tells it from others.
-    """
+    """A moving obstacle as a robot senses it [units, units per round]; a `number` tells it from others."""
 
     number: int
     position: Point

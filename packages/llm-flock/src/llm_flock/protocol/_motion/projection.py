@@ -172,8 +172,7 @@ def moving_half_spaces(
     """The places that moving obstacles can reach within a `horizon` [rounds], as sides of the robot's cell.
 
     The robot keeps clear of them alone: an obstacle makes no room. Where one can reach the robot, its side leads back,
-    as far as other sides allow. Own position and that of the obstacle are off by `noise_bound` each [units]. The side
-    is one-sided, so it does not matter how far they turn the line of sight.
+    as far as other sides allow. Own position and that of the obstacle are off by `noise_bound` each [units].
     """
     sides: list[HalfSpace] = []
     for mover in movers:
