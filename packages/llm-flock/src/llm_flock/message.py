@@ -120,6 +120,9 @@ class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
 NO_MISSION = MissionStamp(0, "0" * 16)  #: The stamp of a message that names no mission.
 
 
+Knowledge: TypeAlias = tuple[MissionStamp, str | None, bytes | None]
+
+
 class Authorization(msgspec.Struct, frozen=True, kw_only=True):
     """The operator's signature on a mission's digest and on the time of the order, `counter`."""
 
@@ -210,6 +213,11 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
         return self.stamp or NO_MISSION if self.provenance is None else self.provenance.stamp
 
     @cached_property
+    def knowledge(self) -> Knowledge:
+        """The part that shows what the sender knows: its mission, and the digests of its plan and table."""
+        return self.mission, self.plan_digest, self.table_digest
+
+    @cached_property
     def table(self) -> BidTable | None:
         """The sender's bid table, with UNSAID for slots left out; None without claims."""
         return None if self.claims is None else _table(self.claims, self.places)
@@ -229,7 +237,6 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(Message)
 
 
-@lru_cache(maxsize=256)
 def _table(claims: Claims, places: int) -> BidTable:
     table = [UNSAID] * places
     for slot, version, bid, owner in claims:

@@ -8,11 +8,13 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
+from msgspec.structs import force_setattr, replace
 from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.message import Authorization, Message, MissionStamp, decode
 from llm_flock.mission import Mission
+from llm_flock.plan import Plan
 
 
 class Inbound(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,11 +23,20 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
     message: Message
     beats: NDArray[np.int64] | None
     authorization: Authorization | None = None
+    _resolved: Message | None = None
 
     @property
     def repeatable(self) -> bool:
         """Whether the same payload has nothing more to apply when it is received again in the same round."""
         return self.authorization is None and self.beats is None and self.message.positions is None
+
+    def resolve(self, plan: Plan, plan_class: int) -> Message:
+        """The message with the plan that it names and its class: one object for all receivers in this process."""
+        known = self._resolved
+        if known is None or known.plan != plan or known.plan_class != plan_class:
+            known = replace(self.message, plan=plan, plan_class=plan_class)
+            force_setattr(self, "_resolved", known)
+        return known
 
 
 class Channel:
