@@ -69,7 +69,9 @@ class ConnectivityRecovery:
         near, bodies = AT_GOAL * now.mission.spacing, now.sensed.values()
         free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
         known = self._standing[1] if self._standing[0] == places.digest else {}
-        seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
+        reach = near + max((math.dist(now.position, x) for x in bodies), default=0.0) + 1e-6
+        close = [a for a in free if math.dist(places.points[a], now.position) <= reach]
+        seen = {a: 0 for a in close if any(math.dist(places.points[a], x) <= near for x in bodies)}
         hidden = {
             a: since + 1
             for a, since in known.items()

@@ -85,7 +85,15 @@ class Channel:
 
 
 @lru_cache(maxsize=256)
+def _one(plan: Plan) -> Plan:
+    """One object for equal plans, which many robots pass on."""
+    return plan
+
+
+@lru_cache(maxsize=256)
 def _decode(payload: bytes, n_robots: int, dim: int) -> Inbound:
     """Decode a broadcast; cached, as a simulation has many receivers of the same bytes."""
     message = decode(payload, n_robots, dim)
+    if message.plan is not None:
+        force_setattr(message, "plan", _one(message.plan))
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))
