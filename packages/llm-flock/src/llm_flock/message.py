@@ -244,7 +244,7 @@ def _table(claims: Claims, places: int) -> BidTable:
     return tuple(table)
 
 
-@lru_cache(maxsize=2**18)
+@lru_cache(maxsize=2**16)
 def _entry(version: int, bid: float, owner: int) -> BidEntry:
     """One object for equal entries, so that large tables are compared by identity (`_agreement.auction.merged`).
 

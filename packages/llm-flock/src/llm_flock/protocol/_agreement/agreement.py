@@ -39,6 +39,7 @@ class Agreement(Situation):
         self._proposals = 0
         self._last_epoch = -1
         self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
+        self._remembers = parts.channel is not None  # without keys, no plan turns out void
         self.listens = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
@@ -137,7 +138,7 @@ class Agreement(Situation):
 
     def _remember(self) -> None:
         """Remember the last plan of each proposer with the claim on it, in case later plans turn out void."""
-        if self.plan is not None and self.provenance is not None:
+        if self._remembers and self.plan is not None and self.provenance is not None:
             self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
 
     def _withdraw(self, plan: Plan, proposer: int) -> Note:

@@ -19,6 +19,7 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Offer
+from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._membership.joint import flown_straight, optimal_assignment
 from llm_flock.protocol._membership.occupancy import Occupancy

@@ -31,10 +31,13 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
         return self.authorization is None and self.beats is None and self.message.positions is None
 
     def resolve(self, plan: Plan, plan_class: int) -> Message:
-        """The message with the plan that it names and its class: one object for all receivers in this process."""
+        """The message with the plan that it names and its class: one object for all receivers in this process.
+
+        It holds neither heartbeats nor positions: those are merged on receipt.
+        """
         known = self._resolved
         if known is None or known.plan != plan or known.plan_class != plan_class:
-            known = replace(self.message, plan=plan, plan_class=plan_class)
+            known = replace(self.message, plan=plan, plan_class=plan_class, beats=None, positions=None)
             force_setattr(self, "_resolved", known)
         return known
 
@@ -85,9 +88,15 @@ class Channel:
 
 
 @lru_cache(maxsize=256)
-def _one(plan: Plan) -> Plan:
+def _one_plan(plan: Plan) -> Plan:
     """One object for equal plans, which many robots pass on."""
     return plan
+
+
+@lru_cache(maxsize=2**16)
+def _one_claim(claim: tuple[int, int, float, int]) -> tuple[int, int, float, int]:
+    """As `_one_plan`; no reader of claims minds the sign of a zero."""
+    return claim
 
 
 @lru_cache(maxsize=256)
@@ -95,5 +104,7 @@ def _decode(payload: bytes, n_robots: int, dim: int) -> Inbound:
     """Decode a broadcast; cached, as a simulation has many receivers of the same bytes."""
     message = decode(payload, n_robots, dim)
     if message.plan is not None:
-        force_setattr(message, "plan", _one(message.plan))
+        force_setattr(message, "plan", _one_plan(message.plan))
+    if message.claims is not None:
+        force_setattr(message, "claims", tuple(map(_one_claim, message.claims)))
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

@@ -24,6 +24,7 @@ communication round in which a digest differs."""
 RESTLESS_ROUNDS = 4  # rounds after which a large table is spelled out if digests differ, even if it still changes
 MAX_KNOWN_PLANS = 1024  # that are known by their digest, so that a flood of plans costs bounded memory
 
+
 class Dissemination:
     """The messages that one robot has sent, and the last ones of its neighbours."""
 
