@@ -269,8 +269,14 @@ def claims_in(table: BidTable, slots: Iterable[int] | None = None) -> Claims:
     A bid of 0, as in joint assignments, takes one byte as an integer, and nine as a float.
     """
     chosen = range(len(table)) if slots is None else slots
-    named = [(slot, table[slot]) for slot in chosen if table[slot] != UNSAID]
-    return tuple([(slot, version, bid or 0, owner) for slot, (version, bid, owner) in named])
+    return tuple([_claim(slot, table[slot]) for slot in chosen if table[slot] != UNSAID])
+
+
+@lru_cache(maxsize=2**16)
+def _claim(slot: int, entry: BidEntry) -> tuple[int, int, float, int]:
+    """One object for equal claims, which many robots send."""
+    version, bid, owner = entry
+    return slot, version, bid or 0, owner
 
 
 def table_digest(table: BidTable) -> bytes:

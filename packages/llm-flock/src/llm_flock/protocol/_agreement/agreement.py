@@ -58,7 +58,7 @@ class Agreement(Situation):
         """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
         self.degree = degree
         self._occupancy_due = True
-        self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
+        self._knows_blocked = BLOCKED in map(operator.itemgetter(2), self.claim.table or ())
 
     @property
     def bodies(self) -> tuple[Point, ...]:

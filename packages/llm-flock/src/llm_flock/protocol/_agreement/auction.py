@@ -211,7 +211,7 @@ def _bid(now: AssignmentInput, bids: tuple[float, ...], slot: int, version: int)
     return bids[slot] if now.draw is None or version == 0 else now.draw(slot, version)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
     """Slots by falling bid, those of equal bids by index."""
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))

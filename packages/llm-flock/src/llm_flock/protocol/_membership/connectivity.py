@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 
 from llm_flock.arrays import Point
 from llm_flock.events import Note
@@ -82,7 +83,7 @@ class ConnectivityRecovery:
 
     def _apart(self, slot: int, table: BidTable) -> frozenset[int]:
         """Robots known by heartbeats only, that own no place although some are vacant. Call once a round."""
-        owners = {owner for _, _, owner in table}
+        owners = set(map(operator.itemgetter(2), table))
         without = self._liveness.present - owners - {table[slot][2]}
         missed = NO_OWNER in owners and len(without) > self._liars
         self._apart_for = self._apart_for + 1 if missed else 0

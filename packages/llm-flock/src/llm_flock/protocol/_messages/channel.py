@@ -33,11 +33,11 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
     def resolve(self, plan: Plan, plan_class: int) -> Message:
         """The message with the plan that it names and its class: one object for all receivers in this process.
 
-        It holds neither heartbeats nor positions: those are merged on receipt.
+        It holds no heartbeats, positions and proposals of others: those are merged on receipt.
         """
         known = self._resolved
         if known is None or known.plan != plan or known.plan_class != plan_class:
-            known = replace(self.message, plan=plan, plan_class=plan_class, beats=None, positions=None)
+            known = replace(self.message, plan=plan, plan_class=plan_class, beats=None, positions=None, proposals=None)
             force_setattr(self, "_resolved", known)
         return known
 
