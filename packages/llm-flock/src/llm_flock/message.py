@@ -254,7 +254,7 @@ def _table(claims: Claims, places: int) -> BidTable:
     return tuple(table)
 
 
-@lru_cache(maxsize=2**16)
+@lru_cache(maxsize=2**14)
 def _entry(version: int, bid: float, owner: int) -> BidEntry:
     """One object for equal entries, so that large tables are compared by identity (`_agreement.auction.merged`).
 
@@ -272,7 +272,7 @@ def claims_in(table: BidTable, slots: Iterable[int] | None = None) -> Claims:
     return tuple([_claim(slot, table[slot]) for slot in chosen if table[slot] != UNSAID])
 
 
-@lru_cache(maxsize=2**16)
+@lru_cache(maxsize=2**14)
 def _claim(slot: int, entry: BidEntry) -> tuple[int, int, float, int]:
     """One object for equal claims, which many robots send."""
     version, bid, owner = entry

@@ -93,7 +93,7 @@ def _one_plan(plan: Plan) -> Plan:
     return plan
 
 
-@lru_cache(maxsize=2**16)
+@lru_cache(maxsize=2**14)
 def _one_claim(claim: tuple[int, int, float, int]) -> tuple[int, int, float, int]:
     """As `_one_plan`; no reader of claims minds the sign of a zero."""
     return claim
