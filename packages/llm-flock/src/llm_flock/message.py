@@ -275,8 +275,7 @@ def claims_in(table: BidTable, slots: Iterable[int] | None = None) -> Claims:
 @lru_cache(maxsize=2**14)
 def _claim(slot: int, entry: BidEntry) -> tuple[int, int, float, int]:
     """One object for equal claims, which many robots send."""
-    version, bid, owner = entry
-    return slot, version, bid or 0, owner
+    return slot, entry[0], entry[1] or 0, entry[2]
 
 
 def table_digest(table: BidTable) -> bytes:

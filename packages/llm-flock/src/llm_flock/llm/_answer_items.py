@@ -127,8 +127,8 @@ def items_of(text: str) -> list[Item]:
         if len(out) + len(opened) >= MAX_ITEMS:
             raise AnswerError(f"it is too long: more than {MAX_ITEMS} words and numbers; answer more briefly.")
         if kind == "point":  # the common form, at once; `row_of` reads all others
-            rows = (tuple(token[0][1:-1].replace(" ", "").split(",")),)
-            out.append(Item(kind, "", token.start(), token.end(), rows))
+            row = tuple(token[0][1:-1].replace(" ", "").split(","))
+            out.append(Item(kind, "", token.start(), token.end(), (row,)))
         elif kind == "open":
             opened.append(_Open(token[0], len(out), token.start()))
         elif kind == "close":

@@ -230,11 +230,10 @@ def _squared_ways(
     here: Point, plan: Plan, keep: int, take: int, spacing: float | None, roadmap: Roadmap | None
 ) -> tuple[float, float]:
     """Squared ways to two slots [units^2], straight without a `spacing`; robots ask again in a communication round."""
-    slots = keep, take
     if spacing is None:
-        kept, taken = ways_to(here, plan, slots, roadmap)
+        kept, taken = ways_to(here, plan, (keep, take), roadmap)
     else:
-        kept, taken = path_lengths(here, plan, slots, spacing, roadmap)
+        kept, taken = path_lengths(here, plan, (keep, take), spacing, roadmap)
     return kept**2, taken**2
 
 

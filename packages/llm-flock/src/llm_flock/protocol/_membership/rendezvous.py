@@ -117,11 +117,6 @@ def on_circle(plan: Plan, center: Point) -> Plan | None:
     return Plan.of(tuple(place) for place in (np.array(center) + offsets * (radii.mean() / radii)).tolist())
 
 
-@lru_cache(maxsize=256)
-def _radius(plan: Plan, center: Point) -> float:
-    return max(math.dist(place, center) for place in plan.points)
-
-
 class Gathering:
     def __init__(self) -> None:
         self._strangers = math.inf
@@ -139,7 +134,7 @@ class Gathering:
         center, reach = mission.center, CLOSE * mission.spacing
         away = math.dist(here, center)
         if strangers < self._strangers:
-            across = away + _radius(plan, center)
+            across = away + max(math.dist(place, center) for place in plan.points)
             self._left, self._wait = math.ceil(across / mission.max_step) + WAIT, WAIT
             self._strangers, self._beyond = strangers, None
         few = not alone and strangers <= FEW * mission.n_robots

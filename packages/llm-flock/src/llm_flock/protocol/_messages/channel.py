@@ -31,10 +31,7 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
         return self.authorization is None and self.beats is None and self.message.positions is None
 
     def resolve(self, plan: Plan, plan_class: int) -> Message:
-        """The message with the plan that it names and its class: one object for all receivers in this process.
-
-        It holds no heartbeats, positions and proposals of others: those are merged on receipt.
-        """
+        """The message with its plan, for all receivers here, without what was merged on receipt."""
         known = self._resolved
         if known is None or known.plan != plan or known.plan_class != plan_class:
             known = replace(self.message, plan=plan, plan_class=plan_class, beats=None, positions=None, proposals=None)
