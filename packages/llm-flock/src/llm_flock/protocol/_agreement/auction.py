@@ -13,7 +13,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
-from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
@@ -24,9 +23,7 @@ from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._membership.joint import flown_straight, optimal_assignment
 from llm_flock.protocol._membership.occupancy import Occupancy
 from llm_flock.protocol._path_length import path_lengths, ways, ways_to
-
-if TYPE_CHECKING:
-    from llm_flock.roadmap import Roadmap  # only missions with obstacles need it
+from llm_flock.roadmap import Roadmap
 
 BID_DECIMALS = 9
 
