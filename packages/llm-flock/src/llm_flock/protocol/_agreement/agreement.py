@@ -51,6 +51,7 @@ class Agreement(Situation):
         self._proposals = 0
         self._last_epoch = -1
         self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
+        self._remembers = parts.channel is not None  # without keys, no plan turns out void
         self.listens = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
@@ -66,7 +67,7 @@ class Agreement(Situation):
         """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
         self.degree = degree
         self._occupancy_due = True
-        self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
+        self._knows_blocked = BLOCKED in map(operator.itemgetter(2), self.claim.table or ())
 
     @property
     def bodies(self) -> tuple[Point, ...]:
@@ -156,7 +157,7 @@ class Agreement(Situation):
 
     def _remember(self) -> None:
         """Remember the last plan of each proposer with the claim on it, in case later plans turn out void."""
-        if self.plan is not None and self.provenance is not None:
+        if self._remembers and self.plan is not None and self.provenance is not None:
             self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
 
     def _withdraw(self, plan: Plan, proposer: int) -> Note:

@@ -133,6 +133,8 @@ class TeamMembership(Membership):
         """Number of places to propose now. A robot that sees a body without a heartbeat proposes first."""
         live, wanted = self.liveness, self._wanted(now.mission)
         if now.plan is not None:
+            if self._misfit <= REPLAN_PATIENCE:
+                return None
             # Living robots propose by ascending id, from 1.
             turn = 0 if self.still(now) else 1 + sum(j < self._robot for j in live.present)
             return wanted if self._misfit > REPLAN_PATIENCE + min(turn, MAX_WAIT) else None
