@@ -33,6 +33,40 @@ def test_a_robot_left_behind_by_two_orders_is_found() -> None:
     assert flown.formed and len(flown.positions) < 60
 
 
+@pytest.mark.parametrize(("each", "later", "seed"), [(1, 4, 2), (1, 4, 3), (2, 1, 4), (4, 1, 1)])
+def test_groups_with_orders_of_their_own_find_each_other(each: int, later: int, seed: int) -> None:
+    """Two groups out of touch are each given an order; the later one holds for all."""
+    rng = np.random.default_rng(seed)
+    offsets = np.array([(5.0 * (k % 3), 5.0 * (k // 3)) for k in range(each)])
+    starts = np.concatenate([offsets + place for place in ((12.0, 70.0), (80.0, 20.0))]) + rng.uniform(-0.5, 0.5, 2)
+    changes = [
+        {"round": 1, "robot": 0, "set": {"center": [20, 80]}},
+        {"round": later, "robot": each, "set": {"center": [80, 20]}},
+    ]
+    flown = llm_flock.run(
+        n_robots=2 * each, seed=seed, rounds=300, start_positions=starts.tolist(), changes=changes, trace=False
+    )
+    assert flown.formed and np.allclose(flown.positions[-1].mean(axis=0), (80.0, 20.0), atol=1.0)
+
+
+def test_robot_that_returns_after_the_search_finds_the_team() -> None:
+    """The team was sent elsewhere meanwhile, and has given its place up."""
+    changes = [{"round": 18, "robot": 0, "set": {"center": [75, 50]}}]
+    options = {"kill": "1@15", "join": "1@60", "changes": changes, "trace": False, "center": (20.0, 50.0)}
+    flown = llm_flock.run(shape="line", n_robots=3, seed=3, rounds=260, **options)
+    assert flown.formed and np.allclose(flown.positions[-1].mean(axis=0), (75.0, 50.0), atol=1.0)
+
+
+@pytest.mark.parametrize(("n", "dies"), [(3, "1@10"), (5, "2@10")])
+def test_survivors_out_of_touch_replan_together(n: int, dies: str) -> None:
+    """A dead body in sight is no company, and a plan without a vacant place no reason to stay."""
+    starts = [[50.0 - 5.0 * (n - 1) + 10.0 * k, 50.0] for k in range(n)]
+    changes = [{"round": 18, "robot": 0, "set": {"center": [50, 20]}}]
+    options = {"kill": dies, "gaps": "replan", "start_positions": starts, "changes": changes, "trace": False}
+    flown = llm_flock.run(shape="line", n_robots=n, seed=1, rounds=280, model="simulated:ideal,canonical", **options)
+    assert flown.formed and flown.summary.plans_in_use == 1
+
+
 def test_the_judge_of_minds_sees_what_is_no_circle() -> None:
     circle = np.array(Mission().ideal)
     turned = circle[::-1, ::-1]

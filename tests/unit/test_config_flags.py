@@ -64,11 +64,12 @@ def test_each_field_has_a_flag_or_is_refused(name: str) -> None:
         "run": {"points"},
         "swarm": {
             *("points", "kill", "join", "kill_random", "join_random", "changes", "noise", "velocity", "rounds"),
-            *("relay", "collision_check"),
+            *("relay", "collision_check", "drift", "sensing_delay", "moving_obstacles"),
             *("ros_poses", "ros_pose_topic"),
         },
         "fly": {
             *("points", "kill", "join", "kill_random", "join_random", "noise", "start_positions"),
+            *("drift", "sensing_delay", "moving_obstacles"),
             *("unit_m", "use_sim_time", "ros_missions", "ros_poses"),
         },
     }

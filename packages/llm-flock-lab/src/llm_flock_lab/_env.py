@@ -331,8 +331,10 @@ def parallel_env(mission: Mission | None = None, **options: Any) -> FlockEnv:
 class RememberedReadings(Readings):
     """Readings that keep each robot's last ones, since every new one has other errors."""
 
-    def __init__(self, mission: Mission, start: Points, noise: float, rng: np.random.Generator) -> None:
-        super().__init__(mission, start, noise, rng)
+    def __init__(self, config: RunConfig, start: Points) -> None:
+        given, rng = config.trial, stream(config.trial.seed, Stream.NOISE)
+        errors = {"drift": given.drift, "delay": given.sensing_delay}
+        super().__init__(config.mission, start, given.noise, rng, **errors, moving=given.moving_obstacles)
         self.last = [Sensing(position=tuple(place), sensed={}) for place in start.tolist()]
 
     def sense(self, robot: int) -> Sensing:
@@ -345,10 +347,11 @@ def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedRea
     """A trial of simulated bodies whose questions the caller answers; its start is recorded."""
     given, rules = config.trial, config.protocol.rules()
     rng = stream(given.seed, Stream.START)
-    start = start_positions(config.mission, given.start_positions, given.start, rng, given.start_area)
-    readings = RememberedReadings(config.mission, start, given.noise, stream(given.seed, Stream.NOISE))
+    start = start_positions(config.start_scene, given.start_positions, given.start, rng, given.start_area)
+    readings = RememberedReadings(config, start)
     planners = TeamPlanners(config, CallLane(pool=ModelPool(environ={}, asks=False)))  # copies take no keys along
-    journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan", trace=trace)
+    replans, moving = config.protocol.gaps == "replan", given.moving_obstacles
+    journal = Journal(config.mission, NullWriter(), replans=replans, trace=trace, moving=moving)
     trial = Trial(config, rules, planners, InstantBodies(readings), journal, start)
     trial.begin()
     return trial, readings

@@ -21,7 +21,7 @@ VALUES: dict[str, Any] = {
     "about": "step", "begun": True, "vacant": [0, 1], "slots": [4], "missing": [5], "counter": 1, "digest": "x",
     "proposer": 2, "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
     "goal_distance": 4.5, "after": "ab12", "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
-    "model": "simulated:collapse", "loss": None, "ahead_s": 3.5,
+    "model": "simulated:collapse", "loss": None, "ahead_s": 3.5, "obstacle": 2,
 }  # fmt: skip
 
 

@@ -246,6 +246,7 @@ class Agent:
             drift=mission.drift(number - 1) if moving else (),
             ahead=mission.drift(number) if moving else (),
             courses=self._messaging.courses,
+            moving=event.moving,
             still=self._agreement.bodies,
             period=self._period if self._own_clock else None,
         )
@@ -278,6 +279,8 @@ class Agent:
         scene, plan, slot = self._scene, self.plan, self.claim.slot
         membership, agreement = self._membership, self._agreement
         assert scene is not None, "a round has begun"
+        if rest := self._pilot.rest(scene):
+            return Phase.MOVING, rest
         effects, target, idle = list[Effect](), None, None
         unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
         if unanswered if plan is None else membership.lost if slot is None else membership.deserted:

@@ -14,6 +14,7 @@ import msgspec
 from llm_flock.arrays import Point
 from llm_flock.message import Authorization
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Mover
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 
 
@@ -50,6 +51,7 @@ class Sensed(msgspec.Struct, frozen=True, kw_only=True):
     degree: int  #: Number of robots within radio range, |N_i| (paper, line 129), counted by the radio, not the sensors.
     sensed: Mapping[int, Point]  #: Believed positions of the robots within sensing range, by id [units; world frame].
     observed: tuple[Point, ...]  #: Positions to tell the planner, in order of ids (usually those of `sensed`).
+    moving: tuple[Mover, ...] = ()  #: Moving obstacles within sensing range.
 
 
 class RoundBegan(Sensed, frozen=True, kw_only=True):
@@ -182,6 +184,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "separating": frozenset({"nearest", "makes_way"}),
     "deadlock": frozenset({"goal_distance", "rounds"}),
     "gives_way": frozenset({"to"}),
+    "evades": frozenset({"obstacle"}),
     "held": frozenset({"cause", "reason"}),
     "dropped_notes": frozenset({"count"}),
     "clock": frozenset({"ahead_s"}),

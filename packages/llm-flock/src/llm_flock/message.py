@@ -121,6 +121,9 @@ class MissionStamp(msgspec.Struct, array_like=True, forbid_unknown_fields=True, 
 NO_MISSION = MissionStamp(0, "0" * 16)  #: The stamp of a message that names no mission.
 
 
+Knowledge: TypeAlias = tuple[MissionStamp, str | None, bytes | None]
+
+
 class Authorization(msgspec.Struct, frozen=True, kw_only=True):
     """The operator's signature on a mission's digest and on the time of the order, `counter`."""
 
@@ -220,6 +223,11 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
         return self.stamp or NO_MISSION if self.provenance is None else self.provenance.stamp
 
     @cached_property
+    def knowledge(self) -> Knowledge:
+        """The part that shows what the sender knows: its mission, and the digests of its plan and table."""
+        return self.mission, self.plan_digest, self.table_digest
+
+    @cached_property
     def table(self) -> BidTable | None:
         """The sender's bid table, with UNSAID for slots left out; None without claims."""
         return None if self.claims is None else _table(self.claims, self.places)
@@ -239,7 +247,6 @@ _ENCODER = msgspec.msgpack.Encoder()
 _DECODER = msgspec.msgpack.Decoder(Message)
 
 
-@lru_cache(maxsize=256)
 def _table(claims: Claims, places: int) -> BidTable:
     table = [UNSAID] * places
     for slot, version, bid, owner in claims:
@@ -247,7 +254,7 @@ def _table(claims: Claims, places: int) -> BidTable:
     return tuple(table)
 
 
-@lru_cache(maxsize=2**18)
+@lru_cache(maxsize=2**14)
 def _entry(version: int, bid: float, owner: int) -> BidEntry:
     """One object for equal entries, so that large tables are compared by identity (`_agreement.auction.merged`).
 
@@ -262,8 +269,13 @@ def claims_in(table: BidTable, slots: Iterable[int] | None = None) -> Claims:
     A bid of 0, as in joint assignments, takes one byte as an integer, and nine as a float.
     """
     chosen = range(len(table)) if slots is None else slots
-    named = [(slot, table[slot]) for slot in chosen if table[slot] != UNSAID]
-    return tuple([(slot, version, bid or 0, owner) for slot, (version, bid, owner) in named])
+    return tuple([_claim(slot, table[slot]) for slot in chosen if table[slot] != UNSAID])
+
+
+@lru_cache(maxsize=2**14)
+def _claim(slot: int, entry: BidEntry) -> tuple[int, int, float, int]:
+    """One object for equal claims, which many robots send."""
+    return slot, entry[0], entry[1] or 0, entry[2]
 
 
 def table_digest(table: BidTable) -> bytes:

@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Pairwise, Point, Points
+from llm_flock.arrays import Pairwise, Point, Points, Vector
 from llm_flock.correspondence import as_complex, longest, proven_match
 from llm_flock.errors import InputError
 
@@ -208,12 +208,20 @@ def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[t
         if len(one) == 0:
             return math.inf
     move = end - start
-    offset = start[one] - start[two]
-    change = move[one] - move[two]
+    closest = _closest(start[one] - start[two], move[one] - move[two])
+    return math.sqrt(float((closest * closest).sum(axis=1).min()))
+
+
+def passing_distances(before: Points, after: Points, start: Vector, end: Vector) -> Vector:
+    """Smallest distance of each robot from a body that flies from `start` to `end` in step, shape (n,) [units]."""
+    return np.linalg.norm(_closest(before - start, (after - before) - (end - start)), axis=1)
+
+
+def _closest(offset: Points, change: Points) -> Points:
+    """The shortest offset while each changes evenly by `change`."""
     squared = (change * change).sum(axis=1)
     share = np.clip(-(offset * change).sum(axis=1) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
-    closest = offset + share[:, None] * change
-    return math.sqrt(float((closest * closest).sum(axis=1).min()))
+    return offset + share[:, None] * change
 
 
 @functools.lru_cache(maxsize=16)

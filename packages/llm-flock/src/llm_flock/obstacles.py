@@ -6,11 +6,12 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from llm_flock.arrays import MAX_COORDINATE, Point
+from llm_flock.arrays import MAX_COORDINATE, Point, between
 from llm_flock.bounds import MAX_POLYGON_CORNERS
 from llm_flock.errors import InputError
 
@@ -200,6 +201,53 @@ class Obstacle(BaseModel):
     def _disc(self) -> tuple[Point, float]:
         assert self.center is not None and self.radius is not None, "an obstacle is a disc or a polygon"
         return self.center, self.radius
+
+
+class MovingObstacle(BaseModel):
+    """A disc, in space a ball, that flies along a path. Robots know where they see it, its radius and largest speed.
+
+    Where it flies next, they do not know. Lengths are in mission units, positions in the world frame.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    center: tuple[Finite, ...] = Field(description="Centre at the start [units]")
+    radius: Positive = Field(description="Radius [units]")
+    speed: Positive = Field(description="Speed, which it never exceeds [units per round]")
+    path: tuple[tuple[Finite, ...], ...] = Field(
+        min_length=1, max_length=MAX_POLYGON_CORNERS, description="Points that it flies to, one after the other [units]"
+    )
+    since: int = Field(default=0, ge=0, description="Round after which it sets out")
+
+    @cached_property
+    def end(self) -> float:
+        """The time at which it is at the last point of its path, and stays there [rounds]."""
+        return self.since + sum(math.dist(a, b) for a, b in pairwise((self.center, *self.path))) / self.speed
+
+    def at(self, time: float) -> Point:
+        """The centre at a time, which is 0 when the first round begins [rounds]. Within a round it flies straight."""
+        whole = math.floor(time)
+        return between(self._after(whole), self._after(whole + 1), time - whole)
+
+    def _after(self, round_: int) -> Point:
+        """The centre at the end of a round."""
+        left, here = max(0, round_ - self.since) * self.speed, self.center
+        for stop in self.path:
+            far = math.dist(here, stop)
+            if left < far:
+                return between(here, stop, left / far)
+            left, here = left - far, stop
+        return here
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mover:
+    """A moving obstacle as a robot senses it [units, units per round]; a `number` tells it from others."""
+
+    number: int
+    position: Point
+    radius: float
+    speed: float
 
 
 def _nearest_on_outline(corners: tuple[Point, ...], point: Point, *, inside: bool) -> Nearest:

@@ -109,6 +109,13 @@ def project(
 
     if noise_bound == 0.0:
         return within(max_step)
+    further = () if also is None else also(max_step)
+    back = [side for side in further if side.violated]
+
+    def cost(target: Point) -> tuple[float, float]:
+        """How much the step lacks to lead back from where it has to, and its distance from the waypoint."""
+        lacks = [sum(n * (b - a) for n, a, b in zip(x.normal, position, target, strict=True)) - x.room for x in back]
+        return max(TOLERANCE, *lacks, 0.0), math.dist(target, waypoint)
+
     # The margin for the direction grows with the step, so a shorter step may lead farther through a narrow gap.
-    shares = (1.0, 0.5, 0.25, 0.125)
-    return min((within(max_step * share) for share in shares), key=lambda target: math.dist(target, waypoint))
+    return min((within(max_step * share) for share in (1.0, 0.5, 0.25, 0.125)), key=cost)

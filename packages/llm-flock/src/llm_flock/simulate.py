@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
@@ -12,7 +13,7 @@ from llm_flock import graph
 from llm_flock.arrays import Pairwise, Point, Points, Vector
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
-from llm_flock.obstacles import clearance
+from llm_flock.obstacles import Mover, MovingObstacle, clearance
 
 StartRule: TypeAlias = Literal["separated", "uniform", "connected"]
 
@@ -25,6 +26,7 @@ class Sensing:
 
     position: Point
     sensed: Mapping[int, Point]
+    moving: tuple[Mover, ...] = ()  #: Moving obstacles in sensing range.
 
 
 Area: TypeAlias = tuple[Point, Point] | None  #: Two opposite corners in the arena [units]; None for all of it.
@@ -115,27 +117,64 @@ def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
 class Readings:
     """Positions of all robots (`places`, shape (n, d) [units; world frame]), and the robots' readings of them.
 
-    Each reading adds a uniform vector in the ball of radius `noise` [units].
+    Each reading adds a uniform vector in the ball of radius `noise` [units], and the offset of that robot's
+    localisation, which begins anywhere in the ball of radius `drift` and walks at random in it. A robot reads its own
+    position of now, and where others were `delay` rounds ago, all of them flying evenly throughout a round.
+    `nearest_read` is the smallest distance of another robot that any of them has read [units]. `moving` obstacles
+    are seen up to the sensing range, by their surface, and as late as others.
     """
 
-    def __init__(self, mission: Mission, positions: Points, noise: float, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        mission: Mission,
+        positions: Points,
+        noise: float,
+        rng: np.random.Generator,
+        *,
+        drift: float = 0.0,
+        delay: float = 0.0,
+        moving: Sequence[MovingObstacle] = (),
+    ) -> None:
         self._mission = mission
-        self._noise = noise
+        self._noise, self._drift, self._delay = noise, drift, delay
+        self._exact = noise == drift == delay == 0.0
         self._rng = rng
+        self._offsets = np.array([self._in_ball(drift) for _ in positions]) if drift else np.zeros_like(positions)
+        self._past = [positions] * (math.ceil(delay) + 1)
+        self._moving, self._round = moving, -1
+        self.nearest_read = math.inf
         self.place(positions.copy())
 
     def place(self, places: Points) -> None:
         """Set the positions of all robots, and compute which are in range. Call once per round."""
-        self.places = places
+        self.places, self._round = places, self._round + 1
+        if self._drift:
+            self._offsets = self._walk()
         self._distances: Pairwise = graph.distances(places)
+        self._past = [*self._past[1:], places]
+        whole = math.ceil(self._delay)
+        share = whole - self._delay  # of the round that was in flight then
+        self._seen = self._past[0] + share * (self._past[min(1, whole)] - self._past[0]) if whole else places
         self._rows: list[Point] = [tuple(row) for row in places.tolist()]
-        self.in_radio_range = self._within(self._mission.comm_range)
-        sensing = self._mission.sensing
-        same = sensing == self._mission.comm_range
-        self.in_sense_range = self.in_radio_range if same else self._within(sensing)
+        self.in_radio_range = self._within(self._mission.comm_range, self._distances)
+        sensing, seen = self._mission.sensing, graph.distances(self._seen) if whole else self._distances
+        same = sensing == self._mission.comm_range and not whole
+        self.in_sense_range = self.in_radio_range if same else self._within(sensing, seen)
 
-    def _within(self, reach: float) -> list[tuple[int, ...]]:
-        close = self._distances <= reach
+    def _walk(self) -> Points:
+        """The offsets one step of a tenth of their bound later."""
+        offsets = self._offsets + [self._in_ball(self._drift / 10) for _ in self.places]
+        lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+        return offsets * np.minimum(1.0, self._drift / np.maximum(lengths, self._drift))
+
+    def _in_ball(self, radius: float) -> Vector:
+        """A uniform vector in the ball of this radius."""
+        direction = self._rng.normal(size=self._mission.dim)
+        direction /= np.linalg.norm(direction)
+        return radius * float(self._rng.random()) ** (1.0 / self._mission.dim) * direction
+
+    def _within(self, reach: float, distances: Pairwise) -> list[tuple[int, ...]]:
+        close = distances <= reach
         np.fill_diagonal(close, False)
         return [tuple(np.flatnonzero(row).tolist()) for row in close]
 
@@ -146,24 +185,34 @@ class Readings:
 
     def sense(self, robot: int) -> Sensing:
         """One robot's readings, with new errors at every call."""
-        if self._noise == 0.0:
+        if self._exact:
             rows = self._rows
-            return Sensing(position=rows[robot], sensed={j: rows[j] for j in self.in_sense_range[robot]})
-        readings = {j: self._reading(j) for j in (robot, *self.in_sense_range[robot])}
-        return Sensing(position=readings.pop(robot), sensed=readings)
+            sensed = {j: rows[j] for j in self.in_sense_range[robot]}
+            return Sensing(position=rows[robot], sensed=sensed, moving=self._movers(robot))
+        here = self._reading(robot, self.places)
+        sensed = {j: self._reading(j, self._seen) for j in self.in_sense_range[robot]}
+        self.nearest_read = min(self.nearest_read, *(math.dist(here, there) for there in sensed.values()), math.inf)
+        return Sensing(position=here, sensed=sensed, moving=self._movers(robot))
+
+    def _movers(self, robot: int) -> tuple[Mover, ...]:
+        seen = list[Mover]()
+        for number, one in enumerate(self._moving):
+            place = one.at(self._round - self._delay)
+            if math.dist(self._rows[robot], place) - one.radius <= self._mission.sensing:
+                if self._noise:
+                    place = tuple((np.array(place) + self._in_ball(self._noise)).tolist())
+                seen.append(Mover(number=number, position=place, radius=one.radius, speed=one.speed))
+        return tuple(seen)
 
     def others(self, robot: int) -> tuple[Point, ...]:
         """Readings of all other robots, in ascending order of ids, at any distance (`observe = "all"`)."""
-        return tuple(self._reading(j) for j in range(len(self._rows)) if j != robot)
+        return tuple(self._reading(j, self._seen) for j in range(len(self._rows)) if j != robot)
 
-    def _reading(self, robot: int) -> Point:
-        if self._noise == 0.0:
+    def _reading(self, robot: int, places: Points) -> Point:
+        if self._exact:
             return self._rows[robot]
-        dim = self._mission.dim
-        direction = self._rng.normal(size=dim)
-        direction /= np.linalg.norm(direction)
-        radius = self._noise * float(self._rng.random()) ** (1.0 / dim)
-        return tuple((self.places[robot] + radius * direction).tolist())
+        place = places[robot] + self._offsets[robot] if self._drift else places[robot]
+        return tuple((place + self._in_ball(self._noise) if self._noise else place).tolist())
 
     def move(self, displacements: Points) -> None:
         """Fly every robot by its displacement, shape (n, d) [units], all at once."""

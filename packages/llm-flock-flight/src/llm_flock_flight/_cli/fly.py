@@ -57,7 +57,8 @@ SHOWN = (
 """Fields that `fly --help` lists."""
 
 NOT_IN_FLIGHTS = (
-    *("kill", "join", "kill_random", "join_random", "noise", "start_positions"),
+    *("kill", "join", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
+    *("moving_obstacles", "start_positions"),
     *("unit_m", "use_sim_time", "ros_missions", "ros_poses"),
 )
 """Fields of runs and swarms that flights do not support."""

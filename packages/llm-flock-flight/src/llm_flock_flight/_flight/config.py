@@ -16,7 +16,10 @@ from llm_flock_flight._addresses import one_spelling
 from llm_flock_flight._crazyflie.radios import exchanges_of, plan_radios
 from llm_flock_flight._flight.sections import FleetConfig, PositionsConfig, SafetyConfig
 
-NOT_IN_FLIGHT = ("kill", "join", "kill_random", "join_random", "noise", "start_positions")
+NOT_IN_FLIGHT = (
+    *("kill", "join", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
+    *("moving_obstacles", "start_positions"),
+)
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
 
 DOWN_M = 0.12

@@ -57,7 +57,7 @@ SHOWN = ("shape", "n_robots", "model", "base_url", "swarm", "listen", "connect",
 
 NOT_IN_SWARMS = (
     *("kill", "join", "kill_random", "join_random", "changes"),
-    *("noise", "velocity", "rounds", "relay", "collision_check"),
+    *("noise", "drift", "sensing_delay", "moving_obstacles", "velocity", "rounds", "relay", "collision_check"),
 )
 """Fields of runs that swarms of processes do not support."""
 

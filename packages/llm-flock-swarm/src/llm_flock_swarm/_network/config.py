@@ -93,7 +93,8 @@ class SwarmConfig(RunConfig):
     @model_validator(mode="after")
     def _check_swarm(self) -> Self:
         trial = self.trial
-        for field in ("kill", "join", "kill_random", "join_random", "changes", "noise"):
+        bodies = ("noise", "drift", "sensing_delay", "moving_obstacles")
+        for field in ("kill", "join", "kill_random", "join_random", "changes", *bodies):
             if getattr(trial, field):
                 raise InputError(field, getattr(trial, field), says="cannot be used in a swarm of processes")
         protocol = self.protocol

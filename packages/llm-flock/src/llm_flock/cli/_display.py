@@ -106,6 +106,8 @@ def summary_table(result: RunResult) -> Table:
         ("joined", ", ".join(summary.joined)),
         ("answered by", escape(", ".join(sorted({*summary.answered_by} - {*summary.models})))),
         ("beware", "[bold red]" + escape("; ".join(beware)) + "[/]" if beware else ""),
+        ("smallest clearance", _number(summary.min_clearance, "{:.3f}") if summary.min_clearance is not None else ""),
+        ("nearest sensed", _number(summary.nearest_read, "{:.3f}") if summary.nearest_read is not None else ""),
         ("empty places", str(summary.gaps or "")),
         ("spare robots", str(summary.spares or "")),
         ("provider faults", ", ".join(f"{n} {kind}" for kind, n in summary.faults.items())),

@@ -69,7 +69,8 @@ _NESTED = re.compile(r"""(?:["'](?P<key>\w{1,60}+)["']\s{0,9}:\s{0,9})?(?:(?P<op
 """A field whose text is an object; where an object or a list begins, with its key, or ends."""
 
 _TOKEN = re.compile(
-    r"""(?P<number>[-+]?+(?:(?:[0-9]++(?:\.[0-9]++|\.(?![.\s]|$))?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+
+    r"""(?P<point>\[-?[0-9]++(?:\.[0-9]++)?+(?:,\ ?-?[0-9]++(?:\.[0-9]++)?+){1,2}\])
+      |(?P<number>[-+]?+(?:(?:[0-9]++(?:\.[0-9]++|\.(?![.\s]|$))?+|\.[0-9]++)(?:e[-+]?+[0-9]++)?+
            |(?:nan|inf(?:inity)?+)(?![A-Za-z_])))
       |(?P<word>[^\W_]++(?:_++\d[^\W_]*+)*+(?:'[a-z]++)?+)
       |(?P<open>[\[(]|\{(?=\s{0,9}["']?[xyz]["']?\s{0,9}[:=])|<(?=[-+\d.,;\s]{1,200}>))
@@ -125,7 +126,10 @@ def items_of(text: str) -> list[Item]:
         kind = token.lastgroup or ""
         if len(out) + len(opened) >= MAX_ITEMS:
             raise AnswerError(f"it is too long: more than {MAX_ITEMS} words and numbers; answer more briefly.")
-        if kind == "open":
+        if kind == "point":  # the common form, at once; `row_of` reads all others
+            row = tuple(token[0][1:-1].replace(" ", "").split(","))
+            out.append(Item(kind, "", token.start(), token.end(), (row,)))
+        elif kind == "open":
             opened.append(_Open(token[0], len(out), token.start()))
         elif kind == "close":
             while opened and opened[-1].bracket not in _PAIRS[token[0]] and opened[-1].bracket in "<{":

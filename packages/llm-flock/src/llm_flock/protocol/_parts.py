@@ -18,6 +18,7 @@ from llm_flock.arrays import Point, moved
 from llm_flock.events import Note, Origin
 from llm_flock.message import Course, Message, PositionReport, TeamPositions
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Mover
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import AssignmentRule, Claim, IndexAssignment, Occupancy
@@ -42,6 +43,7 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True):
     drift: Point = ()  #: Displacement of the mission's frame so far [units]; empty if the mission stands still.
     ahead: Point = ()  #: Displacement at the end of the round, for which goals are given [units]; empty as `drift`.
     courses: Mapping[int, Course] = NO_COURSES  #: Ways that others ask to be left free, by sender.
+    moving: tuple[Mover, ...] = ()  #: Moving obstacles within sensing range.
     still: tuple[Point, ...] = ()  #: Bodies in sight that do not move [units; world frame].
     period: int | None = None  #: Heartbeat period; None where each round counts as one.
 
@@ -175,6 +177,10 @@ class Safety:
 
     def begin_mission(self) -> None:
         """Begin another mission: heed all requests for a way again."""
+
+    def rests(self, round_: int) -> bool:
+        """Whether the whole team stands still in a round, so that sensors that are late see it where it is."""
+        return False
 
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint."""

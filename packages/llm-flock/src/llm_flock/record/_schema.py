@@ -108,6 +108,7 @@ class _ResultFields(BaseModel):
     breakers_opened: list[Robot] | None = None
     min_separation: Finite | None = None
     steps_over_limit: Whole | None = None
+    obstacle_violations: Whole | None = None
     center_distance: Finite | None = None
 
 

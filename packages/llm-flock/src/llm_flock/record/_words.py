@@ -87,6 +87,8 @@ def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
     safe, found = mission["safe_distance"], list[str]()
     if separation is not None and separation < safe - ROUNDING:
         found.append(f"robots came as near as {separation:.3f}, below the safe distance {safe:g}")
+    if hits := result.get("obstacle_violations"):
+        found.append(f"moving obstacles came too near to robots, in {counted(hits, 'round')} of theirs")
     if over:
         found.append(f"{counted(over, 'step')} over the limit ended there")
     if off is not None and off > mission["spacing"] / 10:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, U
 from llm_flock.errors import FieldError, FlockError, InputError
 from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Obstacle
+from llm_flock.obstacles import MovingObstacle, Obstacle
 from llm_flock.protocol._agreement.assignment import AssignmentRule
 from llm_flock.protocol._agreement.consensus import ConsensusRule, Ties
 from llm_flock.protocol._breaker import Fallback
@@ -156,6 +156,9 @@ class Parameters(TypedDict, total=False):
     join_random: int
     changes: Sequence[Change | Mapping[str, Any]]
     noise: float
+    drift: float
+    sensing_delay: float
+    moving_obstacles: Sequence[MovingObstacle | Mapping[str, Any]]
     out: str | Path | None
 
 
@@ -243,10 +246,11 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
 
     # Build every part first, which rejects invalid values; then open files, and fly.
     asked = config.trial
-    warn_of_mission(config.mission, asked.noise)
+    warn_of_mission(config.mission, asked.noise + asked.drift)
     rng = stream(asked.seed, Stream.START)
-    start = start_positions(config.mission, asked.start_positions, asked.start, rng, asked.start_area)
-    bodies = InstantBodies(Readings(config.mission, start, asked.noise, stream(asked.seed, Stream.NOISE)))
+    start = start_positions(config.start_scene, asked.start_positions, asked.start, rng, asked.start_area)
+    rng, errors = stream(asked.seed, Stream.NOISE), {"drift": asked.drift, "delay": asked.sensing_delay}
+    bodies = InstantBodies(Readings(config.mission, start, asked.noise, rng, **errors, moving=asked.moving_obstacles))
     planners = TeamPlanners(config, lane, own)
     code = own_rules((consensus, assignment))
     with ExitStack() as stack:
@@ -304,7 +308,8 @@ def open_outputs(
             from llm_flock.record._writer import Guarded, Tee
 
             target = Tee(writer, sink if ended is None else Guarded("sink", sink.write, ended))
-        journal = Journal(config.mission, target, replans=config.protocol.gaps == "replan", trace=trace)
+        moving, replans = config.trial.moving_obstacles, config.protocol.gaps == "replan"
+        journal = Journal(config.mission, target, replans=replans, trace=trace, moving=moving)
         journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
         planners.listen(journal.attempt)
         if path is not None:  # only a record needs it, and asking git takes longer than many rounds

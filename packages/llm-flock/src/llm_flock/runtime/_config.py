@@ -20,11 +20,20 @@ from llm_flock.links import LinkFaults
 from llm_flock.llm._port import FrameName
 from llm_flock.metrics import deadline
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.protocol._agreement.consensus import Ties
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record import RECORD_NAME
 from llm_flock.runtime._rules import ASSIGNMENT, CONSENSUS, PRESETS, LeftOut, Rules, assignment_rule, consensus_rule
-from llm_flock.runtime._schedule import MAX_ROUNDS, Schedule, TrialConfig, build_schedule, load_points, read_points
+from llm_flock.runtime._schedule import (
+    MAX_ROUNDS,
+    Schedule,
+    Sight,
+    TrialConfig,
+    build_schedule,
+    load_points,
+    read_points,
+)
 from llm_flock.validation import checked, fields_of, unknown_section
 
 logger = logging.getLogger(__name__)
@@ -204,17 +213,37 @@ class RunConfig(ConfigSection):
     def _check(self) -> Self:
         if self.protocol.shield:
             self.mission.check_sensing()
-            most = self.mission.safe_distance / 4
-            if self.trial.noise > most:
-                raise InputError(
-                    "noise", self.trial.noise, f"at most safe_distance / 4 = {most:g} while the shield is on"
-                )
-        self.schedule()
+            most, error = self.mission.safe_distance / 4, self.trial.noise + self.trial.drift
+            if error > most:
+                allowed = f"at most safe_distance / 4 = {most:g}, noise and drift together, while the shield is on"
+                raise InputError("noise" if self.trial.noise else "drift", error, allowed)
+            rounds = 1 + self.sight.rests + self.trial.sensing_delay
+            reach = self.mission.sensing - self.mission.body_radius - self.mission.max_step
+            for one in self.trial.moving_obstacles:
+                if one.speed * rounds > reach + 1e-9:
+                    allowed = f"a speed of at most {reach / rounds:.4g}: robots must see an obstacle before it is there"
+                    raise InputError("moving_obstacles", one.model_dump(), allowed)
+        given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
+        if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
+            says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
+            raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
         return self
 
     def schedule(self) -> Schedule:
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
+
+    @property
+    def sight(self) -> Sight:
+        """What each robot may assume of positions; without the shield it assumes nothing, and never rests."""
+        error = self.trial.noise + self.trial.drift
+        return Sight.of(self.mission, error, self.trial.sensing_delay) if self.protocol.shield else Sight(error=error)
+
+    @property
+    def start_scene(self) -> Mission:
+        """The mission with all obstacles where they are at the start, for random start positions."""
+        moving = tuple(Obstacle(center=one.center, radius=one.radius) for one in self.trial.moving_obstacles)
+        return self.mission.model_copy(update={"obstacles": (*self.mission.obstacles, *moving)})
 
     @property
     def record(self) -> Path | None:
@@ -227,7 +256,7 @@ class RunConfig(ConfigSection):
         if self.trial.rounds is not None:
             return self.trial.rounds
         across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
-        return self.schedule().last + deadline(across)
+        return self.schedule().last + deadline(across * (1 + self.sight.rests))
 
     @classmethod
     def section_of(cls, field: str) -> str:
@@ -338,8 +367,8 @@ def warn_of_mission(mission: Mission, noise: float = 0.0) -> None:
     ideal, tolerance = mission.ideal, metrics.AT_GOAL * mission.spacing
     if noise > tolerance:
         logger.warning(
-            "noise = %g is more than a robot may be away from its place, %g: the team may stand in its shape as it "
-            "sees itself, and hardly ever count as formed.",
+            "noise and drift, together %g, are more than a robot may be away from its place, %g: the team may stand in "
+            "its shape as it sees itself, and hardly ever count as formed.",
             noise,
             tolerance,
         )

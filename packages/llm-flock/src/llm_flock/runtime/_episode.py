@@ -45,8 +45,11 @@ class Episode:
         """Rounds from the moment at which the mission was given until the team had formed."""
         return None if self.formed_at is None else self.formed_at - self.flown
 
-    def deadline(self, awake: Sequence[int], agents: Sequence[Agent], after: int) -> int:
-        """The round by which the team should have formed, without events after round `after`."""
+    def deadline(self, awake: Sequence[int], agents: Sequence[Agent], after: int, pace: int = 1) -> int:
+        """The round by which a team that flies in one of `pace` rounds should have formed, without events later on.
+
+        Round `after` has the last of them.
+        """
         plan = self.plan(agents)
         key = None if plan is None else plan.digest, len(awake), after
         if self._deadline[0] != key:
@@ -54,7 +57,7 @@ class Episode:
             places = self.mission.ideal or (self.mission.center,) if plan is None else plan.points
             bound = self._bound(awake, np.array(places))
             since = max(self._disturbed, after)
-            self._deadline = key, since + metrics.deadline(bound) + metrics.HELD_ROUNDS - 1
+            self._deadline = key, since + metrics.deadline(bound * pace) + metrics.HELD_ROUNDS - 1
         return self._deadline[1]
 
     def _bound(self, awake: Sequence[int], goals: Points) -> int:

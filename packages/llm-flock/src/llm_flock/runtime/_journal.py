@@ -22,7 +22,7 @@ from llm_flock.events import MoveTo, Note, Origin
 from llm_flock.links import Traffic
 from llm_flock.llm._port import Attempt, Usage
 from llm_flock.mission import Mission
-from llm_flock.obstacles import segment_clearance
+from llm_flock.obstacles import MovingObstacle, segment_clearance
 from llm_flock.record._schema import (
     CallUsage,
     ChatLine,
@@ -128,11 +128,19 @@ class Journal:
     """Counts and records one run; for a `NullWriter` no entries are built.
 
     If the team `replans` after deaths, only a plan of the right size then counts as formed. With `trace`, missions,
-    plans, states and figures are also kept in memory, to draw the run.
+    plans, states and figures are also kept in memory, to draw the run. `moving` obstacles are measured, too.
     """
 
-    def __init__(self, mission: Mission, writer: RecordSink, *, replans: bool = False, trace: bool = False) -> None:
-        self.mission = mission
+    def __init__(
+        self,
+        mission: Mission,
+        writer: RecordSink,
+        *,
+        replans: bool = False,
+        trace: bool = False,
+        moving: Sequence[MovingObstacle] = (),
+    ) -> None:
+        self.mission, self._moving = mission, moving
         self._replans = replans
         self.writer = writer
         self._recording = not isinstance(writer, NullWriter)
@@ -148,6 +156,7 @@ class Journal:
         self.waypoints: Counter[str] = Counter()
         self.min_separation = float("inf")
         self.min_clearance = float("inf")
+        self.obstacle_violations = 0
         self.start = metrics.StartSeparation(mission.safe_distance)
         self.positions: list[Points] = []
         self.errors: list[metrics.ShapeError | None] = []
@@ -340,6 +349,11 @@ class Journal:
             for start, end in zip(before.tolist(), positions.tolist(), strict=True):
                 clearance = segment_clearance(tuple(start), tuple(end), self.mission.obstacles)
                 self.min_clearance = min(self.min_clearance, clearance)
+        for one in self._moving:
+            ways = one.at(round_number - 1), one.at(round_number)
+            gaps = metrics.passing_distances(before, positions, *map(np.array, ways)) - one.radius
+            self.min_clearance = min(self.min_clearance, float(gaps.min()))
+            self.obstacle_violations += int((gaps < self.mission.body_radius - metrics.ROUNDING).sum())
         self.positions.append(positions)
         closest = separation if on_segment is None else min(separation, on_segment)
         self.min_separation = min(self.min_separation, closest)

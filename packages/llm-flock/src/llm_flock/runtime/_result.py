@@ -98,16 +98,22 @@ class Summary:
     #: Mean distance to the ideal shape at the end [units] (paper, section 4.2); None without ideal.
     procrustes_mean: float | None
     procrustes_mean_squared: float | None  #: Mean squared distance [units^2] (paper, appendix C).
-    #: Smallest distance of any two robots over the whole run, along the segments too [units].
+    #: Smallest distance of any two robots over the whole run, along the segments too [units]: of true positions in
+    #: simulation, of estimates in flight.
     min_separation: float | None
+    #: Smallest distance of another robot that any of them has sensed, with noise, drift and delay [units]; None if
+    #: positions are exact.
+    nearest_read: float | None
     start_violations: int  #: Pairs that were nearer than the safe distance at the start (min_separation has them too).
     #: First round at whose end each of these had come apart; 0 without any, None if it never came.
     rounds_to_separate: int | None
     #: As min_separation, each of these pairs counted from when it had come apart [units].
     min_separation_after_start: float | None
-    #: Smallest distance of a robot's centre to an obstacle, along the segments too, negative inside [units]; None
-    #: without obstacles.
+    #: Smallest distance of a robot's centre to an obstacle, moving ones too, along the segments too, negative inside
+    #: [units]; None without obstacles.
     min_clearance: float | None
+    #: Rounds of robots in which a moving obstacle came nearer to their centre than half the safe distance.
+    obstacle_violations: int
     plans_in_use: int  #: Different plans at the end.
     distinct_goals: int  #: Different goals at the end.
     robots_without_plan: int  #: Robots that never got a plan.

@@ -35,7 +35,8 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
     if protocol.shield:
         from llm_flock.protocol._motion.safety import ShieldedSafety
 
-        safety = ShieldedSafety(robot, mission, config.trial.noise, apart)
+        sight, delay = config.sight, config.trial.sensing_delay
+        safety = ShieldedSafety(robot, mission, sight.error, apart, delay=delay, rests=sight.rests)
         safety.asks = protocol.without != "right-of-way"
     if protocol.verify:
         from llm_flock.protocol._verification.validator import Validator
@@ -55,7 +56,7 @@ def make_agent(config: RunConfig, robot: int, parts: Parts, *, own_clock: bool =
         parts=parts,
         fallback=config.protocol.fallback or "hold",
         on_event=config.model.decide == "on-event",
-        noise_bound=config.trial.noise,
+        noise_bound=config.sight.error,
         own_clock=own_clock,
     )
 

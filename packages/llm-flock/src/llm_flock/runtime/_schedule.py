@@ -1,19 +1,22 @@
-"""Events in flight: robots that die, robots that join late, missions that change."""
+"""What a run is to withstand: robots that die or join late, missions that change, sensors that err, obstacles."""
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from llm_flock.bounds import MAX_OBSTACLES
 from llm_flock.errors import InputError
 from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
+from llm_flock.obstacles import MovingObstacle
 
 
 class Stream(IntEnum):
@@ -87,7 +90,43 @@ class TrialConfig(BaseModel):
         default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
     )
     noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
+    drift: float = Field(
+        default=0.0,
+        ge=0,
+        allow_inf_nan=False,
+        description="Maximum offset of a robot's localisation, which wanders from round to round [units]",
+    )
+    sensing_delay: float = Field(
+        default=0.0, ge=0, le=20, allow_inf_nan=False, description="Age of sensed positions of others [rounds]"
+    )
+    moving_obstacles: tuple[MovingObstacle, ...] = Field(
+        default=(),
+        max_length=MAX_OBSTACLES,
+        description="Discs that fly along a path, and which robots evade: {center, radius, speed, path, since}",
+    )
     out: str | None = Field(default=None, description="Folder for the record (run.mcap) and the figures drawn from it")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sight:
+    """The assumptions of Theorem 11a on positions, in docs/explanation/theory.md."""
+
+    error: float = 0.0  #: Largest error of a position, half of that of a distance between two robots [units].
+    rests: int = 0  #: Rounds in which all robots stand still after each one in which they may fly.
+
+    @classmethod
+    def of(cls, limits: Mission, error: float, delay: float) -> Self:
+        """Bounds for positions with this error [units], and of others also with this delay [rounds].
+
+        Others fly for less than a round after they were sensed. The margin covers that, or they rest for one round
+        more, if the shield would have no room for that margin, or sensors do not reach far enough.
+        """
+        whole = math.floor(delay)
+        unseen = (delay - whole) * limits.max_step
+        most, needed = limits.safe_distance / 4, limits.safe_distance + 2 * limits.max_step + 2 * unseen
+        if unseen > 0.0 and (error + unseen / 2 > most or limits.sensing < needed):
+            return cls(error=error, rests=whole + 1)
+        return cls(error=error + unseen / 2, rests=whole)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,11 +137,12 @@ class Schedule:
     kills: Mapping[int, tuple[int, ...]]
     joins: Mapping[int, tuple[int, ...]]  # for the first time or again
     missions: Mapping[int, tuple[tuple[int, Mission], ...]]  # in the order in which they are given
+    crossed: int = 0  # the round in which the last moving obstacle comes to rest; 0 without any
 
     @property
     def last(self) -> int:
         """The round of the last event; 0 without any."""
-        return max((*self.kills, *self.joins, *self.missions), default=0)
+        return max((*self.kills, *self.joins, *self.missions, self.crossed), default=0)
 
 
 def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
@@ -134,7 +174,20 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
         return past[-1] == "join" if past else robot not in asleep
 
     missions = _missions(mission, trial.changes, awake, rounds)
-    return Schedule(asleep=asleep, kills=_by_round(killed), joins=_by_round(joined), missions=missions)
+    crossed = _crossed(mission, trial.moving_obstacles)
+    kills, joins = _by_round(killed), _by_round(joined)
+    return Schedule(asleep=asleep, kills=kills, joins=joins, missions=missions, crossed=crossed)
+
+
+def _crossed(mission: Mission, moving: Sequence[MovingObstacle]) -> int:
+    """The round in which the last of moving obstacles comes to rest, after checking them."""
+    for one in moving:
+        if {len(one.center), *map(len, one.path)} != {mission.dim}:
+            allowed = f"{mission.dim} coordinates in each point, as the mission has"
+            raise InputError("moving_obstacles", one.model_dump(), allowed)
+        if one.end > MAX_ROUNDS:
+            raise InputError("moving_obstacles", one.model_dump(), f"a path flown by round {MAX_ROUNDS:,}")
+    return math.ceil(max((one.end for one in moving), default=0))
 
 
 def _turns(field: str, text: str | None, n_robots: int, rounds: int) -> list[Turn]:

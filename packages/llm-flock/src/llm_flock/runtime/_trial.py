@@ -144,7 +144,8 @@ class Trial:
 
             missing = sum(map(len, self.schedule.kills.values()))
             after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
-        return self.journal.episode.deadline(self.roster.awake, self.roster.awake_agents(), after)
+        awake, pace = self.roster.awake, 1 + self.config.sight.rests
+        return self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace)
 
     async def run(self) -> None:
         """Fly rounds until the formation is held, rounds or budget are used up, or no model gives usable answers."""
@@ -231,7 +232,7 @@ class Trial:
         for robot in joined:
             journal.rejected_before += roster.join(robot).rejected
             journal.note(number, None, robot, Note("joined", {}))
-        if killed or joined:
+        if killed or joined or number == schedule.crossed:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
@@ -270,6 +271,7 @@ class Trial:
                 degree=len(self.roster.hears(self.bodies, robot)),
                 sensed=sensing.sensed,
                 observed=observed,
+                moving=sensing.moving,
             )
             for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):

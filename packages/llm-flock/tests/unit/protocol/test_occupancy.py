@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from driven_agent import PLAN, DrivenAgent, make, says
 
@@ -143,6 +145,8 @@ def test_place_searched_in_vain_is_a_gap_naming_missing_robots() -> None:
         assert isinstance(move, MoveTo)
         driven.here = move.waypoint
         driven.agent.handle(Arrived())
+        if any(note.kind == "gap" for note in notes) and math.dist(driven.here, PLAN.points[0]) < 1e-6:
+            break
     (gap,) = (note for note in notes if note.kind == "gap")
     assert gap.detail == {"slots": [2], "missing": [1, 2]}
     assert driven.here == pytest.approx(PLAN.points[0])

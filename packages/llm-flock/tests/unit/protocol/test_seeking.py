@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from itertools import groupby
 
+import numpy as np
 import pytest
+import scipy
 
 from llm_flock.arrays import Point
 from llm_flock.mission import Mission
-from llm_flock.protocol._membership.search import ALONE, WAIT, Seeking
+from llm_flock.protocol._membership.search import ALONE, LONG, WAIT, Seeking, _lanes
 
 SMALL = Mission(shape="triangle", n_robots=3)
 MIDDLE = Mission(shape="circle", n_robots=10)
@@ -84,3 +86,42 @@ def test_seeker_moves_on_when_it_cannot_reach_a_point() -> None:
     seeking, away = Seeking(0), (50.0, 70.0)
     targets = [seeking.target(MIDDLE, away) for _ in range(60)]
     assert len({target for target in targets if target is not None}) == 3
+
+
+@pytest.mark.parametrize(
+    "mission",
+    [
+        SMALL,
+        LARGE,
+        Mission(n_robots=4, shape="square", comm_range=200.0),
+        Mission(n_robots=4, shape="text:a pile", center=(50, 50, 20), arena=((0, 0, 0), (100, 80, 40))),
+    ],
+)
+def test_robot_that_is_alone_for_long_passes_every_point(mission: Mission) -> None:
+    seeking, here, flown = Seeking(1), mission.center, list[Point]()
+    for _ in range(LONG + 1):
+        seeking.count((), (), (0, 2, 3), mission.n_robots)
+    for _ in range(900):
+        target = seeking.target(mission, here) or here
+        share = min(1.0, mission.max_step / max(math.dist(here, target), 1e-9))
+        here = tuple(x + share * (t - x) for x, t in zip(here, target, strict=True))
+        flown.append(here)
+    low, high = mission.arena
+    everywhere = np.random.default_rng(0).uniform(low, high, (500, mission.dim))
+    assert scipy.spatial.distance.cdist(everywhere, np.array(flown)).min(axis=1).max() <= mission.comm_range
+
+
+def test_robots_alone_fly_over_the_arena_in_opposite_directions() -> None:
+    seekers = [Seeking(0), Seeking(1)]
+    ends = list[Point | None]()
+    for seeking in seekers:
+        for _ in range(LONG + 1):
+            seeking.count((), (), (0, 1, 2), 3)
+        targets = [seeking.target(SMALL, SMALL.center) for _ in range(60)]
+        ends.append(next(point for point in targets if point not in (None, SMALL.center)))
+    assert ends[0] != ends[1] and math.dist(ends[0] or (), ends[1] or ()) > SMALL.comm_range
+
+
+def test_lanes_keep_clear_of_obstacles() -> None:
+    walled = Mission(n_robots=3, shape="triangle", obstacles=({"center": (12, 8), "radius": 6},))  # pyright: ignore[reportArgumentType]
+    assert 0 < len(_lanes(walled)) < len(_lanes(SMALL))

@@ -6,7 +6,7 @@ import operator
 import traceback
 from collections.abc import Mapping
 from itertools import islice
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from llm_flock.arrays import Point, spread
 from llm_flock.errors import MAX_SHOWN, FlockError
@@ -17,12 +17,21 @@ from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.printable import one_line
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol._agreement.ballot import Ballot
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
 from llm_flock.protocol._parts import Parts, Situation
 
+if TYPE_CHECKING:
+    from llm_flock.protocol._agreement.ballot import Ballot
+
 MAX_EARLIER = 64  # places of earlier missions that are remembered
+
+
+def new_ballot() -> Ballot:
+    """An empty ballot; few rules need one."""
+    from llm_flock.protocol._agreement.ballot import Ballot
+
+    return Ballot()
 
 
 class Agreement(Situation):
@@ -37,11 +46,12 @@ class Agreement(Situation):
         self._consensus, self._assignment = parts.consensus, parts.assignment
         self._membership, self._verifier = parts.membership, parts.verifier
         #: The proposals of the team, for a rule that compares them all; None for others.
-        self.ballot = Ballot() if getattr(parts.consensus, "ballots", False) else None
+        self.ballot = new_ballot() if getattr(parts.consensus, "ballots", False) else None
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
         self._last_epoch = -1
         self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
+        self._remembers = parts.channel is not None  # without keys, no plan turns out void
         self.listens = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
@@ -57,7 +67,7 @@ class Agreement(Situation):
         """Begin a round with `degree` neighbours, |N_i|, as the radio counts them. Call after `sense`."""
         self.degree = degree
         self._occupancy_due = True
-        self._knows_blocked = BLOCKED in [owner for _, _, owner in self.claim.table or ()]
+        self._knows_blocked = BLOCKED in map(operator.itemgetter(2), self.claim.table or ())
 
     @property
     def bodies(self) -> tuple[Point, ...]:
@@ -74,7 +84,7 @@ class Agreement(Situation):
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
         self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
-        self.ballot = self.ballot and Ballot()
+        self.ballot = self.ballot and new_ballot()
         self._membership.begin_mission()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
@@ -147,7 +157,7 @@ class Agreement(Situation):
 
     def _remember(self) -> None:
         """Remember the last plan of each proposer with the claim on it, in case later plans turn out void."""
-        if self.plan is not None and self.provenance is not None:
+        if self._remembers and self.plan is not None and self.provenance is not None:
             self._followed[self.provenance.proposer] = self.plan, self.provenance, self.claim
 
     def _withdraw(self, plan: Plan, proposer: int) -> Note:

@@ -18,10 +18,12 @@ from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Offer
+from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
 from llm_flock.protocol._membership.joint import flown_straight, optimal_assignment
 from llm_flock.protocol._membership.occupancy import Occupancy
 from llm_flock.protocol._path_length import path_lengths, ways, ways_to
+from llm_flock.roadmap import Roadmap
 
 BID_DECIMALS = 9
 
@@ -206,7 +208,7 @@ def _bid(now: AssignmentInput, bids: tuple[float, ...], slot: int, version: int)
     return bids[slot] if now.draw is None or version == 0 else now.draw(slot, version)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
     """Slots by falling bid, those of equal bids by index."""
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
@@ -214,14 +216,22 @@ def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
 
 def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
     """Gain of an exchange with a robot at `there`: the fall in the sum of squared ways [units^2]."""
+    spacing = None if straight else now.spacing
+    keep, take = _squared_ways(now.position, now.plan, mine, theirs, spacing, now.roadmap)
+    their_keep, their_take = _squared_ways(there, now.plan, theirs, mine, spacing, now.roadmap)
+    return keep + their_keep - take - their_take
 
-    def left(here: Point) -> list[float]:
-        if straight:
-            return ways_to(here, now.plan, (mine, theirs), now.roadmap)
-        return path_lengths(here, now.plan, (mine, theirs), now.spacing, now.roadmap)
 
-    (keep, take), (their_take, their_keep) = left(now.position), left(there)
-    return keep**2 + their_keep**2 - take**2 - their_take**2
+@lru_cache(maxsize=2**16)
+def _squared_ways(
+    here: Point, plan: Plan, keep: int, take: int, spacing: float | None, roadmap: Roadmap | None
+) -> tuple[float, float]:
+    """Squared ways to two slots [units^2], straight without a `spacing`; robots ask again in a communication round."""
+    if spacing is None:
+        kept, taken = ways_to(here, plan, (keep, take), roadmap)
+    else:
+        kept, taken = path_lengths(here, plan, (keep, take), spacing, roadmap)
+    return kept**2, taken**2
 
 
 def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
@@ -121,7 +120,7 @@ class Messaging:
             return self._reject_plan(message.plan, objection)
         plan = self._dissemination.resolve_plan(message, self._agreement.plan)
         if plan is not None:
-            message = replace(message, plan=plan, plan_class=verifier.plan_class(mission, plan))
+            message = inbound.resolve(plan, verifier.plan_class(mission, plan))
             if inbound.repeatable and len(self._repeated) < MAX_REPEATED:
                 self._repeated[payload] = message
         self._keep(message)

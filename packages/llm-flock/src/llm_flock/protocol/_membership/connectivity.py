@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import operator
 
 from llm_flock.arrays import Point
 from llm_flock.events import Note
@@ -66,10 +67,13 @@ class ConnectivityRecovery:
 
     def _standing_at(self, now: Situation, places: Plan, table: BidTable) -> set[int]:
         """Slots without owner on which a body stands, or stood when last in sight: no search begins for these."""
-        near, bodies = AT_GOAL * now.mission.spacing, now.sensed.values()
+        near, owners = AT_GOAL * now.mission.spacing, {owner for _, _, owner in table}
+        bodies = [x for j, x in now.sensed.items() if j not in owners]  # others that search are no news
         free = [a for a, entry in enumerate(table) if entry[2] == NO_OWNER]
         known = self._standing[1] if self._standing[0] == places.digest else {}
-        seen = {a: 0 for a in free if any(math.dist(places.points[a], x) <= near for x in bodies)}
+        reach = near + max((math.dist(now.position, x) for x in bodies), default=0.0) + 1e-6
+        close = [a for a in free if math.dist(places.points[a], now.position) <= reach]
+        seen = {a: 0 for a in close if any(math.dist(places.points[a], x) <= near for x in bodies)}
         hidden = {
             a: since + 1
             for a, since in known.items()
@@ -80,7 +84,7 @@ class ConnectivityRecovery:
 
     def _apart(self, slot: int, table: BidTable) -> frozenset[int]:
         """Robots known by heartbeats only, that own no place although some are vacant. Call once a round."""
-        owners = {owner for _, _, owner in table}
+        owners = set(map(operator.itemgetter(2), table))
         without = self._liveness.present - owners - {table[slot][2]}
         missed = NO_OWNER in owners and len(without) > self._liars
         self._apart_for = self._apart_for + 1 if missed else 0

@@ -154,7 +154,7 @@ class JointAssignment:
 
 def placed(table: BidTable | None) -> int:
     """Number of robots in the joint assignment of a table, including those for which no place was left."""
-    return max((version for version, _, _ in table or ()), default=0) // VERSION
+    return max(table or ((0, 0.0, NO_OWNER),))[0] // VERSION
 
 
 def _round_point(point: Point) -> Point:

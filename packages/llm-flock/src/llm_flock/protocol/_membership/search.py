@@ -14,6 +14,7 @@ from llm_flock.arrays import Point, spread
 from llm_flock.message import NO_OWNER
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
+from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
 from llm_flock.protocol._parts import Situation
 
@@ -27,6 +28,8 @@ ARRIVED = 0.5  # a point of the tour counts as visited within this share of the 
 NEAR = 0.5  # a robot waits within this share of the spacing from where it wants to be found
 WAIT = 3  # rounds that a robot waits at the first point; each further wait is as much longer
 ALONE = 8  # heartbeat periods out of touch with its team after which a robot without a place is lost
+LONG = 64  # heartbeat periods out of touch after which a robot looks everywhere
+LANE = 0.6  # lanes over the arena, and their ends from its edge: this share of the radio range from every point
 FAR = 2.0  # in a formation that reaches this many radio ranges from its centre, robots are sought at places
 
 
@@ -140,9 +143,10 @@ def _tour(start: Point, points: Sequence[Point]) -> tuple[Point, ...]:
 
 
 class Seeking:
-    """The way of a robot without plan, or lost: to the centre, and in a large formation also to two ideal places.
+    """The way of a robot without plan, or lost: to the centre and in a large formation to two places, then everywhere.
 
-    A robot that meets nobody at its place goes there once, comes back, and waits twice as long each time.
+    A robot that meets nobody at its place goes there once, comes back, and waits twice as long each time; from the
+    second time on it flies over the arena as well.
     """
 
     def __init__(self, robot: int, liars: int = 0) -> None:
@@ -155,16 +159,22 @@ class Seeking:
         self._alone = self._deserted = 0
         self._patience, self.sets_out = ALONE, False
 
+    def _way(self, mission: Mission) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
+        """Points to wait at, and lanes over the arena for a robot that has been alone for long."""
+        everywhere = self._alone > LONG or (self.sets_out and self._patience > 2 * ALONE + self._robot)
+        lanes = _lanes(mission)[:: -1 if self._robot % 2 else 1] if everywhere else ()
+        return _points(mission, self._robot), lanes
+
     def wait_for_neighbours(self, now: Situation, *, met: bool) -> None:
         """Count a period in which no body was `met` in radio range of the own place, though others belong there."""
         if met:
             self._deserted, self._patience, self.sets_out = 0, ALONE, False
         elif self.sets_out:
-            self.sets_out = self._leg < len(_points(now.mission, self._robot))
+            self.sets_out = self._leg < sum(map(len, self._way(now.mission)))
         elif _should_meet_others(now):
             self._deserted += 1
             if self._deserted > self._patience:
-                self._deserted, self._patience = 0, 2 * self._patience
+                self._deserted, self._patience = 0, 2 * self._patience + self._robot  # not all at the same time
                 self.sets_out, self._leg, self._left = True, 0, None
 
     def count(
@@ -182,16 +192,37 @@ class Seeking:
 
     def target(self, mission: Mission, here: Point) -> Point | None:
         """The point to fly to from `here` [units; frame of the mission], or None to wait. Call once a round."""
-        points = _points(mission, self._robot)
-        point = points[self._leg % len(points)]
+        points, lanes = self._way(mission)
+        turn, at = divmod(self._leg, len(points) + len(lanes))
+        point = (*points, *lanes)[at]
         away = math.dist(here, point)
-        if self._left is None:  # time for any robot to get there: a crowd may keep this one away
+        if self._left is None and at >= len(points):  # nobody is expected there: it flies on
+            self._left = math.ceil(away / mission.max_step) + WAIT
+        elif self._left is None:  # time for any robot to get there: a crowd may keep this one away
             across = max(math.dist(x, mission.center) for x in points)
-            self._left = math.ceil((away + across) / mission.max_step) + WAIT * (self._leg + 1)
+            self._left = math.ceil((away + across) / mission.max_step) + WAIT * (turn * len(points) + at + 1)
         self._left -= 1
+        if at >= len(points) and away <= NEAR * mission.spacing:
+            self._left = 0
         if self._left == 0:
             self._leg, self._left = self._leg + 1, None
         return point if away > NEAR * mission.spacing else None
+
+
+@lru_cache(maxsize=256)
+def _lanes(mission: Mission) -> tuple[Point, ...]:
+    """The corners of a way to and fro that comes within radio range of every point of the arena."""
+    (low, *lows), (high, *highs) = mission.arena
+    width = 2.0 * LANE * mission.comm_range / math.sqrt(len(lows))
+    rows = [()]
+    for a, b in zip(lows, highs, strict=True):
+        lanes = max(1, math.ceil((b - a) / width))
+        across = [a + (b - a) * (k + 0.5) / lanes for k in range(lanes)]
+        rows = [(*row, x) for k, row in enumerate(rows) for x in (across if k % 2 == 0 else across[::-1])]
+    edge = min(LANE * mission.comm_range, (high - low) / 2.0)
+    ends = low + edge, high - edge
+    way = [(end, *row) for k, row in enumerate(rows) for end in (ends if k % 2 == 0 else ends[::-1])]
+    return tuple(point for point in way if clearance(point, mission.obstacles) >= mission.body_radius)
 
 
 def _should_meet_others(now: Situation) -> bool:

@@ -92,7 +92,7 @@ class TeamMembership(Membership):
         self._joint.begin_round()
         self._unplaced.clear()
         self._seeking.count(near - live.silent, live.silent, live.strangers, mission.n_robots)
-        self._seeking.wait_for_neighbours(now, met=bool(near))
+        self._seeking.wait_for_neighbours(now, met=bool(near - live.silent) and not self._is_messenger(now, near))
         owners, wanted = {owner for _, _, owner in now.claim.table or ()}, self._wanted(mission)
         replans = self.gaps == "replan" and now.plan is not None and now.claim.table is not None
         fits = not replans or (len(now.plan or ()) == wanted and BLOCKED not in owners)
@@ -100,6 +100,14 @@ class TeamMembership(Membership):
         waits = NO_OWNER in owners and bool(live.strangers) and not self._connectivity.given_up
         legal = fits or resized(mission, wanted) is not None
         self._misfit = 0 if fits or waits or not legal else self._misfit + 1
+
+    def _is_messenger(self, now: Situation, near: frozenset[int]) -> bool:
+        """Whether it is to look for the others, as the lowest id of those that miss half of the team for good."""
+        live = self.liveness
+        few = len(live.silent) + len(live.strangers) >= len(live.present)
+        vacant = NO_OWNER in {owner for _, _, owner in now.claim.table or ()}
+        first = self._robot == min(live.present) and near <= live.present
+        return few and first and (not vacant or self._connectivity.given_up)
 
     def _wanted(self, mission: Mission) -> int:
         return min(mission.n_places, self.liveness.alive)
@@ -125,6 +133,8 @@ class TeamMembership(Membership):
         """Number of places to propose now. A robot that sees a body without a heartbeat proposes first."""
         live, wanted = self.liveness, self._wanted(now.mission)
         if now.plan is not None:
+            if self._misfit <= REPLAN_PATIENCE:
+                return None
             # Living robots propose by ascending id, from 1.
             turn = 0 if self.still(now) else 1 + sum(j < self._robot for j in live.present)
             return wanted if self._misfit > REPLAN_PATIENCE + min(turn, MAX_WAIT) else None

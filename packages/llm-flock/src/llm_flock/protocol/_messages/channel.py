@@ -8,11 +8,13 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
+from msgspec.structs import force_setattr, replace
 from numpy.typing import NDArray
 
 from llm_flock.errors import MessageError
 from llm_flock.message import Authorization, Message, MissionStamp, decode
 from llm_flock.mission import Mission
+from llm_flock.plan import Plan
 
 
 class Inbound(msgspec.Struct, frozen=True, kw_only=True):
@@ -21,11 +23,20 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
     message: Message
     beats: NDArray[np.int64] | None
     authorization: Authorization | None = None
+    _resolved: Message | None = None
 
     @property
     def repeatable(self) -> bool:
         """Whether the same payload has nothing more to apply when it is received again in the same round."""
         return self.authorization is None and self.beats is None and self.message.positions is None
+
+    def resolve(self, plan: Plan, plan_class: int) -> Message:
+        """The message with its plan, for all receivers here, without what was merged on receipt."""
+        known = self._resolved
+        if known is None or known.plan != plan or known.plan_class != plan_class:
+            known = replace(self.message, plan=plan, plan_class=plan_class, beats=None, positions=None, proposals=None)
+            force_setattr(self, "_resolved", known)
+        return known
 
 
 class Channel:
@@ -74,7 +85,23 @@ class Channel:
 
 
 @lru_cache(maxsize=256)
+def _one_plan(plan: Plan) -> Plan:
+    """One object for equal plans, which many robots pass on."""
+    return plan
+
+
+@lru_cache(maxsize=2**14)
+def _one_claim(claim: tuple[int, int, float, int]) -> tuple[int, int, float, int]:
+    """As `_one_plan`; no reader of claims minds the sign of a zero."""
+    return claim
+
+
+@lru_cache(maxsize=256)
 def _decode(payload: bytes, n_robots: int, dim: int) -> Inbound:
     """Decode a broadcast; cached, as a simulation has many receivers of the same bytes."""
     message = decode(payload, n_robots, dim)
+    if message.plan is not None:
+        force_setattr(message, "plan", _one_plan(message.plan))
+    if message.claims is not None:
+        force_setattr(message, "claims", tuple(map(_one_claim, message.claims)))
     return Inbound(message=message, beats=None if message.beats is None else np.array(message.beats, dtype=np.int64))

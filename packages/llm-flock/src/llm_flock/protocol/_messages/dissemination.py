@@ -14,7 +14,7 @@ from itertools import compress
 from msgspec.structs import replace
 
 from llm_flock.bounds import max_payload_bytes
-from llm_flock.message import BidTable, Message, claims_in, encode, table_digest
+from llm_flock.message import BidTable, Knowledge, Message, claims_in, encode, table_digest
 from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
 
@@ -25,15 +25,12 @@ communication round in which a digest differs."""
 RESTLESS_ROUNDS = 4  # rounds after which a large table is spelled out if digests differ, even if it still changes
 MAX_KNOWN_PLANS = 1024  # that are known by their digest, so that a flood of plans costs bounded memory
 
-_KNOWLEDGE = operator.attrgetter("mission", "plan_digest", "table_digest")
-"""The part of a message that shows its sender's knowledge."""
-
 
 class Dissemination:
     """The messages that one robot has sent, and the last ones of its neighbours."""
 
     def __init__(self) -> None:
-        self._peers: dict[int, Message] = {}
+        self._peers: dict[int, Knowledge] = {}
         self._heard: set[int] = set()
         self._greeting = True
         self._table: BidTable | None = None
@@ -55,7 +52,7 @@ class Dissemination:
         self._table_said += 1
 
     def hear(self, message: Message) -> None:
-        self._peers[message.sender] = message
+        self._peers[message.sender] = message.knowledge
         self._heard.add(message.sender)
 
     def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
@@ -81,16 +78,16 @@ class Dissemination:
         """The bytes to broadcast, the same as long as nothing changes. `whole` spells out all but the table."""
         self._note_changes(table)
         plan, digest = whole.plan, whole.plan_digest
-        mine = _KNOWLEDGE(whole)
-        others = [heard for heard in self._peers.values() if _KNOWLEDGE(heard) != mine]
+        mine = whole.knowledge
+        others = [heard for heard in self._peers.values() if heard != mine]
         greeting, self._greeting = self._greeting, False
         small = plan is None or len(plan) <= SMALL
-        differs = any(m.plan_digest != digest for m in others)
+        differs = any(theirs != digest for _, theirs, _ in others)
         spell_plan = self._plan_sent != digest or (greeting or differs if small else differs and not self._plan_said)
         self._plan_sent, self._plan_said = digest, spell_plan
         spell_table = table is not None and self._spells_table(whole, len(table), others, greeting=greeting)
         claims = None if table is None else claims_in(table, None if spell_table else self._news_of(table, whole.slot))
-        behind = any(m.mission < whole.mission for m in others)
+        behind = any(theirs < whole.mission for theirs, _, _ in others)
         message = replace(
             whole,
             mission_text=mission_text(mission) if behind else None,
@@ -121,9 +118,9 @@ class Dissemination:
                 changed = frozenset(compress(range(len(table)), map(operator.is_not, table, before)))
         self._changed = (*self._changed[-1:], changed)
 
-    def _spells_table(self, whole: Message, slots: int, others: list[Message], *, greeting: bool) -> bool:
-        """Whether to spell out the whole table. `others` are messages that show other knowledge."""
-        differs = any(m.plan_digest == self._plan_sent and m.table_digest != whole.table_digest for m in others)
+    def _spells_table(self, whole: Message, slots: int, others: list[Knowledge], *, greeting: bool) -> bool:
+        """Whether to spell out the whole table. `others` is the knowledge of neighbours that differs."""
+        differs = any(plan == self._plan_sent and table != whole.table_digest for _, plan, table in others)
         small = slots <= SMALL
         at_rest = self._table_said > 0 and not any(self._changed)
         overdue = self._table_said >= RESTLESS_ROUNDS and greeting

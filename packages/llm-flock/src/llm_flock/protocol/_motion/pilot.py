@@ -158,6 +158,13 @@ class Pilot:
         flight = self._safety.stay(scene)
         return [held, *flight.notes, MoveTo(waypoint=flight.waypoint, proposed=asked, origin=flight.origin)]
 
+    def rest(self, scene: Observation) -> list[Effect]:
+        """What to do in a round in which the whole team stands still; empty in other rounds."""
+        if not self._safety.rests(scene.round):
+            return []
+        held = Note("held", {"cause": "sensing", "reason": "all stand still until their sensors have seen it"})
+        return [held, MoveTo(waypoint=scene.position, proposed=None, origin=Origin.HOLD)]
+
     @property
     def course(self) -> Course | None:
         """The way that this robot asks others to leave free, in its last step."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import msgspec
 import numpy as np
@@ -11,6 +11,7 @@ import scipy
 
 from llm_flock.arrays import Point, Points, Vector
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Mover
 
 TOLERANCE = 1e-9
 """A constraint counts as satisfied to within this [units]."""
@@ -162,4 +163,24 @@ def static_half_spaces(
                 normal = tuple(-x for x in nearest.outward)
                 violated = nearest.distance - buffer < -noise_bound
                 sides.append(HalfSpace(normal, max(-max_step, room), violated))
+    return sides
+
+
+def moving_half_spaces(
+    position: Point, movers: Iterable[Mover], mission: Mission, *, max_step: float, horizon: float, noise_bound: float
+) -> list[HalfSpace]:
+    """The places that moving obstacles can reach within a `horizon` [rounds], as sides of the robot's cell.
+
+    The robot keeps clear of them alone: an obstacle makes no room. Where one can reach the robot, its side leads back,
+    as far as other sides allow. Own position and that of the obstacle are off by `noise_bound` each [units].
+    """
+    sides: list[HalfSpace] = []
+    for mover in movers:
+        gap = math.dist(position, mover.position)
+        if gap < TOLERANCE:
+            continue  # no direction leads away from it
+        room = gap - mover.radius - mission.body_radius - mover.speed * horizon - 2.0 * noise_bound
+        if room < max_step:
+            normal = tuple((b - a) / gap for a, b in zip(position, mover.position, strict=True))
+            sides.append(HalfSpace(normal, max(-max_step, room), room < 0.0))
     return sides

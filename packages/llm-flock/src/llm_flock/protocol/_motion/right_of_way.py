@@ -44,12 +44,16 @@ def rank(sender: int, level: int, of: int) -> Rank:
 
 
 class Way(msgspec.Struct, frozen=True, kw_only=True):
-    """A way that a robot asks for: its corners from there, shape (k, d), and half its width [units; world frame]."""
+    """A way that a robot asks for: its corners from there, shape (k, d), and half its width [units; world frame].
+
+    Others pass its robot at a distance of `apart`, or the usual one if that is larger [units].
+    """
 
     rank: Rank
     robot: int
     line: Points
     width: float
+    apart: float = 0.0
 
     def distances(self, points: Points) -> Vector:
         """The distance of each of some points, shape (m, d), from the middle of the way, shape (m,) [units]."""
@@ -173,7 +177,7 @@ class RightOfWay:
         the one of highest rank. The place with the smallest detour is chosen. `others` are the bodies in sight.
         """
         for avoided in (ways, pressing, pressing[:1]):
-            refuge = self._nearest_refuge(here, goal, avoided, np.array([*others]))
+            refuge = self._nearest_refuge(here, goal, avoided, np.array([*others]).reshape(-1, len(here)))
             if refuge is not None:
                 return refuge
         return None
@@ -208,7 +212,7 @@ class RightOfWay:
         start, end = np.array(here), np.array(stop)
         for way in ways:
             comes = way.line[:1]
-            room = min(float(np.linalg.norm(start - comes[0])), self.passing_distance)
+            room = min(float(np.linalg.norm(start - comes[0])), max(self.passing_distance, way.apart))
             if float(_distances(comes, start, end)[0]) < room - 1e-6:
                 return False
         return True

@@ -7,14 +7,17 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import combinations
 
+import numpy as np
+
 from llm_flock import shield
 from llm_flock.arrays import Point, between, moved
 from llm_flock.events import Note, Origin
-from llm_flock.message import MAX_STOPS, Course
+from llm_flock.message import MAX_LEVEL, MAX_STOPS, Course
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Mover
 from llm_flock.protocol._motion.leg import STEP, Leg, map_of
-from llm_flock.protocol._motion.projection import static_half_spaces
-from llm_flock.protocol._motion.right_of_way import RightOfWay, Way, outside
+from llm_flock.protocol._motion.projection import moving_half_spaces, static_half_spaces
+from llm_flock.protocol._motion.right_of_way import RightOfWay, Way, outside, rank
 from llm_flock.protocol._parts import Observation, SafeStep, Safety
 
 
@@ -22,11 +25,25 @@ class ShieldedSafety(Safety):
     """Turns waypoints into safe ones, gives way to others, and asks them to give way: `step` or `stay` in each round.
 
     `limits` is the mission at the start: no message changes safe distance, step limit, arena and obstacles.
-    `noise_bound` is the largest error of a believed position [units]. Unless it `asks`, it claims no right of way.
+    `noise_bound` is the largest error of a believed position [units], `delay` the age of sensed positions of others
+    [rounds]. After each round in which it may fly, all robots stand still for `rests` rounds, so that they are seen.
+    Unless it `asks`, it claims no right of way.
     """
 
-    def __init__(self, robot: int, limits: Mission, noise_bound: float, passing_distance: float | None = None) -> None:
+    def __init__(
+        self,
+        robot: int,
+        limits: Mission,
+        noise_bound: float,
+        passing_distance: float | None = None,
+        *,
+        delay: float = 0.0,
+        rests: int = 0,
+    ) -> None:
         self._robot, self._limits, self._noise_bound = robot, limits, noise_bound
+        self._rests, self._horizon = rests, 1.0 + rests + delay
+        self._moving: tuple[Mover, ...] = ()
+        self._met: dict[int, Point] = {}  # where obstacles were in the last round of flight
         # With uncertain positions the sides of cells move inwards: bodies need more room to pass each other.
         margin = 2.0 * noise_bound * (1.0 + 4.0 * STEP * limits.max_step / limits.safe_distance)
         passing_distance = limits.safe_distance if passing_distance is None else passing_distance
@@ -39,18 +56,22 @@ class ShieldedSafety(Safety):
         """The way that this robot asks others to leave free; None if nothing is in its way."""
         return self._right_of_way.course
 
+    def rests(self, round_: int) -> bool:
+        """As `Safety.rests`: in all rounds but the first of each turn."""
+        return (round_ - 1) % (1 + self._rests) > 0
+
     def begin_mission(self) -> None:
         """Begin another mission: heed all requests for a way again."""
         self._right_of_way.begin_mission()
 
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint: holds the position, unless another is too near or has to pass."""
-        here = scene.position
+        here, self._moving = scene.position, scene.moving
         self._right_of_way.count(here, 0.0, 0.0, scene.period)
         separating = self._separate(scene)
         if separating is not None:
             return separating
-        ways = self._right_of_way.ways(scene.sensed, scene.courses)
+        ways = [*self._obstacle_ways(scene), *self._right_of_way.ways(scene.sensed, scene.courses)]
         pressing = [way for way in ways if way.covers(here)]
         aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
@@ -59,6 +80,7 @@ class ShieldedSafety(Safety):
         """As `Safety.room`; none for a robot that gives way to another."""
         if self._gave_way is not None:
             return 0.0
+        self._moving = scene.moving
         here, stop = scene.position, moved(leg.stop, scene.drift)
         straight = self._project(here, _towards(here, stop, self._limits.max_step), scene.others)
         return math.dist(here, stop) - math.dist(straight, stop)
@@ -66,13 +88,14 @@ class ShieldedSafety(Safety):
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
         """The safe waypoint for `wish` [units; world frame]. The leg's goal is reached within `tolerance` [units]."""
         right, here, within = self._right_of_way, scene.position, tolerance + self._noise_bound
+        self._moving = scene.moving
         right.count(leg.goal, leg.left, within, scene.period)
         separating = self._separate(scene)
         if separating is not None:
             return separating
         goal, stop = moved(leg.goal, scene.drift), moved(leg.stop, scene.drift)
         path = partial(self._path, here, stop, goal, scene.still)
-        ways = right.ways(scene.sensed, scene.courses)
+        ways = [*self._obstacle_ways(scene), *right.ways(scene.sensed, scene.courses)]
         pressing = [way for way in ways if way.covers(here)]
         if pressing and not right.leads_out(here, path(), goal, pressing):
             aside = self._aside(scene, goal, ways, pressing, scene.still)
@@ -122,7 +145,9 @@ class ShieldedSafety(Safety):
     def _note_way(self, way: Way) -> tuple[Note, ...]:
         """A note when this robot begins to give way to another."""
         before, self._gave_way = self._gave_way, way.robot
-        return () if before == way.robot else (Note("gives_way", {"to": way.robot}),)
+        if before == way.robot:
+            return ()
+        return (Note("evades", {"obstacle": ~way.robot}) if way.robot < 0 else Note("gives_way", {"to": way.robot}),)
 
     def _is_blocked(self, scene: Observation, stop: Point, safe: Point) -> bool:
         """Whether bodies cost the robot over half of the gain that planner and obstacles would allow."""
@@ -168,8 +193,35 @@ class ShieldedSafety(Safety):
             safe_distance=limits.safe_distance if distance is None else distance,
             max_step=limits.max_step,
             noise_bound=noise,
-            also=lambda longest: static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
+            also=lambda longest: [
+                *static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
+                *moving_half_spaces(
+                    position, self._moving, limits, max_step=longest, horizon=self._horizon, noise_bound=noise
+                ),
+            ],
         )
+
+    def _obstacle_ways(self, scene: Observation) -> list[Way]:
+        """The ways of moving obstacles, as far as they fly in the direction of their last round until they are left."""
+        limits, met, ways = self._limits, self._met, list[Way]()
+        self._met = {mover.number: mover.position for mover in scene.moving}
+        error = 2.0 * self._noise_bound
+        # Robots that stand in the way pass on the right to leave it, by their own name: obstacles make no requests.
+        highest = rank(self._robot, MAX_LEVEL, self._robot)
+        for mover in scene.moving:
+            apart = mover.radius + limits.body_radius + error
+            width = apart + mover.speed * self._horizon
+            before, here = met.get(mover.number, mover.position), mover.position
+            flown, far = math.dist(before, here), mover.speed * (1 + self._rests) * (2.0 + width / limits.max_step)
+            known = flown > 2.0 * error  # else it may be flying anywhere
+            # Who is in the way has to leave it to a side, not along it.
+            for length in (far, far + 4.0 * limits.max_step):
+                line = np.array([here, between(before, here, 1.0 + length / flown) if known else here])
+                way = Way(rank=highest, robot=~mover.number, line=line, width=width, apart=apart)
+                if not way.covers(scene.position):
+                    break
+            ways.append(way)
+        return ways
 
     def _separate(self, scene: Observation) -> SafeStep | None:
         """A step away from the middle of a crowd that is too close, if there is one: also for robots beside it."""

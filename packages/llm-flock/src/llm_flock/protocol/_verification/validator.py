@@ -21,6 +21,7 @@ class Validator(Checker):
     def __init__(self, *, shield_on: bool, any_size: bool = False) -> None:
         super().__init__(any_size=any_size)
         self._shield_on = shield_on
+        self._last: tuple[Mission | None, Plan | None, int] = None, None, 0
 
     def objection(self, mission: Mission, plan: Plan | None) -> str | None:
         """The reason to reject a plan, or None. Call before a plan is adopted or forwarded."""
@@ -30,7 +31,9 @@ class Validator(Checker):
         """The plan's class in the total order of plans."""
         if plan is None:
             return 0
-        return int(plan_class(self._standard(mission, plan), plan))
+        if self._last[0] is not mission or self._last[1] is not plan:  # most neighbours follow the same plan
+            self._last = mission, plan, int(plan_class(self._standard(mission, plan), plan))
+        return self._last[2]
 
     def _standard(self, mission: Mission, plan: Plan) -> Mission:
         """The mission against which a plan is checked: unchanged, or resized for a smaller team."""
