@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -20,7 +21,9 @@ from flights import STARTS, STOCK, flight_config
 from slowness import slowness
 
 from llm_flock.record._reader import read_record
+from llm_flock_flight._crazyflie import CrazyflieRobot
 from llm_flock_flight._flight.config import FlightConfig
+from llm_flock_flight._pauses import own_pauses
 from llm_flock_flight._testing.crtp import StandIns
 from llm_flock_flight._testing.mavlink import AutopilotStandIns
 
@@ -107,3 +110,24 @@ def test_a_flight_that_stays_away_is_landed_and_reports_it(tmp_path: Path, radio
     record = read_record(tmp_path / "run.mcap")
     assert record.result is not None and record.result["flight"]["ended"] == "hung"
     assert [event.kind for event in record.flight].count("landed_by_deadman") == 4
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_link_is_not_lost_before_a_pause_is_caught_up_with(paused: bool) -> None:
+    """Nothing has been read for 2 s. If this process stood still meanwhile, the drone has half a second to be heard."""
+
+    async def act(stand_ins: StandIns) -> None:
+        robot = CrazyflieRobot("d0", stand_ins.uris[0], cache=TABLES)
+        await robot.connect(8.0)
+        stand_ins[0].lose_link()
+        await asyncio.sleep(0.6)  # it has caught up with a pause while connecting, if there was one
+        robot._link._heard_s = time.monotonic() - 2.0
+        if paused:
+            own_pauses()._looked_s -= 2.0
+        assert robot.state().link_lost is not paused
+        await asyncio.sleep(0.7)
+        assert robot.state().link_lost
+        await robot.close()
+
+    with StandIns(HOMES[:1]) as stand_ins:
+        asyncio.run(act(stand_ins))
