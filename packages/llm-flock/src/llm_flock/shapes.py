@@ -166,6 +166,7 @@ class ShapeInfo:
     #: Its points, by n and the argument K (0 without one); None if they are given otherwise.
     layout: Callable[[int, int], Points] | None = None
     is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1  #: Whether it exists for n and K.
+    drawn: bool = False  #: Whether a formation program draws it (`llm_flock.formation`).
 
 
 _LISTED = (
@@ -222,6 +223,15 @@ _LISTED = (
     ),
     ShapeInfo("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
     ShapeInfo("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
+    ShapeInfo("letters:TEXT", "enough for every stroke", "letters and digits, upright", (12, 30), drawn=True),
+    ShapeInfo("sphere", "any number", "a sphere in space (robots on its surface)", (12, 30), drawn=True),
+    ShapeInfo("dome", "any number", "a half sphere in space (robots on its surface)", (10, 20), drawn=True),
+    ShapeInfo("cylinder", "any number", "an upright cylinder in space, without lids", (12, 30), drawn=True),
+    ShapeInfo("helix", "at least 2", "two turns of an upright helix in space", (10, 20), drawn=True),
+    ShapeInfo("cube", "at least 8", "a cube in space (rows, columns and layers)", (8, 27), drawn=True),
+    ShapeInfo("pyramid", "at least 5", "a pyramid in space (square layers)", (5, 14), drawn=True),
+    ShapeInfo("outline:FILE", "enough for every stroke", "the outlines of an SVG drawing", (), drawn=True),
+    ShapeInfo("program:FILE", "enough for every stroke", "what a formation program draws", (), drawn=True),
 )
 
 _SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
@@ -247,6 +257,8 @@ def shape_name(spec: str) -> str:
 def _argument(spec: str) -> int:
     """Number of sides of `polygon:K`, 0 for other shapes. Checks the argument of every specification."""
     name, (_, colon, argument) = shape_name(spec), spec.partition(":")
+    if name == "outline":
+        raise InputError("shape", spec, says="only configurations and flags read outline:FILE, as a program")
     if name == "text":
         if not argument.strip():
             raise InputError("shape", spec, "a description of the shape after 'text:'")
@@ -254,7 +266,7 @@ def _argument(spec: str) -> int:
         if not (argument.isascii() and argument.isdecimal() and len(argument) <= 9 and int(argument) >= 3):
             raise InputError("shape", spec, "polygon:K with a whole number K >= 3")
         return int(argument)
-    elif colon:
+    elif colon and name not in ("letters", "program"):
         raise InputError("shape", spec, f"{name!r} alone: it takes no argument")
     return 0
 
@@ -268,7 +280,24 @@ def describe(spec: str) -> str:
     sides, name = _argument(spec), shape_name(spec)
     if name == "text":
         return " ".join(spec.partition(":")[2].split())
+    if name in ("letters", "program"):
+        return f"the {name} {title(spec).partition(':')[2]}".rstrip()
     return _SHAPES[name].description.replace(" K ", f" {sides} ")
+
+
+def is_drawn(spec: str) -> bool:
+    """Whether a formation program draws the shape; InputError if no shape has this name."""
+    return _SHAPES[shape_name(spec)].drawn
+
+
+def title(spec: str) -> str:
+    """A shape specification for people: a program by its name instead of its text."""
+    if not spec.startswith("program:"):
+        return spec
+    from llm_flock.formation import program_of
+
+    program = program_of(spec)
+    return f"program:{program.name}".rstrip(":") if program else spec
 
 
 def ideal_points(
@@ -284,15 +313,23 @@ def ideal_points(
         custom: points of the shape `points`, n rows [units]; only their position relative to their mean counts.
 
     Returns:
-        shape (n, d) [units; world frame], or None for free text, which has no known ideal.
+        shape (n, d) [units; world frame], or None for free text, which has no known ideal. What a program draws
+        has at least `spacing` between neighbours, not exactly that.
 
     Raises:
-        InputError: no shape has this name, or the shape does not exist for this number of points or dimensions.
+        InputError: no shape has this name, the shape does not exist for this number of points or dimensions, or a
+            program cannot be drawn.
     """
     name, argument = shape_name(spec), _argument(spec)
     shape = _SHAPES[name]
     if name == "points":
         points = _custom(n, len(center), custom)
+    elif shape.drawn:
+        from llm_flock.formation import program_of, program_points
+
+        program = program_of(spec)
+        assert program is not None, "all shapes that are drawn are programs"
+        points = program_points(program, n, len(center), spacing)
     else:
         if not (n >= 1 and shape.is_legal(n, argument)):
             legal = [str(k) for k in range(1, 10_000) if shape.is_legal(k, argument)][:4]

@@ -223,16 +223,29 @@ def _missions(
 
 
 def read_points(change: Any) -> Any:
-    """A change as it was given, with the points of a shape `points:FILE`."""
+    """A change as it was given, with what a file of its shape holds."""
     given: Any = change.model_dump() if isinstance(change, Change) else change
     fields: Any = given.get("set") if hasattr(given, "get") else None
-    return {**given, "set": fields} if hasattr(fields, "get") and load_points(fields := {**fields}) else change
+    if not hasattr(fields, "get"):
+        return change
+    read = {**fields}
+    load_points(read)
+    return {**given, "set": read} if read != fields else change
 
 
 def load_points(fields: dict[str, Any]) -> bool:
-    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one."""
+    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one.
+
+    `program:FILE` and `outline:FILE` become the program of that file.
+    """
     shape = fields.get("shape")
-    if not isinstance(shape, str) or not shape.startswith("points:"):
+    if not isinstance(shape, str):
+        return False
+    if shape.startswith(("program:", "outline:")) and not shape.partition(":")[2].lstrip().startswith("{"):
+        from llm_flock.formation import load_program
+
+        fields["shape"] = load_program(shape.partition(":")[2].strip(), "shape").spec
+    if not shape.startswith("points:"):
         return False
     from llm_flock.point_files import load_points as read_file
 
