@@ -179,7 +179,7 @@ class Mission(BaseModel):
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
             size = f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g}"
-            shape = f"'{formations.title(self.shape)}' of {size}"
+            shape = f"'{formations.shape_title(self.shape)}' of {size}"
             needed = f"at least {reach:.4g} units from center to every wall, the radius of {shape}"
             raise InputError("arena", [list(low), list(high)], f"{needed} (here {room:.4g})")
 
@@ -196,9 +196,8 @@ class Mission(BaseModel):
         if not self.obstacles or self.ideal is None:
             return
         if next(self.placements(), None) is None:
-            room = (
-                f"obstacles that leave room for '{formations.title(self.shape)}' around the centre in some orientation"
-            )
+            shape = formations.shape_title(self.shape)
+            room = f"obstacles that leave room for '{shape}' around the centre in some orientation"
             clear = f"with every place at least safe_distance / 2 = {self.body_radius:g} from every obstacle"
             raise InputError(
                 "obstacles", f"{len(self.obstacles)} obstacles", f"{room}, {clear}, and a way between any two"

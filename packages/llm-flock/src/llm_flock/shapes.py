@@ -7,6 +7,7 @@ arc). The paper's shapes are triangle 3 and 6, square 4 and 8, cross 5, circle 5
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -167,6 +168,7 @@ class ShapeInfo:
     layout: Callable[[int, int], Points] | None = None
     is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1  #: Whether it exists for n and K.
     drawn: bool = False  #: Whether a formation program draws it (`llm_flock.formation`).
+    in_space: bool = False  #: Whether it needs three dimensions.
 
 
 _LISTED = (
@@ -224,12 +226,17 @@ _LISTED = (
     ShapeInfo("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
     ShapeInfo("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
     ShapeInfo("letters:TEXT", "enough for every stroke", "letters and digits, upright", (12, 30), drawn=True),
-    ShapeInfo("sphere", "any number", "a sphere in space (robots on its surface)", (12, 30), drawn=True),
-    ShapeInfo("dome", "any number", "a half sphere in space (robots on its surface)", (10, 20), drawn=True),
-    ShapeInfo("cylinder", "any number", "an upright cylinder in space, without lids", (12, 30), drawn=True),
-    ShapeInfo("helix", "at least 2", "two turns of an upright helix in space", (10, 20), drawn=True),
-    ShapeInfo("cube", "at least 8", "a cube in space (rows, columns and layers)", (8, 27), drawn=True),
-    ShapeInfo("pyramid", "at least 5", "a pyramid in space (square layers)", (5, 14), drawn=True),
+    *(
+        ShapeInfo(name, legal, f"{what} in space ({how})", sizes, drawn=True, in_space=True)
+        for name, legal, what, how, sizes in (
+            ("sphere", "any number", "a sphere", "robots on its surface", (12, 30)),
+            ("dome", "any number", "a half sphere", "robots on its surface", (10, 20)),
+            ("cylinder", "any number", "an upright cylinder", "robots on its wall", (12, 30)),
+            ("helix", "at least 2", "an upright helix", "two turns", (10, 20)),
+            ("cube", "at least 8", "a cube", "rows, columns and layers", (8, 27)),
+            ("pyramid", "at least 5", "a pyramid", "square layers", (5, 14)),
+        )
+    ),
     ShapeInfo("outline:FILE", "enough for every stroke", "the outlines of an SVG drawing", (), drawn=True),
     ShapeInfo("program:FILE", "enough for every stroke", "what a formation program draws", (), drawn=True),
 )
@@ -281,8 +288,14 @@ def describe(spec: str) -> str:
     if name == "text":
         return " ".join(spec.partition(":")[2].split())
     if name in ("letters", "program"):
-        return f"the {name} {title(spec).partition(':')[2]}".rstrip()
+        return f"the {name} {shape_title(spec).partition(':')[2]}".rstrip()
     return _SHAPES[name].description.replace(" K ", f" {sides} ")
+
+
+def names_file(spec: object) -> bool:
+    """Whether a shape is to be read from a file: `points:FILE`, `outline:FILE` or `program:FILE`."""
+    name, colon, rest = spec.partition(":") if isinstance(spec, str) else ("", "", "")
+    return bool(colon) and (name in ("points", "outline") or (name == "program" and rest.lstrip()[:1] != "{"))
 
 
 def is_drawn(spec: str) -> bool:
@@ -290,14 +303,12 @@ def is_drawn(spec: str) -> bool:
     return _SHAPES[shape_name(spec)].drawn
 
 
-def title(spec: str) -> str:
+def shape_title(spec: str) -> str:
     """A shape specification for people: a program by its name instead of its text."""
-    if not spec.startswith("program:"):
+    if not spec.startswith("program:{"):
         return spec
-    from llm_flock.formation import program_of
-
-    program = program_of(spec)
-    return f"program:{program.name}".rstrip(":") if program else spec
+    name = re.search(r'"name":"([\w .-]*)"', spec)  # in the canonical form; programs have no other text with quotes
+    return f"program:{name[1]}" if name else "program"
 
 
 def ideal_points(
@@ -325,6 +336,8 @@ def ideal_points(
     if name == "points":
         points = _custom(n, len(center), custom)
     elif shape.drawn:
+        if shape.in_space and len(center) != 3:
+            raise InputError("center", list(center), f"3 coordinates for shape {spec!r}")
         from llm_flock.formation import program_of, program_points
 
         program = program_of(spec)

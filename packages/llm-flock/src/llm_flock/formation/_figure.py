@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -250,18 +250,20 @@ def _area(area: Any, world: Affine) -> Region:
     import shapely
 
     def sample(count: int) -> Points:
-        low, high = np.array(area.bounds[:2]), np.array(area.bounds[2:])
-        m = math.ceil(count * float(np.prod(high - low)) / area.area)
+        box: Points = np.array(area.bounds, dtype=np.float64).reshape(2, 2)
+        width: Points = box[1] - box[0]
+        m = math.ceil(count * float(np.prod(width)) / float(area.area))
         # Multiples of powers of the plastic number: evenly spread, no two distances are equal.
-        rows = (
-            low + (high - low) * (0.5 + np.arange(1, m + 1)[:, None] * [0.7548776662466927, 0.5698402909980532] % 1) % 1
-        )
+        steps = np.arange(1, m + 1, dtype=np.float64)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
+        rows: Points = box[0] + width * ((0.5 + steps) % 1)
         return _in_space(rows[shapely.contains_xy(area, rows[:, 0], rows[:, 1])])
 
     def onto(points: Points) -> Points:
-        spots = shapely.points(points[:, :2])
-        near = shapely.get_coordinates(shapely.shortest_line(area, spots)).reshape(-1, 2, 2)[:, 0]
-        return _in_space(np.where(shapely.contains(area, spots)[:, None], points[:, :2], near))
+        spots: Any = shapely.points(points[:, :2])
+        lines: Any = cast("Any", shapely).shortest_line(area, spots)
+        near: Points = shapely.get_coordinates(lines).reshape(-1, 2, 2)[:, 0]
+        inside = np.asarray(shapely.contains(area, spots), dtype=bool)
+        return _in_space(np.where(inside[:, None], points[:, :2], near))
 
     grown = float(np.linalg.norm(np.cross(world[:3, 0], world[:3, 1])))
     return Region(world=world, area=area.area * grown, sample=sample, onto=onto)

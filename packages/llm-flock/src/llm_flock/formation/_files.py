@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Sequence
 from pathlib import Path
 
 from llm_flock.bounds import MAX_PROGRAM_BYTES
@@ -11,20 +12,22 @@ from llm_flock.formation._paths import Stroke, strokes_of
 from llm_flock.formation._program import Program, parse_program
 from llm_flock.point_files import Affine, Refused, SvgReader, file_text, floats, numbers_of, placed
 
+KINDS = (".toml", ".json", ".svg")
 WIDE = 1000  #: Width or height of an outline's drawing, whichever is larger: its coordinates are whole numbers.
 
 
-def load_program(name: str, field: str = "program") -> Program:
+def load_program(name: str, field: str = "program", kinds: Sequence[str] = KINDS) -> Program:
     """The program in a file: TOML if its name ends in `.toml`, JSON if in `.json`, outlines of a drawing if in `.svg`.
 
-    The outlines are simplified until the program is small enough. `field` names the setting in errors.
+    The outlines are simplified until the program is small enough. `field` names the setting in errors, and `kinds`
+    are the endings that are allowed.
 
     Raises:
         InputError: the file cannot be read, or holds no program.
     """
     path = Path(name)
-    if path.suffix.lower() not in (".toml", ".json", ".svg"):
-        raise InputError(field, name, "the name of a file that ends in .toml, .json or .svg")
+    if path.suffix.lower() not in kinds:
+        raise InputError(field, name, f"the name of a file that ends in {' or '.join(kinds)}")
     text = file_text(path, field, name)
     try:
         if path.suffix.lower() == ".svg":

@@ -107,7 +107,8 @@ def nearest(points: Points) -> float:
 def along(edge: Points, shares: NDArray[np.float64]) -> Points:
     """The points of a polyline at shares of its length, shape (m, 3)."""
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(edge, axis=0), axis=1))])
-    return np.column_stack([np.interp(shares * at[-1], at, axis) for axis in edge.T])
+    axes: list[NDArray[np.float64]] = [np.interp(shares * at[-1], at, axis) for axis in edge.T]
+    return np.column_stack(axes)
 
 
 def _length(edge: Points) -> float:
@@ -137,9 +138,8 @@ def net_of(strokes: list[Points], *, bends: bool) -> Net:
             if (min(node, k), max(node, k)) in left:
                 walk([node, k])
     ways = len(paths)
-    order = sorted(range(len(corners)), key=lambda k: tuple(corners[k].round(6) * [-1, 1, 1]))
-    for start in order:  # loops begin at their right end
-        for k in sorted(beside[start], key=lambda k: -corners[k][1]):
+    for start in range(len(corners)):  # loops begin and go on as they are drawn
+        for k in beside[start][:1]:
             if (min(start, k), max(start, k)) in left:
                 walk([start, k])
     return Net(

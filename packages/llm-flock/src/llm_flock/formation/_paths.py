@@ -65,18 +65,17 @@ def strokes_of(data: str, field: str = "path") -> list[Stroke]:
 
 
 def _commands(data: str, field: str) -> Iterator[tuple[str, list[float]]]:
-    command, numbers, flags = "", list[float](), "aA"
-    place = 0
+    command, numbers, place = "", list[float](), 0
     while place < len(data):
         # The two flags of an arc may stand together with what follows them.
-        flag = command in flags and command and len(numbers) in (3, 4) and data[place] in "01"
+        flag = command in ("a", "A") and len(numbers) in (3, 4) and data[place] in "01"
         match = _TOKEN.match(data, place)
         assert match is not None, "a token is at least one letter"
         if match[3] or (match[1] and (match[1].upper() not in _TAKES or numbers)):
             raise _refused(field, data, place)
         place = place + 1 if flag else match.end()
         if match[1]:
-            command = match[1]
+            command = str(match[1])
             if command in "zZ":
                 yield command, []
         elif flag or match[2]:

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
-from typing import Annotated, Any, Literal, Self, TypeAlias, cast
+from typing import Annotated, Any, Literal, Self, TypeAlias, cast, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -28,10 +28,9 @@ Letters = Annotated[
 ]
 Name = Annotated[str, Field(max_length=40, pattern=r"^[\w .-]*$")]
 
-Figure: TypeAlias = Literal[
-    *("line", "circle", "triangle", "square", "polygon", "star", "cross", "wedge"),
-    *("sphere", "dome", "cylinder", "helix", "cube", "pyramid"),
-]
+Flat: TypeAlias = Literal["line", "circle", "triangle", "square", "polygon", "star", "cross", "wedge"]
+Spatial: TypeAlias = Literal["sphere", "dome", "cylinder", "helix", "cube", "pyramid"]
+SPACE: tuple[str, ...] = get_args(Spatial)  #: Figures in space; they are shapes of a mission, too.
 KINDS = ("shape", "text", "path", "points", "union")
 
 
@@ -51,7 +50,7 @@ class Repeat(_Table):
 class Element(_Table):
     """Exactly one of shape, text, path, points, union; then scaled, mirrored, turned, tilted, moved, repeated."""
 
-    shape: Figure | None = Field(default=None, description="of radius or half side 1 around [0, 0]")
+    shape: Literal[Flat, Spatial] | None = Field(default=None, description="of radius or half side 1 around [0, 0]")
     text: Letters | None = Field(default=None, description="letters, digits, - + / . : ! ?; 10 high")
     path: str | None = Field(default=None, description="SVG path data, y downwards")
     points: tuple[Vector, ...] | None = Field(default=None, min_length=1, description="corners, y upwards")
@@ -77,13 +76,14 @@ class Element(_Table):
         if len(given) != 1:
             raise InputError("draw", given, f"exactly one of {', '.join(KINDS)} in an element")
         kind = given[0]
-        for name, fits in (
+        goes: tuple[tuple[str, bool], ...] = (
             ("closed", kind == "points"),
             ("sides", self.shape == "polygon"),
             ("arc", self.shape == "circle"),
             ("turns", self.shape == "helix"),
             ("fill", kind != "text"),
-        ):
+        )
+        for name, fits in goes:
             value = getattr(self, name)
             if value not in (None, False) and not fits:
                 raise InputError(name, value, says=f"does not go with {kind} = {getattr(self, kind)!r}")
@@ -165,7 +165,7 @@ def parse_program(given: str | Mapping[str, Any], field: str = "program") -> Pro
         if (size := len(given.encode(errors="replace"))) > MAX_PROGRAM_BYTES:
             raise InputError(field, None, f"at most {MAX_PROGRAM_BYTES:,} bytes of JSON (here {size:,})")
         try:
-            given = cast("Any", json.loads(given))
+            given = json.loads(given)
         except (ValueError, RecursionError) as error:
             raise InputError(field, None, says=f"broken JSON: {error}") from None
     if not isinstance(given, Mapping):
@@ -180,10 +180,6 @@ def _depth(value: Any) -> int:
         value = list(cast("Mapping[str, Any]", value).values())
     parts = cast("list[Any]", value) if isinstance(value, list) else []
     return 1 + max(map(_depth, parts), default=0)
-
-
-SPACE = ("sphere", "dome", "cylinder", "helix", "cube", "pyramid")
-"""Figures in space, which are shapes of a mission by their own names, too."""
 
 
 @lru_cache(maxsize=256)

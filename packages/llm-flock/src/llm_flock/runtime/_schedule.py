@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from llm_flock.errors import InputError
 from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
+from llm_flock.shapes import names_file
 
 
 class Stream(IntEnum):
@@ -239,17 +240,17 @@ def load_points(fields: dict[str, Any]) -> bool:
     `program:FILE` and `outline:FILE` become the program of that file.
     """
     shape = fields.get("shape")
-    if not isinstance(shape, str):
+    if not names_file(shape):
         return False
-    if shape.startswith(("program:", "outline:")) and not shape.partition(":")[2].lstrip().startswith("{"):
+    kind, _, name = (part.strip() for part in str(shape).partition(":"))
+    if not name:
+        raise InputError("shape", shape, f"{kind}:FILE, with the name of a file")
+    if kind != "points":
         from llm_flock.formation import load_program
 
-        fields["shape"] = load_program(shape.partition(":")[2].strip(), "shape").spec
-    if not shape.startswith("points:"):
+        fields["shape"] = load_program(name, "shape", (".svg",) if kind == "outline" else (".toml", ".json")).spec
         return False
     from llm_flock.point_files import load_points as read_file
 
-    if not (name := shape.partition(":")[2].strip()):
-        raise InputError("shape", shape, "points:FILE, with the name of a file")
     fields.update(shape="points", points=read_file(name, "shape"))
     return True
