@@ -96,6 +96,8 @@ class Mission(BaseModel):
 
             program = program_of(shape)
             given = given | {"shape": program.spec if program else shape}  # equal programs are equal missions
+        if isinstance(shape, str) and not given.keys() & {"center", "arena"} and formations.in_space(shape):
+            given = given | {"center": (50.0,) * 3, "arena": ((0.0,) * 3, (100.0,) * 3)}
         if not isinstance(points, Sized):
             return given  # absent, or of a type that the field's own validation rejects
         if not len(points):
@@ -174,6 +176,9 @@ class Mission(BaseModel):
         if nearest < self.safe_distance - 1e-9:
             allowed = f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
             raise InputError("shape", self.shape, allowed)
+        if formations.is_drawn(self.shape) and (gap := formations.widest_gap(self.ideal)) > self.comm_range + 1e-9:
+            says = f"at least {gap:.4g}, so that all robots of '{formations.shape_title(self.shape)}' hear each other"
+            raise InputError("comm_range", self.comm_range, f"{says}; more robots or less spacing would do, too")
         reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))

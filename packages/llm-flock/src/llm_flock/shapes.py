@@ -41,6 +41,12 @@ def smallest_distance(points: ArrayLike) -> float:
     return float(np.asarray(scipy.spatial.KDTree(rows).query(rows, k=2)[0])[:, 1].min())
 
 
+def widest_gap(points: ArrayLike) -> float:
+    """The smallest range within which all points, shape (n, d), are connected [units]; zero for a single point."""
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(distances(points))
+    return float(tree.max()) if tree.nnz else 0.0
+
+
 def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
     """Largest distance of the points, shape (n, d), from the centre [units]."""
     return float(np.linalg.norm(np.asarray(points, dtype=np.float64) - np.asarray(center), axis=1).max())
@@ -167,7 +173,6 @@ class ShapeInfo:
     #: Its points, by n and the argument K (0 without one); None if they are given otherwise.
     layout: Callable[[int, int], Points] | None = None
     is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1  #: Whether it exists for n and K.
-    drawn: bool = False  #: Whether a formation program draws it (`llm_flock.formation`).
     in_space: bool = False  #: Whether it needs three dimensions.
 
 
@@ -225,9 +230,12 @@ _LISTED = (
     ),
     ShapeInfo("points", "as many as there are points", "a custom shape given by its points", (3, 10)),
     ShapeInfo("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
-    ShapeInfo("letters:TEXT", "enough for every stroke", "letters and digits, upright", (12, 30), drawn=True),
+)
+
+_DRAWN = (
+    ShapeInfo("letters:TEXT", "enough for every stroke", "letters and digits", (20, 30)),
     *(
-        ShapeInfo(name, legal, f"{what} in space ({how})", sizes, drawn=True, in_space=True)
+        ShapeInfo(name, legal, f"{what} in space ({how})", sizes, in_space=True)
         for name, legal, what, how, sizes in (
             ("sphere", "any number", "a sphere", "robots on its surface", (12, 30)),
             ("dome", "any number", "a half sphere", "robots on its surface", (10, 20)),
@@ -237,16 +245,21 @@ _LISTED = (
             ("pyramid", "at least 5", "a pyramid", "square layers", (5, 14)),
         )
     ),
-    ShapeInfo("outline:FILE", "enough for every stroke", "the outlines of an SVG drawing", (), drawn=True),
-    ShapeInfo("program:FILE", "enough for every stroke", "what a formation program draws", (), drawn=True),
+    ShapeInfo("outline:FILE", "enough for every stroke", "the outlines of an SVG drawing", ()),
+    ShapeInfo("program:FILE", "enough for every stroke", "what a formation program draws", ()),
 )
 
-_SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
+_SHAPES = {shape.name.partition(":")[0]: shape for shape in (*_LISTED, *_DRAWN)}
 
 
 def shapes() -> tuple[ShapeInfo, ...]:
-    """All shapes, in the order in which the command line lists them."""
+    """All shapes with points or words of their own, in the order in which the command line lists them."""
     return _LISTED
+
+
+def drawn_shapes() -> tuple[ShapeInfo, ...]:
+    """Shapes that a formation program draws (`llm_flock.formation`), in the order in which they are listed."""
+    return _DRAWN
 
 
 def shape_name(spec: str) -> str:
@@ -257,7 +270,7 @@ def shape_name(spec: str) -> str:
     """
     name = spec.partition(":")[0]
     if name not in _SHAPES:
-        raise InputError("shape", spec, says=unknown("shape", name, (shape.name for shape in _LISTED)))
+        raise InputError("shape", spec, says=unknown("shape", name, (shape.name for shape in (*_LISTED, *_DRAWN))))
     return name
 
 
@@ -300,7 +313,17 @@ def names_file(spec: object) -> bool:
 
 def is_drawn(spec: str) -> bool:
     """Whether a formation program draws the shape; InputError if no shape has this name."""
-    return _SHAPES[shape_name(spec)].drawn
+    return _SHAPES[shape_name(spec)] in _DRAWN
+
+
+def in_space(spec: str) -> bool:
+    """Whether a shape needs three dimensions; InputError as for `shape_name`."""
+    if spec.partition(":")[0] != "program":
+        return _SHAPES[shape_name(spec)].in_space
+    from llm_flock.formation import program_of
+
+    program = program_of(spec)
+    return program is not None and program.in_space
 
 
 def shape_title(spec: str) -> str:
@@ -335,9 +358,9 @@ def ideal_points(
     shape = _SHAPES[name]
     if name == "points":
         points = _custom(n, len(center), custom)
-    elif shape.drawn:
-        if shape.in_space and len(center) != 3:
-            raise InputError("center", list(center), f"3 coordinates for shape {spec!r}")
+    elif shape in _DRAWN:
+        if len(center) != 3 and in_space(spec):
+            raise InputError("center", list(center), f"3 coordinates for shape {shape_title(spec)!r}")
         from llm_flock.formation import program_of, program_points
 
         program = program_of(spec)

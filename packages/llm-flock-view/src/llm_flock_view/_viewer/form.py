@@ -49,7 +49,7 @@ def shape_pictures() -> list[dict[str, Any]]:
     from llm_flock import shapes as formations
 
     found: list[dict[str, Any]] = []
-    for shape in formations.shapes():
+    for shape in (*formations.shapes(), *formations.drawn_shapes()):
         if shape.name == "points" or shape.in_space or shape.name.endswith(":FILE"):
             continue
         name = EXAMPLES.get(shape.name, shape.name)

@@ -51,8 +51,6 @@ def _places(text: str, n: int, dim: int, spacing: float) -> Points:
             points = points * (program.size / width) if width else points
     else:
         points = _grouped(program.groups or (), n, spacing)
-    if dim == 2 and points[:, 2].any():
-        raise InputError("center", f"{dim} coordinates", "3 coordinates for a drawing in space")
     points = points[:, :dim]
     points.setflags(write=False)
     return points

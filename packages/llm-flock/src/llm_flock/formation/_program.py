@@ -128,6 +128,14 @@ class Program(_Table):
         return self
 
     @property
+    def in_space(self) -> bool:
+        """Whether it needs three dimensions."""
+        groups = self.groups or ()
+        return any(map(_in_space, self.draw or ())) or any(
+            len(group.at) > 2 or any(map(_in_space, group.draw)) for group in groups
+        )
+
+    @property
     def text(self) -> str:
         """The canonical form: JSON without defaults and spaces, keys in order. Equal programs have equal texts."""
         return json.dumps(_plain(self.model_dump(exclude_defaults=True)), separators=(",", ":"), sort_keys=True)
@@ -141,6 +149,12 @@ class Program(_Table):
     def spec(self) -> str:
         """The program as a mission's `shape`."""
         return MARK + self.text
+
+
+def _in_space(element: Element) -> bool:
+    vectors = [element.move, element.repeat and element.repeat.move, *(element.points or ())]
+    deep = element.shape in SPACE or bool(element.tilt) or any(len(vector or ()) > 2 for vector in vectors)
+    return deep or any(map(_in_space, element.union or ()))
 
 
 def _plain(value: Any) -> Any:

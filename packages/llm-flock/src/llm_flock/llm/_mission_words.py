@@ -71,8 +71,7 @@ def mission_call(text: str) -> Call:
     text = text.strip()
     if not text or len(text) > MAX_TEXT_LENGTH:
         raise InputError("words", f"{len(text)} letters", f"from 1 to {MAX_TEXT_LENGTH} letters")
-    known = (shape for shape in formations.shapes() if not shape.drawn)
-    shapes = "; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in known)
+    shapes = "; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in formations.shapes())
     schema = MissionAnswer.model_json_schema()
     messages = (
         ChatMessage("system", INSTRUCTION.format(shapes=shapes, schema=json.dumps(schema))),
