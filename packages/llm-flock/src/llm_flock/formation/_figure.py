@@ -37,11 +37,11 @@ class Region:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lattice:
-    """A body of places in layers."""
+    """A body of places in layers; its corners come first."""
 
     world: Affine
     volume: float  #: In the drawing's coordinates.
-    least: int  #: Fewest places that show it.
+    least: int  #: Its corners, the fewest places that show it.
     places: Callable[[int], Points]  #: The places of the smallest such body with so many, shape (m, 3), m >= n.
 
 
@@ -226,7 +226,7 @@ def _polygon(element: Element, strokes: list[Points]) -> Any:
 
 
 def _at(point: NDArray[np.float64]) -> str:
-    return f"[{', '.join(f'{x:.4g}' for x in point.tolist())}]"
+    return f"[{', '.join(f'{x + 0.0:.4g}' for x in point.tolist())}]"
 
 
 def _united(polygons: list[tuple[Any, Affine]]) -> list[Region]:
@@ -329,7 +329,8 @@ def _cube(n: int) -> Points:
     while k**3 < n:
         k += 1
     side = np.linspace(-1.0, 1.0, k)
-    return np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = np.stack(np.meshgrid(side, side, side, indexing="ij"), axis=-1).reshape(-1, 3)
+    return places[np.argsort(np.abs(places).min(axis=1) < 1, kind="stable")]
 
 
 def _pyramid(n: int) -> Points:
@@ -343,4 +344,6 @@ def _pyramid(n: int) -> Points:
         x, y = np.meshgrid(side, side, indexing="ij")
         height = np.full(x.size, math.sqrt(2) * (0.5 - row / (k - 1)))
         layers.append(np.column_stack([x.ravel(), y.ravel(), height]))
-    return np.concatenate(layers)
+    places = np.concatenate(layers)
+    corner = (np.arange(len(places)) == 0) | (np.abs(places[:, :2]).min(axis=1) == 1)
+    return places[np.argsort(~corner, kind="stable")]

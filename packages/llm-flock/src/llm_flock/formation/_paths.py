@@ -81,6 +81,8 @@ def _commands(data: str, field: str) -> Iterator[tuple[str, list[float]]]:
         elif flag or match[2]:
             if not command or command in "zZ":
                 raise _refused(field, data, match.start())
+            if len(numbers) in (3, 4) and command in ("a", "A") and not flag:
+                raise _refused(field, data, match.start())
             numbers.append(float(match[0][0] if flag else match[2]))
             if len(numbers) == _TAKES[command.upper()]:
                 if not all(abs(x) < 1e9 for x in numbers):
@@ -129,7 +131,7 @@ def _arc(start: complex, end: complex, rx: float, ry: float, turn: float, large:
     center = middle + across * 1j * math.sqrt(1 - half * half) * (1 if large != sweep else -1)
     first, last = cmath.phase(p - center), cmath.phase(q - center)
     swept = (last - first) % math.tau if sweep else -((first - last) % math.tau)
-    pieces = max(2, math.ceil(4 * PIECES * abs(swept) / math.tau))
+    pieces = max(2, math.ceil(4 * PIECES * abs(swept) / math.tau - 1e-9))
 
     def curve(t: float) -> complex:
         z = center + cmath.rect(1.0, first + t * swept)

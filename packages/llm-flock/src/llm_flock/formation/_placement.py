@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -92,12 +93,21 @@ def _unit(elements: Sequence[Element], n: int) -> Points:
     return points
 
 
-Part: TypeAlias = list[Points] | Region | Lattice
-"""All strokes, one area or surface, or one body."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Lines:
+    """All strokes of a drawing, shape (m, 3) each."""
+
+    strokes: list[Points]
+    net: Net  #: Their network, without nodes at corners.
+
+
+Part: TypeAlias = _Lines | Region | Lattice
 
 
 def _parts(drawing: Drawing) -> list[Part]:
-    return [*([drawing.strokes] if drawing.strokes else []), *drawing.regions, *drawing.lattices]
+    strokes = drawing.strokes
+    lines = [_Lines(strokes=strokes, net=net_of(strokes, bends=False))] if strokes else []
+    return [*lines, *drawing.regions, *drawing.lattices]
 
 
 def _shared(parts: Sequence[Part], n: int) -> list[int]:
@@ -120,7 +130,7 @@ def _shared(parts: Sequence[Part], n: int) -> list[int]:
 def _least(part: Part) -> int:
     if isinstance(part, Lattice):
         return part.least
-    return 1 if isinstance(part, Region) else net_of(part, bends=False).least
+    return 1 if isinstance(part, Region) else part.net.least
 
 
 def _room(part: Part, spacing: float) -> float:
@@ -129,7 +139,7 @@ def _room(part: Part, spacing: float) -> float:
         return part.volume / spacing**3
     if isinstance(part, Region):
         return part.area / (HEXAGON * spacing**2)
-    return float(net_of(part, bends=False).lengths.sum()) / spacing
+    return float(part.net.lengths.sum()) / spacing
 
 
 def largest_remainder(shares: Sequence[float], n: int) -> list[int]:
@@ -143,18 +153,20 @@ def largest_remainder(shares: Sequence[float], n: int) -> list[int]:
 
 
 def _place(part: Part, n: int) -> Points:
-    if isinstance(part, list):
-        return _on_strokes(part, n)
+    if isinstance(part, _Lines):
+        return _on_lines(part, n)
     if isinstance(part, Lattice):
         spots = part.places(n)
-        return mapped(spots[_farthest(spots, 0, n)], part.world)
+        return mapped(spots[_farthest(spots, range(part.least), n)], part.world)
     return mapped(_in_region(part, n), part.world)
 
 
-def _on_strokes(strokes: list[Points], n: int) -> Points:
-    plain, bent = net_of(strokes, bends=False), net_of(strokes, bends=True)
+def _on_lines(part: _Lines, n: int) -> Points:
+    plain, bent = part.net, net_of(part.strokes, bends=True)
+    if not plain.edges and n > plain.least:
+        raise InputError("n_robots", n, f"at most {plain.least}, one for each dot of the drawing")
     points = plain.place(n)
-    if bent.least > n:
+    if bent.least > n or not bent.edges:
         return points
     other = bent.place(n)
     return other if _widest_gap(bent, other) <= BENDS_PAY * _widest_gap(plain, points) else points
@@ -175,7 +187,7 @@ def _widest_gap(net: Net, points: Points) -> float:
 def _in_region(region: Region, n: int) -> Points:
     samples = region.sample(min(SAMPLES * n, max(MOST_SAMPLES, 10 * n)) + SAMPLES)
     first = int(np.linalg.norm(samples - samples.mean(axis=0), axis=1).round(9).argmax())
-    points = samples[_farthest(samples, first, n)]
+    points = samples[_farthest(samples, [first], n)]
     for _ in range(MOVES):
         owner = np.asarray(scipy.spatial.cKDTree(points).query(samples)[1])
         size = np.maximum(np.bincount(owner, minlength=n), 1)[:, None]
@@ -184,11 +196,12 @@ def _in_region(region: Region, n: int) -> Points:
     return points
 
 
-def _farthest(points: Points, first: int, n: int) -> list[int]:
-    """`n` of the points, shape (m, d): each is farthest from those before it."""
-    chosen = [first]
+def _farthest(points: Points, first: Iterable[int], n: int) -> list[int]:
+    """`n` of the points, shape (m, d): after the `first`, each is farthest from those before it."""
+    chosen = [*first]
     apart = np.full(len(points), math.inf)
-    while len(chosen) < n:
-        apart = np.minimum(apart, ((points - points[chosen[-1]]) ** 2).sum(axis=1).round(9))
-        chosen.append(int(apart.argmax()))
+    for k in range(n - 1):
+        apart = np.minimum(apart, ((points - points[chosen[k]]) ** 2).sum(axis=1).round(9))
+        if k + 1 == len(chosen):
+            chosen.append(int(apart.argmax()))
     return chosen

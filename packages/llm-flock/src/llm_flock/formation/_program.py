@@ -19,8 +19,10 @@ MAX_DEPTH = 8  #: Deepest nesting of unions.
 DECIMALS = 6  #: Decimals of a program's numbers in its canonical text.
 MARK = "program:"  #: What a mission's shape begins with if a program in JSON follows.
 
-Number = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-Factor = Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
+WIDEST = (-1e6, 1e6)  #: Limits of numbers.
+
+Number = Annotated[float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False)]
+Factor = Annotated[float, Field(gt=0, le=WIDEST[1], allow_inf_nan=False)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)]
 Factors = Annotated[tuple[Factor, ...], Field(min_length=2, max_length=3)]
 Letters = Annotated[
@@ -214,14 +216,14 @@ def program_of(spec: str) -> Program | None:
 
 
 def program_schema() -> dict[str, Any]:
-    """The JSON schema of a program, for a model: without titles, and without null, which no field needs."""
+    """The JSON schema of a program, for a model: without titles, defaults, the widest limits, and null."""
 
     def lean(part: Any) -> Any:
         if isinstance(part, list):
             return [lean(one) for one in cast("list[Any]", part)]
         if not isinstance(part, dict):
             return part
-        table = {k: lean(v) for k, v in cast("dict[str, Any]", part).items() if (k, v) != ("default", None)}
+        table = {k: lean(v) for k, v in cast("dict[str, Any]", part).items() if k != "default" and v not in WIDEST}
         if isinstance(table.get("title"), str):
             del table["title"]
         options = [one for one in table.pop("anyOf", []) if one != {"type": "null"}]

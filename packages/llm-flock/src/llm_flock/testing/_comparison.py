@@ -38,7 +38,9 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
     for n in _sizes(shape, sizes):
         given: dict[str, Any] = {"shape": shape} if n is None else {"shape": shape, "n_robots": n}
         try:
-            mission = load_config(None, **given, arena=((0.0,) * dim, (1000.0,) * dim), center=(500.0,) * dim).mission
+            mission = load_config(
+                None, **given, arena=((0.0,) * dim, (1000.0,) * dim), center=(500.0,) * dim, comm_range=1000.0
+            ).mission
         except InputError as error:
             team = shape if n is None else f"{shape} with {n} robots"
             raise AssertionError(f"{team} is refused: {error}") from None
