@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
@@ -54,31 +54,25 @@ class Drawing:
     lattices: list[Lattice] = field(default_factory=list[Lattice])
     copies: int = 0
     polygons: list[tuple[Any, Affine]] = field(default_factory=list[tuple[Any, Affine]])  #: Areas, not yet united.
-
-    @property
-    def flat(self) -> bool:
-        """Whether everything is in the plane z = 0."""
-        worlds = [one.world for one in (*self.regions, *self.lattices)]
-        return (
-            not self.lattices and all(not stroke[:, 2].any() for stroke in self.strokes) and all(map(_is_flat, worlds))
-        )
+    corners: list[Points] = field(
+        default_factory=list[Points]
+    )  #: All corners, also of areas, and of boxes round bodies.
 
 
-def draw(elements: Iterable[Element]) -> Drawing:
-    """Draw elements, one over the other.
+def draw(elements: Sequence[Element]) -> Drawing:
+    """Draw elements, one over the other, scaled to a width of 1.
 
     Raises:
         InputError: too much to draw, or a filled outline is open or crosses itself.
     """
-    drawing = Drawing()
+    drawing, whole = Drawing(), Drawing()
     for element in elements:
-        _draw(element, np.eye(4), drawing)
+        _draw(element, np.eye(4), whole)
+    width = float(np.ptp(np.concatenate(whole.corners), axis=0).max()) or 1.0
+    for element in elements:
+        _draw(element, np.diag([1 / width] * 3 + [1.0]), drawing)
     drawing.regions = [*_united(drawing.polygons), *drawing.regions]
     return drawing
-
-
-def _is_flat(world: Affine) -> bool:
-    return not world[2].any() or world[2].tolist() == [0.0, 0.0, 1.0, 0.0]
 
 
 def _draw(element: Element, outer: Affine, into: Drawing) -> None:
@@ -100,6 +94,10 @@ def _draw(element: Element, outer: Affine, into: Drawing) -> None:
 
 def _draw_strokes(element: Element, world: Affine, into: Drawing) -> None:
     strokes = [np.array(stroke, dtype=np.float64) for stroke in _strokes(element)]
+    into.corners += [mapped(stroke, world) for stroke in strokes]
+    if (corners := sum(map(len, into.corners))) > MAX_CORNERS:
+        says = f"at most {MAX_CORNERS:,} corners in all, curves counted in pieces (here {corners:,})"
+        raise InputError("draw", None, says)
     if element.fill:
         into.polygons.append((_polygon(element, strokes), world))
         return
@@ -107,10 +105,6 @@ def _draw_strokes(element: Element, world: Affine, into: Drawing) -> None:
         if len(stroke) > 3 and (stroke[0] == stroke[-1]).all() and element.points is not None:
             _check_simple(stroke)
         into.strokes.append(mapped(stroke, world))
-    if (corners := sum(map(len, into.strokes))) > MAX_CORNERS:
-        raise InputError(
-            "draw", None, f"at most {MAX_CORNERS:,} corners in all, curves counted in pieces (here {corners:,})"
-        )
 
 
 def mapped(points: Points, world: Affine) -> Points:
@@ -278,6 +272,7 @@ def _in_space(rows: Points) -> Points:
 
 def _draw_in_space(element: Element, world: Affine, into: Drawing) -> None:
     grown = abs(float(np.linalg.det(world[:3, :3])))
+    into.corners.append(mapped(_cube(8), world))
     match element.shape:
         case "helix":
             turns = element.turns or 2.0

@@ -192,7 +192,7 @@ def _in_region(region: Region, n: int) -> Points:
         owner = np.asarray(scipy.spatial.cKDTree(points).query(samples)[1])
         size = np.maximum(np.bincount(owner, minlength=n), 1)[:, None]
         middle = np.column_stack([np.bincount(owner, axis, minlength=n) for axis in samples.T]) / size
-        points = region.onto(middle).round(12)
+        points = region.onto(middle).round(8)
     return points
 
 

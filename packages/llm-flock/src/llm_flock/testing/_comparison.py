@@ -34,9 +34,9 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
         fly: whether to fly a mission with each size.
     """
     custom = shape.startswith("points:")
-    dim = 3 if not formations.names_file(shape) and formations.in_space(shape) else 2
     for n in _sizes(shape, sizes):
         given: dict[str, Any] = {"shape": shape} if n is None else {"shape": shape, "n_robots": n}
+        dim = 3 if not formations.names_file(shape) and formations.in_space(shape) else 2
         try:
             mission = load_config(
                 None, **given, arena=((0.0,) * dim, (1000.0,) * dim), center=(500.0,) * dim, comm_range=1000.0
