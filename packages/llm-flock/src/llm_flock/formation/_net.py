@@ -99,7 +99,7 @@ class Net:
                 (ahead - points)[first:] / np.linalg.norm((ahead - points)[first:], axis=1)[:, None] * push
             ).sum(axis=1)
             move = 0.1 * gap * (1 - k / SLIDES) * along_edge / np.sqrt(1 + along_edge**2)
-            at = np.clip(at + move / lengths, 0.0, 0.999).round(6)  # what differs between machines does not grow
+            at = np.clip(at + move / lengths, 0.0, 0.999).round(5)  # what differs between machines does not grow
         return np.split(at, ends)
 
 
