@@ -13,7 +13,7 @@ import scipy
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.formation._figure import Sketch, Lattice, Region, draw, mapped
+from llm_flock.formation._figure import Lattice, Region, Sketch, draw, mapped
 from llm_flock.formation._net import Net, along, nearest, net_of
 from llm_flock.formation._program import Element, Group, Program, parse_program
 
