@@ -96,6 +96,13 @@ def stamp(*names: str) -> None:
         writer.writerows(table)
 
 
+def write(name: str, table: Sequence[Sequence[object]]) -> None:
+    """Write rows, the first with the titles, to a file of docs/data and stamp it."""
+    with (TABLE.parent / name).open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(table)
+    stamp(name)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Do as told; returns the exit code."""
     match list(arguments):

@@ -1,10 +1,11 @@
 """Models that wait, wander or lag: does the team form all the same? Judged from positions alone.
 
-    python -m benchmarks.minds [--seeds N] [--few N] [--jobs J] [--mind M,...] [--team T,...] [--share S,...]
+    python -m benchmarks.minds [--seeds N] [--few N] [--jobs J] [--mind M,...] [--team T,...] [--share S,...] [--write]
 
 Each *simulated* mind answers one, half, all but one or all of a team, and good models the rest. A judge of its own
 looks at the flown positions: the distances between all robots have to be those of the ideal shape, about its centre,
-for three rounds. Calls are compared with those of good models on the same seeds, all rounds of a run counted.
+for three rounds. Calls are compared with those of good models on the same seeds, all rounds of a run counted. With
+`--write`, docs/data/minds.csv gets a row for each mind.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
+from benchmarks import figures
 
 import llm_flock
 from llm_flock.arrays import Point, Points
@@ -152,6 +154,38 @@ def separation(positions: Points) -> float:
     return float(np.linalg.norm(gap + share[..., None] * move, axis=2).min())
 
 
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """What came of one mind in one share of one team; `calls` are over those of good models."""
+
+    team: str
+    mind: str
+    share: str
+    runs: int
+    formed: int
+    disputed: int  # runs about which the summary says another thing than the judge
+    most: int
+    separation: float
+    calls: float
+    lost: list[int]
+
+    @classmethod
+    def of(cls, team: str, mind: str, share: str, seen: Sequence[Seen], good: Sequence[Seen]) -> Cell:
+        lost = [seed for seed, one in enumerate(seen) if one.formed is None]
+        return cls(
+            team=team,
+            mind=mind,
+            share=share,
+            runs=len(seen),
+            formed=len(seen) - len(lost),
+            disputed=sum(one.says != (one.formed is not None) for one in seen),
+            most=max((one.formed for one in seen if one.formed is not None), default=0),
+            separation=min(one.separation for one in seen),
+            calls=sum(one.calls for one in seen) / sum(one.calls for one in good),
+            lost=lost[:6],
+        )
+
+
 def fly(team: str, mind: str, share: str, seed: int) -> Seen:
     options: dict[str, Any] = {"start": "separated"} | TEAMS[team]
     n = int(options["n_robots"])
@@ -174,21 +208,32 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     for name, known in (("mind", MINDS), ("team", TEAMS), ("share", SHARES)):
         parser.add_argument(f"--{name}", default=",".join(known))
+    parser.add_argument("--write", action="store_true", help="write docs/data/minds.csv")
     given = parser.parse_args(arguments)
-    print("team,mind,share,seeds,formed,says formed,most rounds,smallest separation,calls over good,not formed")
+    cells = list[Cell]()
     with ProcessPoolExecutor(given.jobs) as pool:
         for team in given.team.split(","):
             seeds = range(given.seeds if team in MAIN else given.few)
             good = list(pool.map(partial(fly, team, "still", "none"), seeds))
             for mind, share in product(given.mind.split(","), given.share.split(",")):
-                seen = list(pool.map(partial(fly, team, mind, share), seeds))
-                lost = [seed for seed, one in zip(seeds, seen, strict=True) if one.formed is None]
-                most = max((one.formed for one in seen if one.formed is not None), default=0)
-                nearest = min(one.separation for one in seen)
-                calls = sum(one.calls for one in seen) / sum(one.calls for one in good)
-                says = sum(one.says for one in seen)
-                figures = len(seeds), len(seeds) - len(lost), says, most, f"{nearest:.4f}", f"{calls:.2f}"
-                print(team, mind, share, *figures, " ".join(map(str, lost[:6])), sep=",", flush=True)
+                cell = Cell.of(team, mind, share, list(pool.map(partial(fly, team, mind, share), seeds)), good)
+                cells.append(cell)
+                print(cell, flush=True)
+    if given.write:
+        titles = ["Mind", *MAIN, "Other teams", "Most rounds", "Smallest separation", "Calls over good, most"]
+        figures.write("minds.csv", [titles, *(_row(mind, cells) for mind in given.mind.split(","))])
+
+
+def _row(mind: str, cells: Sequence[Cell]) -> list[str]:
+    """The figures of a mind over all shares and teams."""
+    mine = [cell for cell in cells if cell.mind == mind]
+    others = [cell for cell in mine if cell.team not in MAIN]
+    formed = [
+        f"{sum(cell.formed for cell in some):,} of {sum(cell.runs for cell in some):,}"
+        for some in (*([cell for cell in mine if cell.team == team] for team in MAIN), others)
+    ]
+    figures = max(cell.most for cell in mine), f"{min(cell.separation for cell in mine):.3f}"
+    return [MINDS[mind], *formed, *map(str, figures), f"{max(cell.calls for cell in mine):.2f}"]
 
 
 if __name__ == "__main__":

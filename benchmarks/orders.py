@@ -1,9 +1,10 @@
 """Twelve orders to random robots, one every five rounds: is the whole team on the last one, and how soon?
 
-    python -m benchmarks.orders [--seeds N] [--orders N] [--jobs J]
+    python -m benchmarks.orders [--seeds N] [--orders N] [--jobs J] [--write]
 
 Shapes and centres are drawn by the seed. Models are *simulated* and ideal. The judge of `benchmarks.minds` looks at
-positions: the team is on the last order when it stands in that shape about that centre.
+positions: the team is on the last order when it stands in that shape about that centre. `--write` writes
+docs/data/orders.csv.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from benchmarks import figures
 from benchmarks.minds import judge, separation
 
 import llm_flock
@@ -57,16 +59,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--orders", type=int, default=12)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--write", action="store_true", help="write docs/data/orders.csv")
     given = parser.parse_args(arguments)
     with ProcessPoolExecutor(given.jobs) as pool:
         flown = list(pool.map(partial(fly, given.orders), range(given.seeds)))
     rounds = sorted(one.rounds for one in flown if one.rounds is not None)
     lost = [seed for seed, one in enumerate(flown) if one.rounds is None]
+    titles = "Orders", "On the last one", "Rounds to it, median", "Most rounds", "Smallest separation"
+    nearest = f"{min(one.separation for one in flown):.4f}"
+    row = given.orders, f"{len(rounds)} of {given.seeds}", rounds[len(rounds) // 2], rounds[-1], nearest
     print(
-        f"{given.orders} orders, {given.seeds} seeds: {len(rounds)} on the last one, after {rounds[len(rounds) // 2]} "
-        f"rounds (median), {rounds[-1]} (most); smallest separation {min(one.separation for one in flown):.4f}; "
-        f"not: {' '.join(map(str, lost)) or 'none'}"
+        *(f"{title}: {figure}" for title, figure in zip(titles, row, strict=True)), f"not: {lost or 'none'}", sep="\n"
     )
+    if given.write:
+        figures.write("orders.csv", [titles, row])
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ that a robot broadcasts in a round, between the smallest and the largest team.
 
 from __future__ import annotations
 
+import argparse
 import math
 import multiprocessing
 import os
@@ -51,7 +52,9 @@ def fly(n: int) -> float:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Fly each size in its own process, then print the exponent of the traffic."""
-    sizes = sorted(map(int, arguments)) or list(SIZES)
+    parser = argparse.ArgumentParser("python -m benchmarks scale", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("sizes", type=int, nargs="*", metavar="N", help="team sizes [30 300 1000]")
+    sizes = sorted(parser.parse_args(arguments).sizes) or list(SIZES)
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, context, max_tasks_per_child=1) as pool:
         sent = list(pool.map(fly, sizes))

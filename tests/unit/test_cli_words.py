@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -123,3 +124,13 @@ def test_compare_prints_a_table_or_markdown(monkeypatch: pytest.MonkeyPatch) -> 
     argv = ("compare", "--cells", "triangle/3", "--protocols", "flock")
     assert call(*argv, monkeypatch=monkeypatch).stdout.startswith("┏")
     assert call(*argv, "--markdown", monkeypatch=monkeypatch).stdout.startswith("| protocol |")
+
+
+def test_version_names_the_installed_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    said = call("--version", monkeypatch=monkeypatch).output.splitlines()
+    assert f"llm-flock {version('llm-flock')}" in said and f"llm-flock-view {version('llm-flock-view')}" in said
+
+
+def test_geometry_is_not_called_a_help_for_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    alone = call("run", "--robots", 3, "--shape", "triangle", "--model", "geometry", monkeypatch=monkeypatch).output
+    assert "by geometry without" in alone and "with help" not in alone

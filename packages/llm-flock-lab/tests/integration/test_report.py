@@ -83,6 +83,12 @@ def test_what_errors_do_not_tell_is_said_of_each_protocol(tmp_path: Path) -> Non
     ]
 
 
+def test_without_a_baseline_a_preset_is_the_reference(results: Results, monkeypatch: pytest.MonkeyPatch) -> None:
+    for protocols in (("flock", "flock with my_rules:Own"), ("flock", "paper")):
+        monkeypatch.setitem(vars(results), "protocols", protocols)
+        assert usual_reference(results) == "flock"
+
+
 def test_pairs_share_a_seed_and_broken_trials_count_in_success(results: Results) -> None:
     assert usual_reference(results) == "baseline"
     lines = pair_lines(results, "baseline")

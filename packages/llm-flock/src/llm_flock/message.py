@@ -60,7 +60,7 @@ def time_text(time: int) -> str:
     return f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 1000:03} UTC" + (f" ({count})" if count else "")
 
 
-WIRE_VERSION = 8
+WIRE_VERSION = 9
 
 MAX_BID = 10 * MAX_COORDINATE  #: Largest distance between two points of the largest arena [units].
 
@@ -71,6 +71,7 @@ MAX_LOOKS = 64  #: Largest number of visits to a vacant slot in an entry.
 MAX_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each other.
 MAX_LEVEL = 15  #: Highest level of a right of way.
 MAX_STOPS = 4  #: Most points of a course.
+MAX_PROPOSALS = 4  #: Most proposals of others in one message.
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -171,6 +172,13 @@ class Course(_OnWire, frozen=True, kw_only=True):
     path: Annotated[tuple[Coordinates, ...], msgspec.Meta(min_length=1, max_length=MAX_STOPS)]
 
 
+class Proposal(_OnWire, frozen=True, kw_only=True):
+    """A plan as it was proposed, passed on by robots that compare all proposals (`ConsensusRule.ballots`)."""
+
+    provenance: Provenance
+    plan: Plan
+
+
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):
     """All public knowledge about one robot, as broadcast. On the wire, an array of the fields before `plan_class`."""
 
@@ -191,6 +199,8 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
     plan: Plan | None = None  #: The plan spelled out; None before the sender has one, or if only the digest is given.
     mission_text: str | None = None  #: The mission spelled out as JSON; None if not.
     positions: dict[Id, PositionReport] | None = None  #: Position reports of the team, by id; None if not spelled out.
+    #: Some of the proposals that the sender knows; None where proposals are not compared.
+    proposals: Annotated[tuple[Proposal, ...], msgspec.Meta(max_length=MAX_PROPOSALS)] | None = None
     plan_class: int = 0  #: Class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
     #: Signatures that came with the message (teams with keys only); never part of the message itself.
     proofs: object = None
@@ -309,12 +319,13 @@ def decode(payload: bytes, n_robots: int, dim: int) -> Message:
 def _check_ids(message: Message, n_robots: int) -> None:
     origin, offer, course = message.provenance, message.offer, message.course
     named = [message.sender, *(message.positions or ()), *map(_OWNER, message.claims or ())]
-    named += [] if origin is None else [origin.proposer]
+    origins = [*([] if origin is None else [origin]), *(one.provenance for one in message.proposals or ())]
+    named += [one.proposer for one in origins]
     named += [] if offer is None else [offer.to]
     named += [] if course is None else [course.of]
     if max(named) >= n_robots:
         raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
-    if max(message.degree, 0 if origin is None else origin.degree) >= n_robots:
+    if max([message.degree, *(one.degree for one in origins)]) >= n_robots:
         raise MessageError("unknown_id", f"more neighbours than a team of {n_robots} has")
 
 
@@ -333,7 +344,8 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
         raise MessageError("malformed", "a plan and its provenance go together")
     if (message.claims is None) != (message.table_digest is None):
         raise MessageError("malformed", "claims and their digest go together")
-    if plan is not None and len(plan.points[0]) != dim:
+    plans = [*([] if plan is None else [plan]), *(one.plan for one in message.proposals or ())]
+    if any(len(one.points[0]) != dim for one in plans):
         raise MessageError("wrong_length", f"a plan has points of {dim} coordinates")
     if message.plan_digest is None:
         if places or message.slot is not None or message.claims is not None or offer is not None:

@@ -187,7 +187,8 @@ def beside(results: Results, cell: ResultCell, reference: str) -> ResultCell:
 
 
 def usual_reference(results: Results) -> str:
-    """What the others are compared with: the value `default` of an axis, the baseline, or the last of the presets."""
+    """What the others are compared with: the value `default` of an axis, the baseline, or else another preset."""
     if (found := next((name for name in results.references if name.endswith("=default")), None)) is not None:
         return found
-    return "baseline" if "baseline" in results.protocols else results.protocols[-1]
+    usual = (name for name in ("baseline", "flock", "paper") if name in results.protocols)
+    return next(usual, results.protocols[-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.protocol import Parts, TeamMembership
 from llm_flock_swarm._signed.assignment import SignedAssignment
@@ -19,7 +20,15 @@ def signed_parts(
 
     `authenticator` signs this robot's messages and checks those of others. `liars` robots with keys may lie together;
     one more must see that a place is free.
+
+    Raises:
+        InputError: the consensus rule compares proposals that others pass on, whom nobody could believe.
     """
+    if getattr(parts.consensus, "ballots", False):
+        allowed = (
+            "a rule that compares what the neighbours follow, in a team with keys: proposals passed on are not signed"
+        )
+        raise InputError("consensus", parts.consensus.name, allowed)
     evidence = Evidence(robot, authenticator, liars)
     membership, replans = parts.membership, False
     if isinstance(membership, TeamMembership):

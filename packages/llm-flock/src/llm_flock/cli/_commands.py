@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from importlib import import_module
-from typing import Any
+from importlib import import_module, metadata
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -95,7 +95,13 @@ app = typer.Typer(
 
 
 @app.callback(invoke_without_command=True)
-def start(ctx: typer.Context) -> None:
+def start(
+    ctx: typer.Context,
+    versions: Annotated[bool, typer.Option("--version", help="Print the versions of the installed parts")] = False,
+) -> None:
     """Robots that agree on a formation, each with its own language model and without a central controller."""
-    if ctx.invoked_subcommand is None:
+    if versions:
+        parts = {part.name: part.version for part in metadata.distributions() if part.name.startswith("llm-flock")}
+        typer.echo("\n".join(f"{name} {version}" for name, version in sorted(parts.items())))
+    elif ctx.invoked_subcommand is None:
         typer.echo(ctx.get_help())

@@ -121,7 +121,9 @@ def summary_table(result: RunResult) -> Table:
 def _formed_text(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
     if summary.formed:
-        alone = "" if summary.formed_by_models else ", [bold]with help for the models[/]"
+        without = summary.models == ("geometry",)
+        alone = ", by geometry without models" if without else ", [bold]with help for the models[/]"
+        alone = "" if summary.formed_by_models else alone
         # Bounds count from when the last mission was given, as do rounds to the formation.
         several = len(summary.missions) > 1
         took = f", in {summary.rounds_to_formed} rounds of the last mission" if several else ""

@@ -19,6 +19,7 @@ from llm_flock.record._words import MAX_PLACES, begun, counted, robots_text, sen
 AT_GOAL, IN_SHAPE = 0.05, 0.1
 """As shares of the spacing, as in `llm_flock.metrics`, whose libraries load too slowly for a first page."""
 
+SETTLING = (("provenance", "auction"), ("medoid", "auction"))  # rules that bring a team in radio contact together
 MAX_TOLD = 3
 """Most groups of robots, plans, and causes that are listed."""
 
@@ -102,8 +103,8 @@ class _LastRound:
         others = self.groups[1 if self.most else 0 :] if len(self.groups) > 1 else []
         self.strays = sorted(robot for _, members in others for robot in members)
         self.alone = run.rules[0] == "none"
-        # Whether the rules bring a team in radio contact together; True for those of which the record says nothing.
-        self.settles = run.rules == ("provenance", "auction") or not all(run.rules)
+        # True also for rules of which the record says nothing.
+        self.settles = run.rules in SETTLING or not all(run.rules)
         named = f"this protocol's rules ({', '.join(run.rules)})"
         self.rules = "this protocol has no consensus" if self.alone else named
         self.named: set[int] = set()  # by the causes found so far

@@ -63,7 +63,8 @@ class ProtocolConfig(ConfigSection):
         default="flock", description="Preset for the rules, checks and fallback"
     )
     consensus: str | None = Field(
-        default=None, description="Plan consensus: none, influence, provenance, or package.module:Class [preset's]"
+        default=None,
+        description="Plan consensus: none, influence, provenance, medoid, or package.module:Class [preset's]",
     )
     assignment: str | None = Field(
         default=None,

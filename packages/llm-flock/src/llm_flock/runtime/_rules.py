@@ -36,8 +36,14 @@ def _auction(without: LeftOut | None = None) -> AssignmentRule:
     return AuctionAssignment(swaps=without != "exchanges", straight=without == "path-cost")
 
 
+def _medoid() -> ConsensusRule:
+    from llm_flock.protocol._agreement.medoid import MedoidConsensus
+
+    return MedoidConsensus()
+
+
 CONSENSUS: Mapping[str, Callable[[], ConsensusRule]] = MappingProxyType(
-    {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus}
+    {"none": NoConsensus, "influence": InfluenceConsensus, "provenance": ProvenanceConsensus, "medoid": _medoid}
 )
 ASSIGNMENT: Mapping[str, Callable[[], AssignmentRule]] = MappingProxyType(
     {"index": IndexAssignment, "nearest": NearestAssignment, "nearest-free": NearestFreeAssignment, "auction": _auction}

@@ -12,7 +12,8 @@ from llm_flock.plan import Plan
 from llm_flock.protocol._membership.rendezvous import CLOSE, FEW, WAIT, Gathering, heard_when_turned
 
 LINE = Mission(shape="line", n_robots=7)
-PLAN = Plan.of(LINE.ideal or ())
+NAMED = Plan.of(LINE.ideal or ())
+PLAN = Plan.of((y, x) for x, y in NAMED.points)  # turned by a quarter
 END = max(range(7), key=lambda a: math.dist(PLAN.points[a], LINE.center))
 MIDDLE = min(range(7), key=lambda a: math.dist(PLAN.points[a], LINE.center))
 MOST = math.ceil(FEW * 7 + 1e-9)
@@ -20,9 +21,9 @@ FAR = (95.0, 50.0)
 
 
 def target(
-    gathering: Gathering, here: Point, *, strangers: int = 6, alone: bool = True, slot: int = END
+    gathering: Gathering, here: Point, *, strangers: int = 6, alone: bool = True, slot: int = END, plan: Plan = PLAN
 ) -> Point | None:
-    return gathering.target(LINE, PLAN, slot, here, strangers=strangers, alone=alone)
+    return gathering.target(LINE, plan, slot, here, strangers=strangers, alone=alone)
 
 
 @pytest.mark.parametrize(
@@ -42,6 +43,14 @@ def test_robot_that_heard_few_gathers_near_centre_on_its_side() -> None:
     assert target(Gathering(), near, alone=False) == pytest.approx(near)
     assert target(Gathering(), (50.0, 50.0), alone=False) == (50.0, 50.0)
     assert target(Gathering(), FAR, slot=MIDDLE) is None, "there the others hear it anyway"
+
+
+def test_robot_whose_plan_is_not_turned_flies_to_its_place() -> None:
+    off = 0.08 * LINE.spacing
+    assert target(Gathering(), FAR, plan=NAMED) is None, "other models have probably named the same places"
+    assert target(Gathering(), FAR, plan=Plan.of((x + off, y) for x, y in NAMED.points)) is None
+    assert target(Gathering(), FAR, plan=Plan.of((x + 2 * off, y) for x, y in NAMED.points)) is not None
+    assert target(Gathering(), FAR, plan=Plan.of(NAMED.points[:6]), slot=0) is not None, "another team's plan"
 
 
 def test_robot_that_heard_most_flies_to_its_place_unless_alone() -> None:

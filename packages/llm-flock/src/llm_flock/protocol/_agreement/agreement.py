@@ -17,6 +17,7 @@ from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer
 from llm_flock.printable import one_line
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
+from llm_flock.protocol._agreement.ballot import Ballot
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 from llm_flock.protocol._breaker import fallback_notes
 from llm_flock.protocol._parts import Parts, Situation
@@ -35,6 +36,8 @@ class Agreement(Situation):
         self._robot = robot
         self._consensus, self._assignment = parts.consensus, parts.assignment
         self._membership, self._verifier = parts.membership, parts.verifier
+        #: The proposals of the team, for a rule that compares them all; None for others.
+        self.ballot = Ballot() if getattr(parts.consensus, "ballots", False) else None
         self._refused_answer: NoAnswer | None = None
         self._proposals = 0
         self._last_epoch = -1
@@ -71,6 +74,7 @@ class Agreement(Situation):
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
         self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
+        self.ballot = self.ballot and Ballot()
         self._membership.begin_mission()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
 
@@ -104,8 +108,14 @@ class Agreement(Situation):
         self._proposals += 1
         self._last_epoch = origin.epoch
         self._chosen = answer.slot
+        self.learn(origin, answer.plan)
         self._follow(answer.plan, origin, adopted=False, heard=[])
         return [Note("proposed", {"plan": answer.plan.digest, "slot": self.claim.slot, "by": by})]
+
+    def learn(self, origin: Provenance, plan: Plan) -> None:
+        """Take note of a proposal for this mission that passed the checks."""
+        if self.ballot is not None:
+            self.ballot.take(origin, plan, self._verifier.plan_class(self.mission, plan))
 
     def _choose(self, own: Standing, heard: list[Message]) -> Message | None:
         """The rule's choice. A rule may be user code: raises FlockError if it fails, or returns another type."""
@@ -191,7 +201,8 @@ class Agreement(Situation):
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
         standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self.sensed)
-        arguments = (*standing, self._membership.known, *heard)
+        proposed = None if self.ballot is None else self.ballot.known
+        arguments = (*standing, self._membership.known, proposed, *heard)
         due = self._occupancy_due
         if not due and len(arguments) == len(self._settled) and all(map(operator.is_, arguments, self._settled)):
             return []
@@ -199,7 +210,7 @@ class Agreement(Situation):
         origin, degree = self.provenance, self.degree
         own = Standing(robot=self._robot, plan=self.plan, provenance=origin, degree=degree, plan_class=own_class)
         before = self.claim
-        source = self._choose(own, heard)
+        source = self._choose(own, heard if proposed is None else [*proposed.values()])
         adopted = [] if source is None else self._adopt(source, heard)
         if not adopted and self.plan is not None:
             claim = self._assignment.update(before, self._assignment_input(self.plan, adopted=True, heard=heard))

@@ -72,6 +72,7 @@ class Messaging:
             course=course,
             beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
+            proposals=agreement.ballot and agreement.ballot.pass_on(),
         )
         return self.channel.seal(self._dissemination.compose(whole, claim.table, agreement.mission))
 
@@ -94,7 +95,7 @@ class Messaging:
             return notes
         if message.positions is not None:
             self._membership.hear_positions(message.positions)
-        return [*notes, *self._apply_plan(inbound, payload)]
+        return [*notes, *self._apply_proposals(message), *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:
         """Take a mission of higher stamp, if it is spelled out. A MessageError rejects the whole message."""
@@ -125,6 +126,20 @@ class Messaging:
                 self._repeated[payload] = message
         self._keep(message)
         return []
+
+    def _apply_proposals(self, message: Message) -> list[Note]:
+        """Take note of the proposals that the sender passes on, except plans that fail verification."""
+        agreement, notes = self._agreement, list[Note]()
+        for proposal in (message.proposals or ()) if agreement.ballot is not None else ():
+            if proposal.provenance.stamp != agreement.stamp or self._bad_plans[message.sender] >= MAX_BAD_PLANS:
+                continue
+            objection = self._verifier.objection(agreement.mission, proposal.plan)
+            if objection is None:
+                agreement.learn(proposal.provenance, proposal.plan)
+            else:
+                self._bad_plans[message.sender] += 1
+                notes += self._reject_plan(proposal.plan, objection)
+        return notes
 
     def _keep(self, message: Message) -> None:
         self._dissemination.hear(message)

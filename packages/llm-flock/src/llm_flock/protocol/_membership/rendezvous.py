@@ -27,6 +27,7 @@ FEW = 0.45  # while more than this share of the team has never been heard of, a 
 CLOSE = 0.3  # robots gather at this many spacings from the centre, each on its own side
 WAIT = 4  # rounds without news at the centre after which a robot stops gathering
 ANGLES = 72  # orientations of a formation that are tried
+UNTURNED = 0.1  # places this share of the spacing from those of the reference orientation are in it
 
 
 def meeting_places(mission: Mission, plan: Plan, table: Sequence[BidEntry]) -> Plan:
@@ -139,6 +140,8 @@ class Gathering:
         few = not alone and strangers <= FEW * mission.n_robots
         if not strangers or few or min(self._left, self._wait) < 0 or heard_when_turned(mission, plan, slot):
             return None
+        if unturned(mission, plan):
+            return None
         there = away <= reach + mission.spacing / 10
         self._left, self._wait = self._left - 1, self._wait - there
         if alone and there and self._beyond is None:
@@ -150,6 +153,15 @@ def _towards(center: Point, here: Point, distance: float) -> Point:
     """The point at this distance from the centre on the way to `here` [units]."""
     share = distance / max(math.dist(here, center), 1e-9)
     return tuple(c + share * (x - c) for x, c in zip(here, center, strict=True))
+
+
+@lru_cache(maxsize=256)
+def unturned(mission: Mission, plan: Plan) -> bool:
+    """Whether the plan is in the shape's reference orientation, which other models are likely to have chosen, too."""
+    if mission.ideal is None or len(mission.ideal) != len(plan):
+        return False
+    away = scipy.spatial.distance.cdist(plan.array, np.array(mission.ideal)).min(axis=1).max()
+    return bool(away <= UNTURNED * mission.spacing)
 
 
 @lru_cache(maxsize=4096)

@@ -13,6 +13,7 @@ from itertools import compress
 
 from msgspec.structs import replace
 
+from llm_flock.bounds import max_payload_bytes
 from llm_flock.message import BidTable, Message, claims_in, encode, table_digest
 from llm_flock.mission import Mission, mission_text
 from llm_flock.plan import Plan
@@ -99,6 +100,9 @@ class Dissemination:
         if message != self._sent:
             self._sent = message
             self._payload = encode(replace(message, sequence=self._sequence))
+            while message.proposals and len(self._payload) > max_payload_bytes(mission.n_robots):
+                message = replace(message, proposals=message.proposals[:-1])  # they come again in later messages
+                self._payload = encode(replace(message, sequence=self._sequence))
             self._sequence += 1
         return self._payload
 
