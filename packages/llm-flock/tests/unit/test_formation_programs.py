@@ -54,6 +54,9 @@ def test_deep_nesting_is_refused() -> None:
         deep = {"union": [deep]}
     with pytest.raises(InputError, match="at most 8 unions inside each other"):
         parse_program({"draw": [deep]})
+    for levels in (300, 900, 1400):
+        with pytest.raises(InputError, match=r"at most 8 unions|broken JSON"):
+            parse_program('{"draw":' + "[" * levels + "0" + "]" * levels + "}")
 
 
 def test_equal_programs_have_equal_texts_and_digests() -> None:

@@ -186,16 +186,17 @@ def parse_program(given: str | Mapping[str, Any], field: str = "program") -> Pro
             raise InputError(field, None, says=f"broken JSON: {error}") from None
     if not isinstance(given, Mapping):
         raise InputError(field, given, "an object with draw or groups")
-    if _depth(given) > 3 * MAX_DEPTH:
+    if _deeper(given, 3 * MAX_DEPTH):
         raise InputError(field, None, f"at most {MAX_DEPTH} unions inside each other")
     return checked(Program, dict(given), field)
 
 
-def _depth(value: Any) -> int:
+def _deeper(value: Any, levels: int) -> bool:
+    """Whether tables and lists are inside each other more often than this."""
     if isinstance(value, Mapping):
         value = list(cast("Mapping[str, Any]", value).values())
     parts = cast("list[Any]", value) if isinstance(value, list) else []
-    return 1 + max(map(_depth, parts), default=0)
+    return bool(parts) and (levels <= 0 or any(_deeper(part, levels - 1) for part in parts))
 
 
 @lru_cache(maxsize=256)
