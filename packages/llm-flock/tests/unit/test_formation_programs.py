@@ -49,7 +49,7 @@ def test_what_is_no_program_is_refused_by_field(given: object, says: str) -> Non
 
 
 def test_deep_nesting_is_refused() -> None:
-    deep: dict[str, object] = CIRCLE
+    deep: dict[str, object] = {**CIRCLE}
     for _ in range(60):
         deep = {"union": [deep]}
     with pytest.raises(InputError, match="at most 8 unions inside each other"):
