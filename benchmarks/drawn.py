@@ -31,6 +31,7 @@ import llm_flock
 from llm_flock import shapes
 from llm_flock.arrays import Points
 from llm_flock.formation import parse_program
+from llm_flock.printable import shape_title
 
 DATA = Path(__file__).parents[1] / "docs" / "data"
 NAMES = "ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789"
@@ -92,7 +93,7 @@ def space(seeds: int) -> list[dict[str, str | int]]:
             nearest.append(flown.min_separation or 0.0)
             if flown.rounds_to_formed is not None and flown.lower_bound_rounds:
                 over.append(flown.rounds_to_formed / flown.lower_bound_rounds)
-        row = {"Formation": shapes.shape_title(shape).removeprefix("program:"), "Robots": n}
+        row = {"Formation": shape_title(shape).removeprefix("program:"), "Robots": n}
         row |= {"Formed": f"{len(over)} of {seeds}"}
         middle = f"{statistics.median(over):.2f}, {max(over):.2f}" if over else ""
         table.append(row | {"Over the bound: median, largest": middle, "Smallest separation": f"{min(nearest):.6f}"})

@@ -7,7 +7,6 @@ arc). The paper's shapes are triangle 3 and 6, square 4 and 8, cross 5, circle 5
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -17,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from llm_flock.arrays import Pairwise, Points
 from llm_flock.errors import InputError, unknown
+from llm_flock.printable import shape_title
 
 SMALL = 50
 """Largest number of points measured without scipy.spatial, which takes longer to import than a small run takes."""
@@ -324,14 +324,6 @@ def in_space(spec: str) -> bool:
 
     program = program_of(spec)
     return program is not None and program.in_space
-
-
-def shape_title(spec: str) -> str:
-    """A shape specification for people: a program by its name instead of its text."""
-    if not spec.startswith("program:{"):
-        return spec
-    name = re.search(r'"name":"([\w .-]*)"', spec)  # in the canonical form; programs have no other text with quotes
-    return f"program:{name[1]}" if name else "program"
 
 
 def ideal_points(

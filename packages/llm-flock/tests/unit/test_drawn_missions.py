@@ -22,6 +22,7 @@ from llm_flock.llm._simulated.prompt_reader import formation, read_task
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import PlanQuestion
+from llm_flock.printable import shape_title
 from llm_flock.protocol._verification.plans import PlanClass, check_plan, plan_class
 from llm_flock.record import read_record
 from llm_flock.runtime import build_config
@@ -144,7 +145,7 @@ def test_files_are_read_by_configurations_alone(tmp_path: Path) -> None:
     changes = [{"round": 9, "robot": 0, "set": {"shape": f"program:{file}"}}]
     config = build_config({}, shape=f"outline:{drawing}", n_robots=10, changes=changes)
     assert config.mission.shape.startswith('program:{"draw":[{"path":"M0 0L1000')
-    assert shapes.shape_title(config.mission.shape) == "program:bar"
+    assert shape_title(config.mission.shape) == "program:bar"
     assert config.trial.changes[0].set["shape"] == ARROW.spec
     with pytest.raises(InputError, match=r"expected the name of a file that ends in \.toml or \.json"):
         build_config({}, shape=f"program:{drawing}", n_robots=10)
@@ -155,8 +156,8 @@ def test_files_are_read_by_configurations_alone(tmp_path: Path) -> None:
 def test_shapes_are_listed_and_titled() -> None:
     listed = CliRunner().invoke(app, ["shapes"], env={"COLUMNS": "200"}).output
     assert "letters:TEXT" in listed and "pyramid" in listed and "program:FILE" in listed
-    assert shapes.shape_title('program:{"draw":[{"shape":"line"}]}') == "program"
-    assert shapes.shape_title("letters:HI") == "letters:HI"
+    assert shape_title('program:{"draw":[{"shape":"line"}]}') == "program"
+    assert shape_title("letters:HI") == "letters:HI"
 
 
 @pytest.mark.parametrize("words", ["the letter S", "a heart", "a circle, please"])

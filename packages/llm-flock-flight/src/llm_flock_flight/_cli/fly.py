@@ -35,7 +35,7 @@ from llm_flock.cli import (
 )
 from llm_flock.errors import FieldError
 from llm_flock.extras import EXTRAS, require_posix
-from llm_flock.shapes import shape_title
+from llm_flock.printable import shape_title
 
 if TYPE_CHECKING:
     from llm_flock.record import RecordSink

@@ -15,7 +15,6 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from llm_flock import shapes
 from llm_flock.cli import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -37,6 +36,7 @@ from llm_flock.cli import (
 )
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
+from llm_flock.printable import shape_title
 from llm_flock.record import rules_text
 
 if TYPE_CHECKING:
@@ -174,7 +174,7 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     rules = settings.protocol
     simulated = " (simulated language models)" if result.simulated else ""
     title = escape(
-        f"{shapes.shape_title(settings.mission.shape)}, {result.n_robots} robots, {settings.model.model}{simulated}"
+        f"{shape_title(settings.mission.shape)}, {result.n_robots} robots, {settings.model.model}{simulated}"
     )
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")

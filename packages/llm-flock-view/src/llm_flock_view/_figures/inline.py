@@ -11,9 +11,8 @@ from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, require
-from llm_flock.printable import one_line
+from llm_flock.printable import one_line, shape_title
 from llm_flock.record import RunRecord, caveats, formed_in, protocol_text, work_text
-from llm_flock.shapes import shape_title
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,9 +13,8 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
-from llm_flock.printable import one_line
+from llm_flock.printable import one_line, shape_title
 from llm_flock.record import NO_PLAN, PALETTE, letters, protocol_text
-from llm_flock.shapes import shape_title
 
 if TYPE_CHECKING:
     from llm_flock.record import RunRecord

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+from llm_flock.printable import shape_title
 from llm_flock.record import (
     IN_SHAPE,
     SILENT,
@@ -22,7 +23,6 @@ from llm_flock.record import (
     protocol_text,
     work_text,
 )
-from llm_flock.shapes import shape_title
 
 HELD_ROUNDS = 3
 

@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from llm_flock.printable import printable
+from llm_flock.printable import printable, shape_title
 from llm_flock.record import Entry, FlightEvent, LlmEntry, ProtocolEvent, RoundEnd, RunHistory, protocol_text
-from llm_flock.shapes import shape_title
 from llm_flock_view._viewer.canvases import TOO_CLOSE
 from llm_flock_view._viewer.events import track_of_event
 

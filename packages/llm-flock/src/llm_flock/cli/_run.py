@@ -22,7 +22,7 @@ from llm_flock.cli._options import (
 )
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import InputError
-from llm_flock.shapes import shape_title
+from llm_flock.printable import shape_title
 
 SHOWN = (
     *("shape", "n_robots", "obstacles", "protocol", "model", "base_url", "loss"),

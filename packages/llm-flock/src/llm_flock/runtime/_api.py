@@ -17,6 +17,7 @@ from llm_flock.errors import FieldError, FlockError, InputError
 from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
+from llm_flock.printable import shape_title
 from llm_flock.protocol._agreement.assignment import AssignmentRule
 from llm_flock.protocol._agreement.consensus import ConsensusRule, Ties
 from llm_flock.protocol._breaker import Fallback
@@ -29,7 +30,6 @@ from llm_flock.runtime._result import RunResult
 from llm_flock.runtime._rules import LeftOut, assignment_rule, consensus_rule, own_rules
 from llm_flock.runtime._schedule import Change, Stream, stream
 from llm_flock.runtime._trial import Steer, Trial, TrialProgress
-from llm_flock.shapes import shape_title
 from llm_flock.simulate import InstantBodies, Readings, start_positions
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from llm_flock.correspondence import quick_error
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import DECIMALS, Plan
-from llm_flock.shapes import shape_title
+from llm_flock.printable import shape_title
 
 RESIDUAL_LIMIT = 0.05
 """Largest mean distance of places from the ideal shape, as a share of the spacing: half of a formed team's limit."""
