@@ -15,6 +15,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from llm_flock import shapes
 from llm_flock.cli import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
@@ -172,7 +173,9 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     """The result of a swarm, in words and numbers."""
     rules = settings.protocol
     simulated = " (simulated language models)" if result.simulated else ""
-    title = escape(f"{settings.mission.shape}, {result.n_robots} robots, {settings.model.model}{simulated}")
+    title = escape(
+        f"{shapes.shape_title(settings.mission.shape)}, {result.n_robots} robots, {settings.model.model}{simulated}"
+    )
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()

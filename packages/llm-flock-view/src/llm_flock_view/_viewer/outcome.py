@@ -22,6 +22,7 @@ from llm_flock.record import (
     protocol_text,
     work_text,
 )
+from llm_flock.shapes import shape_title
 
 HELD_ROUNDS = 3
 
@@ -62,7 +63,8 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
 def shape_text(mission: Mapping[str, Any]) -> str:
     """The shape and its number of places, and the number of robots where it is another one."""
     n, places = mission["n_robots"], mission.get("places")
-    return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
+    shape = shape_title(str(mission["shape"]))
+    return f"{shape} of {n}" if places in (None, n) else f"{shape} of {places}, {n} robots"
 
 
 def _formation_round(run: RunHistory, k: int, entries: Sequence[object], last: int | None) -> int | None:

@@ -29,6 +29,7 @@ from llm_flock.runtime._result import RunResult
 from llm_flock.runtime._rules import LeftOut, assignment_rule, consensus_rule, own_rules
 from llm_flock.runtime._schedule import Change, Stream, stream
 from llm_flock.runtime._trial import Steer, Trial, TrialProgress
+from llm_flock.shapes import shape_title
 from llm_flock.simulate import InstantBodies, Readings, start_positions
 
 if TYPE_CHECKING:
@@ -255,7 +256,7 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         if progress and "IPython" in sys.modules:
             from llm_flock.runtime._notebook import notebook_progress
 
-            on_round = stack.enter_context(notebook_progress(config.mission.shape, on_round))
+            on_round = stack.enter_context(notebook_progress(shape_title(config.mission.shape), on_round))
         trial = Trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
         try:
             await trial.run()

@@ -21,6 +21,7 @@ from llm_flock.correspondence import quick_error
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import DECIMALS, Plan
+from llm_flock.shapes import shape_title
 
 RESIDUAL_LIMIT = 0.05
 """Largest mean distance of places from the ideal shape, as a share of the spacing: half of a formed team's limit."""
@@ -111,7 +112,7 @@ def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     if residual > RESIDUAL_LIMIT * mission.spacing:
         return PlanClass.REFUSED, (
             f"its points are {number_text(residual)} off the shape on average, "
-            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {mission.shape}."
+            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {shape_title(mission.shape)}."
         )
     exact = residual <= EXACT_RESIDUAL * mission.spacing
     return PlanClass.EXACT if exact else PlanClass.ACCEPTABLE, None
