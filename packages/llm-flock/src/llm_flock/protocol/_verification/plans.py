@@ -121,7 +121,8 @@ def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
 @lru_cache(maxsize=16)
 def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, float]:
     """The ideal shape, and bounds of a place's distance from its nearest other place [units]."""
-    target, distances = None, np.array([mission.spacing])
+    # What words describe may have parts; the robots of each have to hear those of the next.
+    target, distances = None, np.array([mission.spacing, max(mission.spacing, mission.comm_range / 1.1)])
     if mission.ideal is not None and mission.n_places > 1:
         points = np.array(mission.ideal)
         target, distances = metrics.ShapeTarget(points), _nearest(points)[0]
