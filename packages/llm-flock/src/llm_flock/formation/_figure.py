@@ -46,7 +46,7 @@ class Lattice:
 
 
 @dataclass(slots=True)
-class Drawing:
+class Sketch:
     """What a program draws."""
 
     strokes: list[Points] = field(default_factory=list[Points])  #: Polylines, shape (m, 3).
@@ -59,13 +59,13 @@ class Drawing:
     )  #: All corners, also of areas, and of boxes round bodies.
 
 
-def draw(elements: Sequence[Element]) -> Drawing:
+def draw(elements: Sequence[Element]) -> Sketch:
     """Draw elements, one over the other, scaled to a width of 1.
 
     Raises:
         InputError: too much to draw, or a filled outline is open or crosses itself.
     """
-    drawing, whole = Drawing(), Drawing()
+    drawing, whole = Sketch(), Sketch()
     for element in elements:
         _draw(element, np.eye(4), whole)
     width = float(np.ptp(np.concatenate(whole.corners), axis=0).max()) or 1.0
@@ -75,7 +75,7 @@ def draw(elements: Sequence[Element]) -> Drawing:
     return drawing
 
 
-def _draw(element: Element, outer: Affine, into: Drawing) -> None:
+def _draw(element: Element, outer: Affine, into: Sketch) -> None:
     inner = _own_map(element)
     for _ in range(element.repeat.times if element.repeat else 1):
         own = outer @ inner
@@ -92,7 +92,7 @@ def _draw(element: Element, outer: Affine, into: Drawing) -> None:
         inner = _step_map(element.repeat) @ inner if element.repeat else inner
 
 
-def _draw_strokes(element: Element, world: Affine, into: Drawing) -> None:
+def _draw_strokes(element: Element, world: Affine, into: Sketch) -> None:
     strokes = [np.array(stroke, dtype=np.float64) for stroke in _strokes(element)]
     into.corners += [mapped(stroke, world) for stroke in strokes]
     if (corners := sum(map(len, into.corners))) > MAX_CORNERS:
@@ -270,7 +270,7 @@ def _in_space(rows: Points) -> Points:
 # ---------------------------------------------------------------- space
 
 
-def _draw_in_space(element: Element, world: Affine, into: Drawing) -> None:
+def _draw_in_space(element: Element, world: Affine, into: Sketch) -> None:
     grown = abs(float(np.linalg.det(world[:3, :3])))
     into.corners.append(mapped(_cube(8), world))
     match element.shape:

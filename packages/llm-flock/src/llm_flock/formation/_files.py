@@ -10,7 +10,7 @@ from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.errors import InputError
 from llm_flock.formation._paths import Stroke, strokes_of
 from llm_flock.formation._program import Program, parse_program
-from llm_flock.point_files import Affine, Refused, SvgReader, file_text, floats, numbers_of, placed
+from llm_flock.point_files import Affine, NotRead, SvgReader, file_text, floats, numbers_of, placed
 
 KINDS = (".toml", ".json", ".svg")
 WIDE = 1000  #: Width or height of an outline's drawing, whichever is larger: its coordinates are whole numbers.
@@ -34,7 +34,7 @@ def load_program(name: str, field: str = "program", kinds: Sequence[str] = KINDS
             return parse_program({"name": _letters(path.stem), "draw": [{"path": _outlines(text)}]}, field)
         if path.suffix.lower() == ".toml":
             return parse_program(tomllib.loads(text), field)
-    except Refused as error:
+    except NotRead as error:
         raise InputError(field, name, str(error)) from None
     except tomllib.TOMLDecodeError as error:
         raise InputError(field, name, f"TOML ({error})") from None
@@ -55,7 +55,7 @@ class _Outlines(SvgReader):
     def found(self, kind: str, given: dict[str, str], here: Affine) -> None:
         path = _path_of(kind, given)
         if path is None:
-            raise Refused(f"paths, rectangles, circles, ellipses, lines and polygons, not {kind}")
+            raise NotRead(f"paths, rectangles, circles, ellipses, lines and polygons, not {kind}")
         for stroke in strokes_of(path, kind):
             corners = placed(here, [axis for z in stroke for axis in (z.real, z.imag)])
             self.strokes.append([complex(*corner) for corner in corners])
@@ -90,7 +90,7 @@ def _outlines(text: str) -> str:
     strokes = [stroke for stroke in drawing.strokes if len(set(stroke)) > 1]
     every = np.array([(z.real, z.imag) for stroke in strokes for z in stroke]).reshape(-1, 2)
     if not len(every):
-        raise Refused("an SVG with at least one line")
+        raise NotRead("an SVG with at least one line")
     low, grown = every.min(axis=0), WIDE / float(np.ptp(every, axis=0).max())
     lines = [(np.array([(z.real, z.imag) for z in stroke]) - low) * grown for stroke in strokes]
     tolerance, room = 1.0, MAX_PROGRAM_BYTES - 100
@@ -100,7 +100,7 @@ def _outlines(text: str) -> str:
         if len(path) <= room:
             return path
         tolerance *= 1.3
-    raise Refused(f"fewer or simpler lines: a program has at most {MAX_PROGRAM_BYTES:,} bytes")
+    raise NotRead(f"fewer or simpler lines: a program has at most {MAX_PROGRAM_BYTES:,} bytes")
 
 
 def _data(corners: list[list[int]]) -> str:

@@ -54,13 +54,19 @@ class Net:
         (the divisor method of Jefferson and D'Hondt). Where strokes leave a node side by side, their points are nearer
         to each other than along the strokes: then points slide along them as far as that helps.
         """
-        pieces, lengths = self._least_pieces(), self.lengths.round(9).tolist()
-        heap = [((pieces[k] + 1) / lengths[k], k) for k in range(len(pieces))]
+        pieces: list[int] = self._least_pieces()
+        lengths: list[float] = self.lengths.tolist()
+
+        def further(k: int) -> tuple[float, int]:
+            """Orders edges by the length of their pieces if they had one more, rounded, as equal ones are many."""
+            return -round(lengths[k] / (pieces[k] + 1), 9), k
+
+        heap = [further(k) for k in range(len(pieces))]
         heapq.heapify(heap)
         for _ in range(n - self.least):
-            _, k = heap[0]
+            k = heap[0][1]
             pieces[k] += 1
-            heapq.heapreplace(heap, ((pieces[k] + 1) / lengths[k], k))
+            heapq.heapreplace(heap, further(k))
         shares = [np.arange(0 if free else 1, m) / m for free, m in zip(self.free, pieces, strict=True)]
         even = self._at(shares)
         if (
@@ -93,7 +99,7 @@ class Net:
                 (ahead - points)[first:] / np.linalg.norm((ahead - points)[first:], axis=1)[:, None] * push
             ).sum(axis=1)
             move = 0.1 * gap * (1 - k / SLIDES) * along_edge / np.sqrt(1 + along_edge**2)
-            at = np.clip(at + move / lengths, 0.0, 0.999).round(6)  # what differs between machines does not grow
+            at = np.clip(at + move / lengths, 0.0, 0.999).round(5)  # what differs between machines does not grow
         return np.split(at, ends)
 
 

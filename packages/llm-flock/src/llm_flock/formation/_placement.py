@@ -13,7 +13,7 @@ import scipy
 
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.formation._figure import Drawing, Lattice, Region, draw, mapped
+from llm_flock.formation._figure import Lattice, Region, Sketch, draw, mapped
 from llm_flock.formation._net import Net, along, nearest, net_of
 from llm_flock.formation._program import Element, Group, Program, parse_program
 
@@ -104,7 +104,7 @@ class _Lines:
 Part: TypeAlias = _Lines | Region | Lattice
 
 
-def _parts(drawing: Drawing) -> list[Part]:
+def _parts(drawing: Sketch) -> list[Part]:
     strokes = drawing.strokes
     lines = [_Lines(strokes=strokes, net=net_of(strokes, bends=False))] if strokes else []
     return [*lines, *drawing.regions, *drawing.lattices]
