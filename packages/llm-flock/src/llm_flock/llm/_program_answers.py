@@ -42,10 +42,11 @@ def read_program(text: str, mission: Mission) -> tuple[Plan, int]:
     if isinstance(slot, bool) or not isinstance(slot, int) or not 0 <= slot < n:
         raise AnswerError(f"my_plan is {slot!r:.40}; a whole number from 0 to {n - 1} is required.")
     try:
-        points = program_points(parse_program(cast("Any", given.get("program"))), n, mission.dim, mission.spacing)
+        program = parse_program(cast("Any", given.get("program")))
+        points = program_points(program, n, mission.dim, mission.spacing)
     except InputError as error:
         raise AnswerError(f"its program cannot be drawn: {error}") from None
-    return Plan.of((points + np.array(mission.center)).tolist()), slot
+    return Plan.of((points + np.array(mission.center)).tolist(), program.text), slot
 
 
 def _objects(text: str) -> Iterator[Mapping[str, Any]]:
