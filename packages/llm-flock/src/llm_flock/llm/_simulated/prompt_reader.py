@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 
@@ -37,6 +38,7 @@ WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
 _JSON_MARK = "JSON object"
+_PROGRAM_MARK = "draw the shape as a short program"
 _POSITION = re.compile(rf"{STEP_MARK}(.*)")
 _NEIGHBORS = re.compile(r"^Robots near you, moving as well: (.*)", re.MULTILINE)
 _GOAL = re.compile(r"^Your goal, .*?: (.*)", re.MULTILINE)
@@ -167,6 +169,11 @@ def read_plan(text: str) -> tuple[int, bool]:
     return int(robot), _JSON_MARK in text
 
 
+def asks_for_program(text: str) -> bool:
+    """Whether a question for a plan wants a formation program."""
+    return _PROGRAM_MARK in text
+
+
 def read_still(text: str, dim: int) -> list[Point]:
     """Read the positions of robots that stand still from the plan message; empty if it names none."""
     return _points(_first_group(_STILL, text), dim)
@@ -238,6 +245,21 @@ def formation(task: Task) -> Points:
         points = np.hstack([points, height])
     points.setflags(write=False)
     return points
+
+
+def named_figure(task: Task) -> dict[str, object]:
+    """The element of a formation program that draws the task's named shape.
+
+    Raises:
+        ModelError: `refused`, for other shapes, of which a stand-in knows no drawing.
+    """
+    from llm_flock.formation._program import Flat
+
+    spec = "" if _GIVEN in task.shape else _spec(task.shape) or ""
+    name, _, sides = spec.partition(":")
+    if name not in get_args(Flat):
+        raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
+    return {"shape": name} | ({"sides": int(sides)} if sides else {})
 
 
 def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:
