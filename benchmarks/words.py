@@ -37,7 +37,7 @@ from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.llm._simulated.prompt_reader import PLAN_MARK, read_plan
 
 ROBOTS = 10
-SHARES = (10, 20, 30, 40, 50, 60, 70, 80)  # wrong models of ten robots [per cent]
+SHARES = (20, 40, 60, 80)  # wrong models of ten robots [per cent]
 RULES = ("medoid", "provenance", "influence")
 MOST_CORNERS = 150  # of a drawing, so that its program is short enough
 CASES: dict[str, dict[str, Any]] = {
