@@ -22,6 +22,7 @@
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
+`drawn`     letters placed on 30 robots and read by a stranger, and bodies in space flown; see benchmarks/drawn.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
@@ -50,6 +51,7 @@ from benchmarks import (
     arrivals,
     autopilots,
     containment,
+    drawn,
     flight,
     flight_cases,
     lies,
@@ -201,6 +203,7 @@ if __name__ == "__main__":
         "physics": physics.main,
         "scale": scale.main,
         "arrivals": arrivals.main,
+        "drawn": drawn.main,
         "containment": containment.main,
         "lies": lies.main,
         "lies-curve": lies.curve,

@@ -218,7 +218,8 @@ class Shapes(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         from llm_flock import shapes as formations
 
-        rows = [(shape.name, shape.legal, shape.description) for shape in formations.shapes()]
+        listed = (*formations.shapes(), *formations.drawn_shapes())
+        rows = [(shape.name, shape.legal, shape.description) for shape in listed]
         return [table(("Shape", "N", "What it is"), rows, 1)]
 
 

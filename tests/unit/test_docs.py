@@ -17,7 +17,9 @@ import pytest
 import typer.main
 
 from llm_flock import plugins
+from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.cli import app
+from llm_flock.formation import Element, Group, Program, parse_program
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._result import Summary
 from llm_flock_flight._flight.config import FlightConfig
@@ -104,12 +106,25 @@ def test_configuration_examples_are_valid(page: Path, tmp_path: Path) -> None:
                 assert found["project"]["entry-points"].keys() <= {
                     f"llm_flock.{kind}" for kind in get_args(plugins.Kind)
                 }
+            elif "draw" in found:
+                parse_program(found)
             elif "sweep" in found:
                 (tmp_path / "sweep.toml").write_text(body, encoding="utf-8")
                 assert load_sweep(tmp_path / "sweep.toml").trials
             else:
                 kind = FlightConfig if "fleet" in found else SwarmConfig if "network" in found else RunConfig
                 kind.model_validate(found)
+
+
+def test_the_language_of_programs_is_on_its_page() -> None:
+    page = (
+        (ROOT / "docs" / "reference" / "formations.md")
+        .read_text(encoding="utf-8")
+        .partition("## Formation programs")[2]
+    )
+    fields = {*Program.model_fields, *Group.model_fields, *Element.model_fields}
+    assert {name for name in fields if f"`{name}`" not in page} == set()
+    assert f"{MAX_PROGRAM_BYTES:,} bytes" in page
 
 
 def test_tests_that_pages_name_exist() -> None:

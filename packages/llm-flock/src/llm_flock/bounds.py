@@ -13,6 +13,7 @@ MAX_OBSTACLES = 500  #: Most obstacles of a mission: each robot examines all of 
 MAX_CORNERS = 1_024  #: Most corners of all polygons of a mission together.
 MAX_POLYGON_CORNERS = 128  #: Most corners of one polygon: dividing it takes the cube of their number, here 0.2 s.
 MIN_LENGTH = 1e-3  #: Smallest length that a mission accepts [units]: plans are rounded to a thousandth of it.
+MAX_PROGRAM_BYTES = 3_072  #: Largest formation program in JSON [bytes], in a file, a model's answer or a message.
 MAX_LENGTH = 1e9  #: Largest length in a mission [units]: far more than any arena, and small enough to be squared.
 
 MAX_INTEGER = 2**53  #: The largest whole number that every reader of JSON can hold.

@@ -16,7 +16,7 @@ from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
 from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places, mission_room
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
-from llm_flock.printable import hidden
+from llm_flock.printable import hidden, shape_title
 from llm_flock.validation import checked
 
 if TYPE_CHECKING:
@@ -90,7 +90,14 @@ class Mission(BaseModel):
         if not isinstance(data, dict):
             return data
         given = cast("dict[str, Any]", data)
-        points = given.get("points")
+        shape, points = given.get("shape"), given.get("points")
+        if isinstance(shape, str) and shape.startswith("program:"):
+            from llm_flock.formation import program_of
+
+            program = program_of(shape)
+            given = given | {"shape": program.spec if program else shape}  # equal programs are equal missions
+        if isinstance(shape, str) and not given.keys() & {"center", "arena"} and formations.in_space(shape):
+            given = given | {"center": (50.0,) * 3, "arena": ((0.0,) * 3, (100.0,) * 3)}
         if not isinstance(points, Sized):
             return given  # absent, or of a type that the field's own validation rejects
         if not len(points):
@@ -169,12 +176,16 @@ class Mission(BaseModel):
         if nearest < self.safe_distance - 1e-9:
             allowed = f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
             raise InputError("shape", self.shape, allowed)
+        if formations.is_drawn(self.shape) and (gap := formations.widest_gap(self.ideal)) > self.comm_range + 1e-9:
+            says = f"at least {gap:.4g}, so that all robots of '{shape_title(self.shape)}' hear each other"
+            raise InputError("comm_range", self.comm_range, f"{says}; more robots or less spacing would do, too")
         reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
             size = f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g}"
-            needed = f"at least {reach:.4g} units from center to every wall, the radius of '{self.shape}' of {size}"
+            shape = f"'{shape_title(self.shape)}' of {size}"
+            needed = f"at least {reach:.4g} units from center to every wall, the radius of {shape}"
             raise InputError("arena", [list(low), list(high)], f"{needed} (here {room:.4g})")
 
     def _check_obstacles(self) -> None:
@@ -190,7 +201,8 @@ class Mission(BaseModel):
         if not self.obstacles or self.ideal is None:
             return
         if next(self.placements(), None) is None:
-            room = f"obstacles that leave room for '{self.shape}' around the centre in some orientation"
+            shape = shape_title(self.shape)
+            room = f"obstacles that leave room for '{shape}' around the centre in some orientation"
             clear = f"with every place at least safe_distance / 2 = {self.body_radius:g} from every obstacle"
             raise InputError(
                 "obstacles", f"{len(self.obstacles)} obstacles", f"{room}, {clear}, and a way between any two"

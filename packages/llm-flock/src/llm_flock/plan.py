@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 
 from llm_flock.arrays import MAX_COORDINATE, Points
+from llm_flock.bounds import MAX_PROGRAM_BYTES
 
 DECIMALS = 6  #: Decimals of plan coordinates, so that equal plans are equal on every robot.
 
@@ -23,9 +24,11 @@ class Plan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=T
 
     Attributes:
         points: N positions of d coordinates each [units; world frame], rounded to DECIMALS.
+        program: canonical text of the formation program that draws them; empty if they were given as points.
     """
 
     points: tuple[tuple[Coordinate, ...], ...]
+    program: Annotated[str, msgspec.Meta(max_length=MAX_PROGRAM_BYTES)] = ""
 
     def __post_init__(self) -> None:
         given = np.array(self.points, dtype=np.float64).reshape(len(self.points), -1)
@@ -44,12 +47,13 @@ class Plan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=T
     @cached_property
     def digest(self) -> str:
         """16 hexadecimal digits that identify the content."""
-        return hashlib.blake2b(self.array.astype("<f8").tobytes(), digest_size=8).hexdigest()
+        content = self.array.astype("<f8").tobytes() + self.program.encode(errors="surrogatepass")
+        return hashlib.blake2b(content, digest_size=8).hexdigest()
 
     @classmethod
-    def of(cls, points: Iterable[Iterable[float]]) -> Plan:
+    def of(cls, points: Iterable[Iterable[float]], program: str = "") -> Plan:
         """A plan from any rows of numbers, shape (n, d) [units]."""
-        return cls(tuple(tuple(float(x) for x in row) for row in points))
+        return cls(tuple(tuple(float(x) for x in row) for row in points), program)
 
     def __len__(self) -> int:
         return len(self.points)

@@ -38,7 +38,7 @@ _HIDES = {"display": ("none",), "visibility": ("hidden", "collapse"), "opacity":
 _UNDRAWN = {"defs", "clipPath", "mask", "marker", "symbol", "pattern", "metadata", "style", "title", "desc", "text"}
 
 
-class _Refused(Exception):
+class NotRead(Exception):
     """A file cannot be read; the message follows "expected"."""
 
 
@@ -58,6 +58,16 @@ def load_points(name: str | Path, field: str = "points") -> tuple[Point, ...]:
     path, scale = (Path(scaled[1]), _number(scaled[2])) if scaled else (Path(name), 1.0)
     if not (isinstance(scale, float) and 0.0 < scale < math.inf):
         raise InputError(field, str(name), "FILE@SCALE with a positive scale")
+    text = file_text(path, field, str(name))
+    read = {".json": _json_rows, ".svg": _svg_rows}.get(path.suffix.lower(), _csv_rows)
+    try:
+        return tuple(_point(str(point), [scale * axis for axis in point]) for point in _points(read(text)))
+    except NotRead as error:
+        raise InputError(field, str(name), str(error)) from None
+
+
+def file_text(path: Path, field: str, given: str) -> str:
+    """The text of a file in UTF-8; InputError for `field` as it was given if there is none, or too much."""
     try:
         if path.exists() and not path.is_file():
             raise ValueError("not a pipe, device or folder")
@@ -66,12 +76,8 @@ def load_points(name: str | Path, field: str = "points") -> tuple[Point, ...]:
         if len(text) > MAX_LETTERS:
             raise ValueError(f"of at most {MAX_LETTERS >> 20} million letters")
     except (OSError, ValueError) as error:  # no UTF-8, or no name of a file
-        raise InputError(field, str(name), f"a readable file ({getattr(error, 'strerror', None) or error})") from None
-    read = {".json": _json_rows, ".svg": _svg_rows}.get(path.suffix.lower(), _csv_rows)
-    try:
-        return tuple(_point(str(point), [scale * axis for axis in point]) for point in _points(read(text)))
-    except _Refused as error:
-        raise InputError(field, str(name), str(error)) from None
+        raise InputError(field, given, f"a readable file ({getattr(error, 'strerror', None) or error})") from None
+    return text
 
 
 def _points(rows: Iterable[Row]) -> list[Point]:
@@ -82,19 +88,19 @@ def _points(rows: Iterable[Row]) -> list[Point]:
             if names != known:
                 known, (axes, who) = names, _columns(names)
             if len(cells) != len(names):
-                raise _Refused(f"{len(names)} cells, one for each name of a column, not {cells!r} ({where})")
+                raise NotRead(f"{len(names)} cells, one for each name of a column, not {cells!r} ({where})")
             if who is not None and ids.setdefault(repr(cells[who]), where) != where:
-                raise _Refused(f"one row for each robot; {cells[who]!r} is in {ids[repr(cells[who])]} and {where}")
+                raise NotRead(f"one row for each robot; {cells[who]!r} is in {ids[repr(cells[who])]} and {where}")
             cells = [cells[axis] for axis in axes]
         point = _point(where, cells)
         if points and len(point) != len(points[0]):
-            raise _Refused(f"{len(points[0])} numbers, as in the first row, not {cells!r} ({where})")
+            raise NotRead(f"{len(points[0])} numbers, as in the first row, not {cells!r} ({where})")
         points.append(point)
     if not points:
-        raise _Refused("a file with at least one point")
+        raise NotRead("a file with at least one point")
     for column in list(zip(*points, strict=True))[::2] if known is None and len(points[0]) == 3 else []:
         if len(column) > 1 and all(here == min(column) + k for k, here in enumerate(sorted(column))):
-            raise _Refused("names of the columns: the first or last ones count the rows, and could be ids")
+            raise NotRead("names of the columns: the first or last ones count the rows, and could be ids")
     numbers = [_number(one) for one in ids]
     if len(numbers) == len(points) and not any(isinstance(one, str) for one in numbers):
         points = [points[k] for k in sorted(range(len(points)), key=numbers.__getitem__)]
@@ -104,24 +110,24 @@ def _points(rows: Iterable[Row]) -> list[Point]:
 def _point(where: str, cells: Sequence[Any]) -> Point:
     if len(cells) in (2, 3) and all(type(cell) in (int, float) and abs(cell) < 1e300 for cell in cells):
         return tuple(map(float, cells))
-    raise _Refused(f"{_BARE}, not {cells!r} ({where})")
+    raise NotRead(f"{_BARE}, not {cells!r} ({where})")
 
 
 def _columns(names: Sequence[str]) -> tuple[list[int], int | None]:
-    """Where x, y and perhaps z are, and where the id or name is. Refused if a name is not known, or an axis twice."""
+    """Where x, y and perhaps z are, and where the id or name is. NotRead if a name is not known, or an axis twice."""
     found: dict[str, int] = {}
     for k, name in enumerate(names):
         axis = _AXIS.fullmatch(name)
         if axis and axis[1].lower() in found:
-            raise _Refused(f"one column for {axis[1].lower()}, not both {names[found[axis[1].lower()]]!r} and {name!r}")
+            raise NotRead(f"one column for {axis[1].lower()}, not both {names[found[axis[1].lower()]]!r} and {name!r}")
         if axis:
             found[axis[1].lower()] = k
         elif _WHO.fullmatch(name) and (name or k == 0):  # tables are often written with an unnamed first column
             found.setdefault("id", k)
         elif not _COLOUR.fullmatch(name):
-            raise _Refused(f"columns x, y and perhaps z, an id or name, and colours; not {name!r}")
+            raise NotRead(f"columns x, y and perhaps z, an id or name, and colours; not {name!r}")
     if not {"x", "y"} <= found.keys():
-        raise _Refused(f"columns x and y, not {', '.join(names)}")
+        raise NotRead(f"columns x and y, not {', '.join(names)}")
     return [found[axis] for axis in "xyz" if axis in found], found.get("id")
 
 
@@ -140,12 +146,12 @@ def _csv_rows(text: str) -> Iterator[Row]:
             if cells:
                 rows.append((f"line {number}", cells))
     except csv.Error as error:
-        raise _Refused(f"comma-separated values (line {reader.line_num}: {error})") from None
+        raise NotRead(f"comma-separated values (line {reader.line_num}: {error})") from None
     every = [cell for _, cells in rows for cell in cells]
     comma = next((cell for cell in every if mark != "," and "," in cell and _DECIMAL.fullmatch(cell)), "")
     point = next((cell for cell in every if "." in cell and isinstance(_number(cell), float)), "")
     if comma and point:
-        raise _Refused(f"decimal commas or decimal points, not both {comma!r} and {point!r}")
+        raise NotRead(f"decimal commas or decimal points, not both {comma!r} and {point!r}")
     read = [(where, [_number(cell.replace(",", ".") if comma else cell) for cell in cells]) for where, cells in rows]
     names = rows[0][1] if rows and all(isinstance(cell, str) for cell in read[0][1]) else None
     for where, cells in read[names is not None :]:
@@ -168,7 +174,7 @@ def _number(text: str) -> float | str:
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found := dict(pairs)) < len(pairs):
-        raise _Refused("each name once in an object")
+        raise NotRead("each name once in an object")
     return found
 
 
@@ -176,19 +182,19 @@ def _json_rows(text: str) -> Iterator[Row]:
     try:
         data: Any = json.loads(text, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
-        raise _Refused(f"{_JSON} ({error})") from None
+        raise NotRead(f"{_JSON} ({error})") from None
     if isinstance(data, dict):
         data = {key: value for key, value in cast("dict[str, Any]", data).items() if key not in _TEXTS}
         data = data["points"] if data.keys() == {"points"} else data
     if isinstance(data, list):
         data = dict(enumerate(cast("list[Any]", data), 1))
     if not isinstance(data, dict) or any(map(_AXIS.fullmatch, map(str, cast("dict[Any, Any]", data)))):
-        raise _Refused(_JSON)
+        raise NotRead(_JSON)
     for key, row in cast("dict[Any, Any]", data).items():
         where = f"row {key}" if isinstance(key, int) else repr(key)
         cells: dict[str, Any] = {"id": _number(key)} if isinstance(key, str) else {}
         if not isinstance(row, list | dict):
-            raise _Refused(f"{_BARE}, not {row!r} ({where})")
+            raise NotRead(f"{_BARE}, not {row!r} ({where})")
         if isinstance(row, list) and not cells:
             yield where, None, cast("list[Any]", row)
         else:
@@ -197,33 +203,41 @@ def _json_rows(text: str) -> Iterator[Row]:
 
 
 def _svg_rows(text: str) -> Iterator[Row]:
-    if "<!ENTITY" in text:  # a few could grow without end
-        raise _Refused("an SVG without entities")
-    drawing = _Drawing()
-    parser = ElementTree.XMLParser(target=drawing)  # noqa: S314 - it builds no tree
-    try:
-        parser.feed(text)
-        parser.close()
-    except ElementTree.ParseError as error:
-        raise _Refused(f"an SVG ({error})") from None
+    drawing = _Places()
+    drawing.read(text)
     if drawing.centers and drawing.corners:
-        raise _Refused("circles or polygons, not both: it is not clear which are the points")
+        raise NotRead("circles or polygons, not both: it is not clear which are the points")
     for number, (x, y) in enumerate(drawing.centers or drawing.corners, 1):
         yield f"point {number}", None, [x, 0.0 - y]
 
 
-class _Drawing:
-    """What the parser calls for each element of a drawing."""
+class SvgReader:
+    """Reads the elements of an SVG that are drawn; a subclass takes what it wants in `found`."""
 
     def __init__(self) -> None:
-        self.centers, self.corners = list[Point](), list[Point]()
         self._styled = False
         self._maps: list[Affine | None] = [(1.0, 0.0, 0.0, 1.0, 0.0, 0.0)]  # None: what is inside is not drawn
 
+    def read(self, text: str) -> None:
+        """Read a whole SVG; NotRead if it is none."""
+        if "<!ENTITY" in text:  # a few could grow without end
+            raise NotRead("an SVG without entities")
+        parser = ElementTree.XMLParser(target=self)  # noqa: S314 - it builds no tree
+        try:
+            parser.feed(text)
+            parser.close()
+        except ElementTree.ParseError as error:
+            raise NotRead(f"an SVG ({error})") from None
+
+    def found(self, kind: str, given: dict[str, str], here: Affine) -> None:
+        """Take an element that is drawn, with its attributes and its map to the drawing."""
+        raise NotImplementedError
+
     def start(self, tag: str, given: dict[str, str]) -> None:
+        """Called by the parser at the beginning of an element."""
         kind, outer = tag.removeprefix("{http://www.w3.org/2000/svg}"), self._maps[-1]
         if len(self._maps) > MAX_DEPTH or (kind == "svg") != (len(self._maps) == 1):
-            raise _Refused(f"one SVG, its elements nested at most {MAX_DEPTH} times, not {kind}")
+            raise NotRead(f"one SVG, its elements nested at most {MAX_DEPTH} times, not {kind}")
         style = given.get("style", "").replace(" ", "")
         self._styled = kind == "style"
         said = {name: given.get(name, "") for name in _HIDES} | dict(re.findall(r"([a-z]+):([^;]*)", style))
@@ -233,39 +247,59 @@ class _Drawing:
             return
         here = _composed(outer, given.get("transform", style if "transform:" in style else ""))
         self._maps.append(here)
-        if kind in ("circle", "ellipse"):
-            numbers = [_floats(given.get(key, "0").removesuffix("px")) for key in ("cx", "cy")]
-            if [*map(len, numbers)] != [1, 1]:
-                raise _Refused(f"one number each as cx and cy, not {numbers!r}")
-            self.centers += _placed(here, [*numbers[0], *numbers[1]])
-        elif kind in ("polygon", "polyline"):
-            corners = _placed(here, _floats(given.get("points", "")))
-            self.corners += corners[: len(corners) - (len(corners) > 1 and corners[0] == corners[-1])]  # closed
-        elif kind not in ("svg", "g", "a", "switch") and given.get("width") != "100%":  # that is a background
-            raise _Refused(f"circles, ellipses, polygons and polylines, not {kind}")
+        if kind not in ("svg", "g", "a", "switch") and given.get("width") != "100%":  # that is a background
+            self.found(kind, given, here)
 
     def data(self, text: str) -> None:
+        """Called by the parser for the text of an element."""
         if self._styled and re.search("display|visibility|opacity", text):
-            raise _Refused("an SVG whose style sheet hides nothing")
+            raise NotRead("an SVG whose style sheet hides nothing")
 
     def end(self, tag: str) -> None:
+        """Called by the parser at the end of an element."""
         self._styled = False
         self._maps.pop()
 
 
-def _placed(here: Affine, numbers: Sequence[float]) -> list[Point]:
+class _Places(SvgReader):
+    """Centres of circles, and corners of polygons."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.centers, self.corners = list[Point](), list[Point]()
+
+    def found(self, kind: str, given: dict[str, str], here: Affine) -> None:
+        if kind in ("circle", "ellipse"):
+            self.centers += placed(here, numbers_of(given, "cx", "cy"))
+        elif kind in ("polygon", "polyline"):
+            corners = placed(here, floats(given.get("points", "")))
+            self.corners += corners[: len(corners) - (len(corners) > 1 and corners[0] == corners[-1])]  # closed
+        else:
+            raise NotRead(f"circles, ellipses, polygons and polylines, not {kind}")
+
+
+def numbers_of(given: dict[str, str], *names: str) -> list[float]:
+    """One number for each attribute, 0 for one that is missing."""
+    numbers = [floats(given.get(key, "0").removesuffix("px")) for key in names]
+    if any(len(one) != 1 for one in numbers):
+        raise NotRead(f"one number each as {' and '.join(names)}, not {numbers!r}")
+    return [one[0] for one in numbers]
+
+
+def placed(here: Affine, numbers: Sequence[float]) -> list[Point]:
+    """Points of a list x, y, x, y, ... under a map."""
     if len(numbers) % 2:
-        raise _Refused(f"pairs of numbers as points, not {len(numbers)} numbers")
+        raise NotRead(f"pairs of numbers as points, not {len(numbers)} numbers")
     a, b, c, d, e, f = here
     pairs = zip(numbers[::2], numbers[1::2], strict=True)
     return [(a * x + c * y + e, b * x + d * y + f) for x, y in pairs]
 
 
-def _floats(text: str) -> list[float]:
+def floats(text: str) -> list[float]:
     """All numbers of a list; nothing else may be in it."""
     numbers, rest = [float(number) for number in _NUMBER.findall(text)], _NUMBER.sub("", text).replace(",", " ").strip()
     if rest or math.inf in map(abs, numbers):
-        raise _Refused(f"finite numbers without units, not {(rest or text)[:40]!r}")
+        raise NotRead(f"finite numbers without units, not {(rest or text)[:40]!r}")
     return numbers
 
 
@@ -273,7 +307,7 @@ def _composed(here: Affine, text: str) -> Affine:
     """A map after the transforms of an attribute, in their order."""
     unread = _CALL.sub("", text).replace(",", " ").strip()
     for name, given in [*_CALL.findall(text), *([(unread, "")] if unread else [])]:
-        match name, _floats(given):
+        match name, floats(given):
             case "translate", [x, *more]:
                 six = [1.0, 0.0, 0.0, 1.0, x, *(more or [0.0])]
             case "scale", [x, *more]:
@@ -285,7 +319,7 @@ def _composed(here: Affine, text: str) -> Affine:
             case _, numbers:
                 six = numbers * (name == "matrix")
         if len(six) != 6:
-            raise _Refused(f"translate, scale, rotate and matrix as transforms, not {name} {given[:40]}")
-        (a, b), (c, d), (e, f) = *_placed((*here[:4], 0.0, 0.0), six[:4]), *_placed(here, six[4:])
+            raise NotRead(f"translate, scale, rotate and matrix as transforms, not {name} {given[:40]}")
+        (a, b), (c, d), (e, f) = *placed((*here[:4], 0.0, 0.0), six[:4]), *placed(here, six[4:])
         here = (a, b, c, d, e, f)
     return here

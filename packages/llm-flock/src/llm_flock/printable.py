@@ -78,3 +78,11 @@ def log_to_stderr() -> None:
     handler.setFormatter(CleanFormatter("%(levelname)s %(name)s: %(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     logging.captureWarnings(True)  # libraries quote names and labels in theirs
+
+
+def shape_title(spec: str) -> str:
+    """A shape specification for people: a program by its name instead of its text."""
+    if not spec.startswith("program:{"):
+        return spec
+    name = re.search(r'"name":"([\w .-]*)"', spec)  # in the canonical form; programs have no other text with quotes
+    return f"program:{name[1]}" if name else "program"

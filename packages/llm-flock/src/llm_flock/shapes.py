@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from llm_flock.arrays import Pairwise, Points
 from llm_flock.errors import InputError, unknown
+from llm_flock.printable import shape_title
 
 SMALL = 50
 """Largest number of points measured without scipy.spatial, which takes longer to import than a small run takes."""
@@ -38,6 +39,12 @@ def smallest_distance(points: ArrayLike) -> float:
     if len(rows) <= SMALL:
         return float(distances(rows)[np.triu_indices(len(rows), 1)].min())
     return float(np.asarray(scipy.spatial.KDTree(rows).query(rows, k=2)[0])[:, 1].min())
+
+
+def widest_gap(points: ArrayLike) -> float:
+    """The smallest range within which all points, shape (n, d), are connected [units]; zero for a single point."""
+    tree = scipy.sparse.csgraph.minimum_spanning_tree(distances(points))
+    return float(tree.max()) if tree.nnz else 0.0
 
 
 def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
@@ -166,6 +173,7 @@ class ShapeInfo:
     #: Its points, by n and the argument K (0 without one); None if they are given otherwise.
     layout: Callable[[int, int], Points] | None = None
     is_legal: Callable[[int, int], bool] = lambda n, _: n >= 1  #: Whether it exists for n and K.
+    in_space: bool = False  #: Whether it needs three dimensions.
 
 
 _LISTED = (
@@ -224,12 +232,34 @@ _LISTED = (
     ShapeInfo("text:DESCRIPTION", "any number", "whatever the words say", (4, 10)),
 )
 
-_SHAPES = {shape.name.partition(":")[0]: shape for shape in _LISTED}
+_DRAWN = (
+    ShapeInfo("letters:TEXT", "enough for every stroke", "letters and digits", (20, 30)),
+    *(
+        ShapeInfo(name, legal, f"{what} in space ({how})", sizes, in_space=True)
+        for name, legal, what, how, sizes in (
+            ("sphere", "any number", "a sphere", "robots on its surface", (12, 30)),
+            ("dome", "any number", "a half sphere", "robots on its surface", (10, 20)),
+            ("cylinder", "any number", "an upright cylinder", "robots on its wall", (12, 30)),
+            ("helix", "at least 2", "an upright helix", "two turns", (10, 20)),
+            ("cube", "at least 8", "a cube", "rows, columns and layers", (8, 27)),
+            ("pyramid", "at least 5", "a pyramid", "square layers", (5, 14)),
+        )
+    ),
+    ShapeInfo("outline:FILE", "enough for every stroke", "the outlines of an SVG drawing", ()),
+    ShapeInfo("program:FILE", "enough for every stroke", "what a formation program draws", ()),
+)
+
+_SHAPES = {shape.name.partition(":")[0]: shape for shape in (*_LISTED, *_DRAWN)}
 
 
 def shapes() -> tuple[ShapeInfo, ...]:
-    """All shapes, in the order in which the command line lists them."""
+    """All shapes with points or words of their own, in the order in which the command line lists them."""
     return _LISTED
+
+
+def drawn_shapes() -> tuple[ShapeInfo, ...]:
+    """Shapes that a formation program draws (`llm_flock.formation`), in the order in which they are listed."""
+    return _DRAWN
 
 
 def shape_name(spec: str) -> str:
@@ -240,13 +270,15 @@ def shape_name(spec: str) -> str:
     """
     name = spec.partition(":")[0]
     if name not in _SHAPES:
-        raise InputError("shape", spec, says=unknown("shape", name, (shape.name for shape in _LISTED)))
+        raise InputError("shape", spec, says=unknown("shape", name, (shape.name for shape in (*_LISTED, *_DRAWN))))
     return name
 
 
 def _argument(spec: str) -> int:
     """Number of sides of `polygon:K`, 0 for other shapes. Checks the argument of every specification."""
     name, (_, colon, argument) = shape_name(spec), spec.partition(":")
+    if name == "outline":
+        raise InputError("shape", spec, says="only configurations and flags read outline:FILE, as a program")
     if name == "text":
         if not argument.strip():
             raise InputError("shape", spec, "a description of the shape after 'text:'")
@@ -254,7 +286,7 @@ def _argument(spec: str) -> int:
         if not (argument.isascii() and argument.isdecimal() and len(argument) <= 9 and int(argument) >= 3):
             raise InputError("shape", spec, "polygon:K with a whole number K >= 3")
         return int(argument)
-    elif colon:
+    elif colon and name not in ("letters", "program"):
         raise InputError("shape", spec, f"{name!r} alone: it takes no argument")
     return 0
 
@@ -268,7 +300,30 @@ def describe(spec: str) -> str:
     sides, name = _argument(spec), shape_name(spec)
     if name == "text":
         return " ".join(spec.partition(":")[2].split())
+    if name in ("letters", "program"):
+        return f"the {name} {shape_title(spec).partition(':')[2]}".rstrip()
     return _SHAPES[name].description.replace(" K ", f" {sides} ")
+
+
+def names_file(spec: object) -> bool:
+    """Whether a shape is to be read from a file: `points:FILE`, `outline:FILE` or `program:FILE`."""
+    name, colon, rest = spec.partition(":") if isinstance(spec, str) else ("", "", "")
+    return bool(colon) and (name in ("points", "outline") or (name == "program" and rest.lstrip()[:1] != "{"))
+
+
+def is_drawn(spec: str) -> bool:
+    """Whether a formation program draws the shape; InputError if no shape has this name."""
+    return _SHAPES[shape_name(spec)] in _DRAWN
+
+
+def in_space(spec: str) -> bool:
+    """Whether a shape needs three dimensions; InputError as for `shape_name`."""
+    if spec.partition(":")[0] != "program":
+        return _SHAPES[shape_name(spec)].in_space
+    from llm_flock.formation import program_of
+
+    program = program_of(spec)
+    return program is not None and program.in_space
 
 
 def ideal_points(
@@ -284,15 +339,25 @@ def ideal_points(
         custom: points of the shape `points`, n rows [units]; only their position relative to their mean counts.
 
     Returns:
-        shape (n, d) [units; world frame], or None for free text, which has no known ideal.
+        shape (n, d) [units; world frame], or None for free text, which has no known ideal. What a program draws
+        has at least `spacing` between neighbours, not exactly that.
 
     Raises:
-        InputError: no shape has this name, or the shape does not exist for this number of points or dimensions.
+        InputError: no shape has this name, the shape does not exist for this number of points or dimensions, or a
+            program cannot be drawn.
     """
     name, argument = shape_name(spec), _argument(spec)
     shape = _SHAPES[name]
     if name == "points":
         points = _custom(n, len(center), custom)
+    elif shape in _DRAWN:
+        if len(center) != 3 and in_space(spec):
+            raise InputError("center", list(center), f"3 coordinates for shape {shape_title(spec)!r}")
+        from llm_flock.formation import program_of, program_points
+
+        program = program_of(spec)
+        assert program is not None, "all shapes that are drawn are programs"
+        points = program_points(program, n, len(center), spacing)
     else:
         if not (n >= 1 and shape.is_legal(n, argument)):
             legal = [str(k) for k in range(1, 10_000) if shape.is_legal(k, argument)][:4]

@@ -79,12 +79,11 @@ def test_orientations_are_uniform() -> None:
     assert ((counts - 50) ** 2 / 50).sum() < 24.3
 
 
-def test_described_shape_becomes_a_circle() -> None:
+def test_a_shape_in_other_words_is_refused() -> None:
     mission = build_mission(shape="text:the letter A", n_robots=6)
-    plan, _ = parse_plan(responder().answer(plan_talk(mission, robot=0)), 6, 2)
-    circle = formations.ideal_points("circle", 6, (50, 50), 10)
-    assert circle is not None and ShapeTarget(circle).error(plan.array).mean < 0.02
-    space = build_mission(shape="text:a ring", n_robots=6, center=(5, 6, 7), arena=((-50,) * 3, (50,) * 3))
+    with pytest.raises(ModelError, match="a simulated model cannot read words: it draws no 'the letter A'"):
+        responder().answer(plan_talk(mission, robot=0))
+    space = build_mission(shape="text:a circle", n_robots=6, center=(5, 6, 7), arena=((-50,) * 3, (50,) * 3))
     plan, _ = parse_plan(responder().answer(plan_talk(space, robot=0)), 6, 3)
     np.testing.assert_allclose(plan.array[:, 2], 7)
 

@@ -35,6 +35,7 @@ from llm_flock.cli import (
 )
 from llm_flock.errors import FieldError
 from llm_flock.extras import EXTRAS, require_posix
+from llm_flock.printable import shape_title
 
 if TYPE_CHECKING:
     from llm_flock.record import RecordSink
@@ -159,7 +160,7 @@ async def _fly(
             say(f"{check.who}: {'connected in ' if check.passed else ''}{check.found}{still}", error=True)
 
     waited: set[str] = set()
-    bar, on_round = live_line(settings.mission.shape, enabled=live)
+    bar, on_round = live_line(shape_title(settings.mission.shape), enabled=live)
     async with AsyncExitStack() as stack:
         if settings.ros2.router is not None:
             names = [drone.name for drone in settings.fleet.drones]

@@ -46,7 +46,8 @@ class Tools:
         return {
             "shapes": [
                 {"shape": shape.name, "robots": shape.legal, "is": shape.description, "examples": shape.examples}
-                for shape in formations.shapes()
+                for shape in (*formations.shapes(), *formations.drawn_shapes())
+                if not shape.name.endswith(":FILE")
             ],
             "protocols": PROTOCOLS,
             "models": {name: about for name, about in MODELS.items() if not name.startswith("local:")},
@@ -74,7 +75,7 @@ class Tools:
         own; without them there are 10 robots by default. `spacing` is the distance of neighbours, `arena` the side of
         the square or cube to fly in [units].
         """
-        corner = [0.0] * (len(points[0]) if points else 2)
+        corner = [0.0] * (len(points[0]) if points else 3 if formations.in_space(shape) else 2)
         n_robots = n_robots or len(points or ()) or 10
         mission: dict[str, Any] = {"shape": shape, "n_robots": n_robots, "spacing": spacing}
         mission |= {"center": [arena / 2 for _ in corner], "arena": [corner, [arena for _ in corner]]}

@@ -36,6 +36,7 @@ from llm_flock.cli import (
 )
 from llm_flock.errors import InputError
 from llm_flock.extras import require, require_posix
+from llm_flock.printable import shape_title
 from llm_flock.record import rules_text
 
 if TYPE_CHECKING:
@@ -172,7 +173,9 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
     """The result of a swarm, in words and numbers."""
     rules = settings.protocol
     simulated = " (simulated language models)" if result.simulated else ""
-    title = escape(f"{settings.mission.shape}, {result.n_robots} robots, {settings.model.model}{simulated}")
+    title = escape(
+        f"{shape_title(settings.mission.shape)}, {result.n_robots} robots, {settings.model.model}{simulated}"
+    )
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()

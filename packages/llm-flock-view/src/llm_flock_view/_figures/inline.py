@@ -11,7 +11,7 @@ from typing import Any
 
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, require
-from llm_flock.printable import one_line
+from llm_flock.printable import one_line, shape_title
 from llm_flock.record import RunRecord, caveats, formed_in, protocol_text, work_text
 
 
@@ -80,7 +80,8 @@ def _image(data: bytes, kind: str, words: str) -> str:
 def _title(record: RunRecord) -> str:
     mission = record.mission.mission
     simulated = " (simulated language models)" if record.run.simulated else ""
-    return one_line(f"{mission['shape']}, {mission['n_robots']} robots, seed {record.run.seed}{simulated}")
+    shape = shape_title(str(mission["shape"]))
+    return one_line(f"{shape}, {mission['n_robots']} robots, seed {record.run.seed}{simulated}")
 
 
 def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:

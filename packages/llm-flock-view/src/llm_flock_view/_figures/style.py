@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
-from llm_flock.printable import one_line
+from llm_flock.printable import one_line, shape_title
 from llm_flock.record import NO_PLAN, PALETTE, letters, protocol_text
 
 if TYPE_CHECKING:
@@ -151,7 +151,8 @@ def heading(record: RunRecord, inches: float) -> str:
 def shapes(record: RunRecord) -> str:
     """The shape, or the shapes of all missions in their order; with the number of places where it is given."""
     names = [
-        str(info.mission["shape"]) + ("" if info.mission.get("places") is None else f" of {info.mission['places']}")
+        shape_title(str(info.mission["shape"]))
+        + ("" if info.mission.get("places") is None else f" of {info.mission['places']}")
         for info in record.missions
     ]
     return ", then ".join(name for name, _ in itertools.groupby(names))

@@ -39,7 +39,7 @@ def options(launcher: Launcher) -> dict[str, Any]:
     }
 
 
-EXAMPLES = {"polygon:K": "polygon:5", "text:DESCRIPTION": "text:a smiling face"}
+EXAMPLES = {"polygon:K": "polygon:5", "text:DESCRIPTION": "text:a smiling face", "letters:TEXT": "letters:HI"}
 """Shapes that need an argument are offered with one."""
 
 
@@ -49,8 +49,8 @@ def shape_pictures() -> list[dict[str, Any]]:
     from llm_flock import shapes as formations
 
     found: list[dict[str, Any]] = []
-    for shape in formations.shapes():
-        if shape.name == "points":
+    for shape in (*formations.shapes(), *formations.drawn_shapes()):
+        if shape.name == "points" or shape.in_space or shape.name.endswith(":FILE"):
             continue
         name = EXAMPLES.get(shape.name, shape.name)
         n = max(shape.examples)

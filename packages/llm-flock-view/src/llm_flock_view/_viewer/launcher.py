@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
+from llm_flock.printable import shape_title
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.paths import RECORD_NAME
 
@@ -82,7 +83,7 @@ class Launcher:
         out = self.folder / f"{stamp}-{shape}-{mission.n_robots}-{protocol}"
         trial = config.trial.model_copy(update={"out": str(out)})
         config = config.model_copy(update={"trial": trial})
-        title = f"{mission.shape} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
+        title = f"{shape_title(mission.shape)} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
         recording = self.library.add(title, out / RECORD_NAME)
         run = self.runs[recording.key] = SteeredRun(config, recording, pace)
         recording.steer = run.state

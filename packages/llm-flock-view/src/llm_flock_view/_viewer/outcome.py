@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+from llm_flock.printable import shape_title
 from llm_flock.record import (
     IN_SHAPE,
     SILENT,
@@ -62,7 +63,8 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
 def shape_text(mission: Mapping[str, Any]) -> str:
     """The shape and its number of places, and the number of robots where it is another one."""
     n, places = mission["n_robots"], mission.get("places")
-    return f"{mission['shape']} of {n}" if places in (None, n) else f"{mission['shape']} of {places}, {n} robots"
+    shape = shape_title(str(mission["shape"]))
+    return f"{shape} of {n}" if places in (None, n) else f"{shape} of {places}, {n} robots"
 
 
 def _formation_round(run: RunHistory, k: int, entries: Sequence[object], last: int | None) -> int | None:

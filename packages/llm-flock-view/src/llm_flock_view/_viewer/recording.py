@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from llm_flock.printable import printable
+from llm_flock.printable import printable, shape_title
 from llm_flock.record import Entry, FlightEvent, LlmEntry, ProtocolEvent, RoundEnd, RunHistory, protocol_text
 from llm_flock_view._viewer.canvases import TOO_CLOSE
 from llm_flock_view._viewer.events import track_of_event
@@ -118,5 +118,5 @@ class Recording:
             return ""
         config, shape = run.info.config, run.missions[0].mission["shape"]
         model = config.get("model", {}).get("model", "")
-        parts = (f"{shape} of {run.n_robots}", protocol_text(config), model, f"seed {run.info.seed}")
+        parts = (f"{shape_title(str(shape))} of {run.n_robots}", protocol_text(config), model, f"seed {run.info.seed}")
         return printable(" · ".join(str(part) for part in parts if part))

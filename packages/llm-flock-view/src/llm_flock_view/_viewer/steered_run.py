@@ -22,6 +22,7 @@ from llm_flock.runtime import (
     run_async,
     stream,
 )
+from llm_flock.shapes import names_file
 from llm_flock.simulate import draw_start
 from llm_flock_view._viewer.library import load
 from llm_flock_view._viewer.recording import Recording
@@ -57,7 +58,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = (), base_url:
     for name in given:
         if name not in FIELDS:
             raise FieldError(name, given[name], says=unknown(f"field {name!r}", name, FIELDS))
-    if str(shape := given.get("shape")).startswith("points:"):
+    if names_file(shape := given.get("shape")):
         raise InputError("shape", shape, "a shape with a name; only the command line reads files")
     model = given.get("model")
     # A list of models by robot ("0=...,1=...") is not split here: it must be allowed as a whole.

@@ -18,7 +18,7 @@ from llm_flock.cli._extensions import Extension, extended
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.file_lock import is_written
-from llm_flock.printable import one_line, printable
+from llm_flock.printable import one_line, printable, shape_title
 from llm_flock.record._words import begun, caveats, formed_in, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def summary_table(result: RunResult) -> Table:
     """The result of a run as a table."""
     summary, safe = result.summary, result.mission.safe_distance
     simulated = " (simulated language models)" if summary.simulated else ""
-    title = escape(f"{summary.shape}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
+    title = escape(f"{shape_title(summary.shape)}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
     table.add_column(style="dim")
     table.add_column()
@@ -95,7 +95,7 @@ def summary_table(result: RunResult) -> Table:
         ("time", f"{summary.wall_s:.2f} s"),
     ]
     given = [
-        f"{m.shape} {'not formed' if m.formed is None else f'formed in round {m.formed}'}"
+        f"{shape_title(m.shape)} {'not formed' if m.formed is None else f'formed in round {m.formed}'}"
         + (f" (given in round {m.round})" if m.round else "")
         for m in summary.missions
     ]
@@ -159,9 +159,8 @@ def show_overview(record: RunRecord) -> None:
     elif not record.complete and is_written(record.path):
         state = "under way"
     # Text(...) keeps brackets in names, answers and templates from being read as markup.
-    console.print(
-        Text(f"{one_line(mission['shape'])}, {mission['n_robots']} robots, seed {record.run.seed}{models} · {state}")
-    )
+    shape = one_line(shape_title(mission["shape"]))
+    console.print(Text(f"{shape}, {mission['n_robots']} robots, seed {record.run.seed}{models} · {state}"))
     for sentence in record.run.unrepeatable or ():
         console.print(Text(one_line(sentence)))
     if record.result is not None and (work := work_text(record.result)):

@@ -120,7 +120,7 @@ def shapes() -> None:
     from llm_flock import shapes as formations
 
     table = Table("shape", "robots", "description")
-    for shape in formations.shapes():
+    for shape in (*formations.shapes(), *formations.drawn_shapes()):
         table.add_row(shape.name, shape.legal, shape.description)
     Screen().show(table, copied=("shape",))
 

@@ -22,6 +22,7 @@ from llm_flock.cli._options import (
 )
 from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import InputError
+from llm_flock.printable import shape_title
 
 SHOWN = (
     *("shape", "n_robots", "obstacles", "protocol", "model", "base_url", "loss"),
@@ -74,7 +75,7 @@ def run(
     for name in ("SIGTERM", "SIGHUP"):  # an end that keeps the round's answers, also where the terminal is closed
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), lambda number, frame: signal.raise_signal(signal.SIGINT))
-    bar, on_round = live_line(settings.mission.shape, enabled=not quiet and not json_output)
+    bar, on_round = live_line(shape_title(settings.mission.shape), enabled=not quiet and not json_output)
     try:
         with showing(sinks, settings) as sink, bar:
             pace = PACE if sinks and pace is None else pace

@@ -10,6 +10,7 @@ import re
 from functools import lru_cache
 from typing import Any
 
+from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.llm._port import AnswerForm, Kind
 
 WHOLE_DIGITS = 6
@@ -30,6 +31,14 @@ REASON_CHARS = 200
 
 CHARS_PER_TOKEN = 3
 """Only of prose: each digit and bracket is one token."""
+
+_ANY_OBJECT = r"""root ::= object
+value ::= object | array | string | number | "true" | "false"
+object ::= "{" (string ": " value (", " string ": " value)*)? "}"
+array ::= "[" (value (", " value)*)? "]"
+string ::= "\"" [^"\\\x00-\x1F]* "\""
+number ::= "-"? [0-9]{1,6} ("." [0-9]{1,4})?
+"""
 
 _PROSE = re.compile(r"[A-Za-z\s]")
 
@@ -56,6 +65,8 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
     """The grammar of an answer in this form; it begins at `root`."""
     if form.letters:
         return "root ::= " + " | ".join(f'"{letter}"' for letter in form.letters) + "\n"
+    if form.program:
+        return _ANY_OBJECT
     rules = {
         "root": "answer" if form.json or not form.reasons else f"reason{{0,{REASON_LINES}}} answer",
         "answer": _answer(kind, form),
@@ -75,6 +86,8 @@ def longest_answer(kind: Kind, form: AnswerForm) -> int:
     """Upper bound of the length of an answer in this form [tokens]."""
     if form.letters:
         return LETTER_TOKENS
+    if form.program:
+        return MAX_PROGRAM_BYTES + REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN + 40
     points = form.n if kind == "plan" else form.horizon
     number = 1 + WHOLE_DIGITS + 1 + DECIMALS + len(", ")
     reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons else 0

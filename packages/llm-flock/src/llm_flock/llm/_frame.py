@@ -17,7 +17,7 @@ from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
 from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.shapes import shape_name
+from llm_flock.shapes import is_drawn, shape_name
 
 Q = TypeVar("Q", PlanQuestion, StepQuestion)
 A = TypeVar("A", PlanAnswer, StepAnswer)
@@ -56,6 +56,8 @@ class PromptFrame:
             fields["velocity"] = tuple(v / self.unit for v in mission.velocity)
         if mission.points is not None:
             fields["points"] = tuple(tuple(x / self.unit for x in row) for row in mission.points)
+        elif is_drawn(mission.shape):  # a program may have lengths in units
+            fields["shape"], fields["points"] = "points", tuple(map(self.exact, mission.ideal or ()))
         return Mission.model_construct(**fields)
 
     def _obstacle(self, obstacle: Obstacle) -> Obstacle:
@@ -78,7 +80,7 @@ class FramedQuestion(Generic[Q]):
         if self.frame is None:
             return answer
         if isinstance(answer, PlanAnswer):
-            return replace(answer, plan=Plan.of(map(self.frame.world, answer.plan.points)))
+            return replace(answer, plan=Plan.of(map(self.frame.world, answer.plan.points), answer.plan.program))
         return replace(answer, waypoint=self._waypoint(answer.waypoint), path=tuple(map(self._waypoint, answer.path)))
 
     def _waypoint(self, point: Point) -> Point:

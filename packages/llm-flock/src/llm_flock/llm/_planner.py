@@ -145,10 +145,15 @@ class LanguagePlanner:
         if self._prompts.letters:
             return plan_by_geometry(question)
 
-        asked, form = frame_plan(question, self._frame), self._form(question.mission)
+        asked, form = frame_plan(question, self._frame), self._form(question.mission, program=self._prompts.programs)
 
         def read(text: str) -> PlanAnswer:
-            plan, slot = read_plan(text, form)
+            if form.program:
+                from llm_flock.llm._program_answers import read_program
+
+                plan, slot = read_program(text, asked.framed.mission)
+            else:
+                plan, slot = read_plan(text, form)
             return PlanAnswer(plan=plan, slot=slot)
 
         text = self._prompts.plan(asked.framed)
@@ -192,10 +197,15 @@ class LanguagePlanner:
     def _check_step(self, question: StepQuestion, answer: StepAnswer) -> str | None:
         return None if self._judge is None else self._judge(question, answer).reason
 
-    def _form(self, mission: Mission, *, horizon: int = 1, letters: str = "") -> AnswerForm:
-        json, reasons = self._prompts.json, self._prompts.reasons
+    def _form(self, mission: Mission, *, horizon: int = 1, letters: str = "", program: bool = False) -> AnswerForm:
         return AnswerForm(
-            n=mission.n_places, dim=mission.dim, horizon=horizon, json=json, reasons=reasons, letters=letters
+            n=mission.n_places,
+            dim=mission.dim,
+            horizon=horizon,
+            json=self._prompts.json or program,
+            reasons=self._prompts.reasons,
+            letters=letters,
+            program=program,
         )
 
     async def _converse(self, exchange: _Exchange[Q, A]) -> A | NoAnswer:
@@ -229,7 +239,7 @@ class LanguagePlanner:
 
     def _first_call(self, exchange: _Exchange[Q, A]) -> Call:
         """The question after the history that is about the same task."""
-        question, mission = exchange.asked.question, exchange.asked.question.mission
+        question, mission, form = exchange.asked.question, exchange.asked.question.mission, exchange.form
         if self._mission is None or not _same_task(self._mission, mission):
             self._history = []
         self._mission = mission
@@ -242,7 +252,8 @@ class LanguagePlanner:
             kind=exchange.kind,
             attempt=self._attempt,
             messages=(system, *self._history, ChatMessage("user", exchange.text)),
-            schema=answer_schema(exchange.kind, exchange.form) if exchange.form.json else None,
+            # Strict servers refuse the schema of a program, which is recursive; it is in the question.
+            schema=answer_schema(exchange.kind, exchange.form) if form.json and not form.program else None,
             form=exchange.form,
             probe=question.probe,
         )

@@ -82,7 +82,8 @@ class Usage:
 class AnswerForm:
     """The form of an answer, for reading it and for constraining a model that writes it.
 
-    A `horizon` of 1 means a single position, `letters` one letter of these, `reasons` a reason before the answer.
+    A `horizon` of 1 means a single position, `letters` one letter of these, `reasons` a reason before the answer,
+    `program` a formation program in JSON instead of the places of a plan.
     """
 
     n: int
@@ -91,6 +92,7 @@ class AnswerForm:
     json: bool = False
     reasons: bool = True
     letters: str = ""
+    program: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

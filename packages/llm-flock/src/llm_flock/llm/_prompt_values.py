@@ -85,15 +85,17 @@ def plan_text(plan: Plan) -> str:
 
 
 def shape_text(mission: Mission) -> str:
-    """The shape as text; a custom shape by its points relative to its centre, in any orientation."""
-    if mission.points is None or mission.ideal is None:
+    """The shape as text; a custom or drawn one by its points relative to its centre, in any orientation."""
+    drawn = formations.is_drawn(mission.shape)
+    if mission.ideal is None or not (mission.points or drawn):
         return formations.describe(mission.shape)
     # Rounding and adding zero remove values like -1e-15, which would be written as -0.000.
     offsets = [
         tuple(round(x - c, DECIMALS) + 0.0 for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal
     ]
     places = positions_text(offsets, position_decimals(mission.spacing))
-    return f"a given shape, turned in any direction; relative to its centre its places are {places}"
+    name = formations.describe(mission.shape) if drawn else "a given shape"
+    return f"{name}, turned in any direction; relative to its centre its places are {places}"
 
 
 def obstacles_text(mission: Mission) -> str:

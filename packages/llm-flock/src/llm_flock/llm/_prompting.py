@@ -6,6 +6,7 @@ update (166-171); the wording here is our own, and the plan message also gives t
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -37,8 +38,16 @@ from llm_flock.planner import PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 
-PACKAGED: Mapping[str, str] = {"full": "prompts", "brief": "prompts/brief", "letters": "prompts/letters"}
-"""Packaged sets of templates, and their folders."""
+PACKAGED: Mapping[str, str] = {
+    "full": "prompts",
+    "brief": "prompts/brief",
+    "letters": "prompts/letters",
+    "program": "prompts/program",
+}
+"""Packaged sets of templates, and their folders; templates that are not there are those of `full`."""
+
+PROGRAM = "program"
+"""The packaged set that asks for a plan as a formation program."""
 
 LETTERS = "letters"
 """The packaged set that asks for the letter of one of the computed ways, and for no plan."""
@@ -55,6 +64,7 @@ OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
 PLAN: Mapping[str, Callable[[PlanQuestion], Any]] = {
     **OBSERVED,
     "still": lambda asked: positions_text(asked.still, _decimals(asked)),
+    "program_schema": lambda _: _program_schema(),
 }
 STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     **OBSERVED,
@@ -87,6 +97,13 @@ _FAILURES = (ArithmeticError, LookupError, TypeError, ValueError, AttributeError
 """How an expression in a template may fail."""
 
 
+@lru_cache(maxsize=1)
+def _program_schema() -> str:
+    from llm_flock.formation import program_schema
+
+    return json.dumps(program_schema(), separators=(",", ":"))
+
+
 def _decimals(asked: PlanQuestion | StepQuestion) -> int:
     return position_decimals(asked.mission.max_step)
 
@@ -98,6 +115,7 @@ class PromptSet:
     json: bool  #: Whether they ask for a JSON object instead of the paper's text forms.
     reasons: bool = True  #: Whether they ask for a reason before the answer.
     letters: bool = False  #: Whether they ask for a letter instead of a position, and for no plan.
+    programs: bool = False  #: Whether they ask for a formation program instead of the places of a plan.
     wish: str = ""  #: The operator's wish about the steps, empty without one.
     templates: Mapping[str, tuple[jinja2.Template, frozenset[str]]]  #: Each with the variables that it may use.
 
@@ -113,7 +131,9 @@ class PromptSet:
             letters = prompts == LETTERS
             if letters and json:
                 raise InputError("answers", "json", "text: the prompts 'letters' ask for one letter")
-            return cls(json=json, reasons=prompts == "full", letters=letters, wish=wish, templates=_packaged(prompts))
+            reasons, programs = prompts in ("full", PROGRAM), prompts == PROGRAM
+            templates = _packaged(prompts)
+            return cls(json=json, reasons=reasons, letters=letters, programs=programs, wish=wish, templates=templates)
         folder = Path(prompts)
         try:
             replaced = [name for name in VARIABLES if (folder / name).is_file()]
@@ -189,7 +209,9 @@ def _templates(packaged: str, folder: Path | None = None) -> Mapping[str, tuple[
         folders = [jinja2.FileSystemLoader(folder)]
     # Templates may come from strangers. In the sandbox they can only make text.
     environment = SandboxedEnvironment(
-        loader=jinja2.ChoiceLoader([*folders, jinja2.PackageLoader("llm_flock.llm", PACKAGED[packaged])]),
+        loader=jinja2.ChoiceLoader(
+            [*folders, *(jinja2.PackageLoader("llm_flock.llm", PACKAGED[name]) for name in (packaged, "full"))]
+        ),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

@@ -17,6 +17,7 @@ from llm_flock.errors import FieldError, FlockError, InputError
 from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import MovingObstacle, Obstacle
+from llm_flock.printable import shape_title
 from llm_flock.protocol._agreement.assignment import AssignmentRule
 from llm_flock.protocol._agreement.consensus import ConsensusRule, Ties
 from llm_flock.protocol._breaker import Fallback
@@ -259,7 +260,7 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         if progress and "IPython" in sys.modules:
             from llm_flock.runtime._notebook import notebook_progress
 
-            on_round = stack.enter_context(notebook_progress(config.mission.shape, on_round))
+            on_round = stack.enter_context(notebook_progress(shape_title(config.mission.shape), on_round))
         trial = Trial(config, (consensus, assignment), planners, bodies, journal, start, on_round, steer)
         try:
             await trial.run()

@@ -17,6 +17,7 @@ from llm_flock.bounds import MAX_OBSTACLES
 from llm_flock.errors import InputError
 from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
 from llm_flock.obstacles import MovingObstacle
+from llm_flock.shapes import names_file
 
 
 class Stream(IntEnum):
@@ -276,20 +277,33 @@ def _missions(
 
 
 def read_points(change: Any) -> Any:
-    """A change as it was given, with the points of a shape `points:FILE`."""
+    """A change as it was given, with what a file of its shape holds."""
     given: Any = change.model_dump() if isinstance(change, Change) else change
     fields: Any = given.get("set") if hasattr(given, "get") else None
-    return {**given, "set": fields} if hasattr(fields, "get") and load_points(fields := {**fields}) else change
+    if not hasattr(fields, "get"):
+        return change
+    read = {**fields}
+    load_points(read)
+    return {**given, "set": read} if read != fields else change
 
 
 def load_points(fields: dict[str, Any]) -> bool:
-    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one."""
+    """Replace `shape = "points:FILE"` by the points of that file; returns whether there was one.
+
+    `program:FILE` and `outline:FILE` become the program of that file.
+    """
     shape = fields.get("shape")
-    if not isinstance(shape, str) or not shape.startswith("points:"):
+    if not names_file(shape):
+        return False
+    kind, _, name = (part.strip() for part in str(shape).partition(":"))
+    if not name:
+        raise InputError("shape", shape, f"{kind}:FILE, with the name of a file")
+    if kind != "points":
+        from llm_flock.formation import load_program
+
+        fields["shape"] = load_program(name, "shape", (".svg",) if kind == "outline" else (".toml", ".json")).spec
         return False
     from llm_flock.point_files import load_points as read_file
 
-    if not (name := shape.partition(":")[2].strip()):
-        raise InputError("shape", shape, "points:FILE, with the name of a file")
     fields.update(shape="points", points=read_file(name, "shape"))
     return True

@@ -36,8 +36,11 @@ def check_shape(shape: str, sizes: Iterable[int] = (), *, fly: bool = True) -> N
     custom = shape.startswith("points:")
     for n in _sizes(shape, sizes):
         given: dict[str, Any] = {"shape": shape} if n is None else {"shape": shape, "n_robots": n}
+        dim = 3 if not formations.names_file(shape) and formations.in_space(shape) else 2
         try:
-            mission = load_config(None, **given, arena=((0.0, 0.0), (1000.0, 1000.0)), center=(500.0, 500.0)).mission
+            mission = load_config(
+                None, **given, arena=((0.0,) * dim, (1000.0,) * dim), center=(500.0,) * dim, comm_range=1000.0
+            ).mission
         except InputError as error:
             team = shape if n is None else f"{shape} with {n} robots"
             raise AssertionError(f"{team} is refused: {error}") from None
@@ -124,7 +127,9 @@ def _sizes(shape: str, sizes: Iterable[int]) -> list[int | None]:
     if chosen or shape.startswith("points:"):
         return chosen or [None]
     name = shape.partition(":")[0]
-    info = next((one for one in formations.shapes() if one.name.partition(":")[0] == name), None)
+    info = next(
+        (one for one in (*formations.shapes(), *formations.drawn_shapes()) if one.name.partition(":")[0] == name), None
+    )
     assert info is not None, f"there is no shape {name!r}: add it to llm_flock.shapes"
     assert info.description and info.legal, f"{name} says in no words what it is, or which sizes it takes"
     return list(info.examples)

@@ -24,8 +24,10 @@ from llm_flock.llm._simulated.prompt_reader import (
     STEP_MARK,
     StepPrompt,
     Task,
+    asks_for_program,
     formation,
     is_clear,
+    named_figure,
     numbers,
     read_plan,
     read_step,
@@ -140,6 +142,8 @@ class SimulatedModel:
             if role == "user" and PLAN_MARK in text:
                 task = read_task(system)
                 still = read_still(text, len(task.center)) if "careful" in failures else []
+                if asks_for_program(text):
+                    return self._program(task, read_plan(text)[0], failures)
                 return self._plan(task, *read_plan(text), failures, still)
         last = conversation[-1][1] if conversation else ""
         raise InputError("prompts", last[:80], "plan.j2 and step.j2 in the packaged words, the only ones understood")
@@ -192,6 +196,20 @@ class SimulatedModel:
         else:
             answer = f"{reason}\n\nPlan: {rows}\nmy plan: {index}"
         return answer[: len(answer) * 2 // 3] if cut else answer
+
+    def _program(self, task: Task, robot: int, failures: frozenset[str]) -> str:
+        """A named shape as a formation program."""
+        figure, turn = named_figure(task), round(float(self._rng.uniform(0.0, 360.0)), 1)
+        figure |= {} if "canonical" in failures else {"turn": turn}
+        if failures & {"distorted", "random"}:
+            figure["scale"] = self._rng.uniform(0.4, 1.6, 2).round(2).tolist()
+        index = int(self._rng.integers(task.n_places)) if failures & {"random", "any"} else robot % task.n_places
+        answer = {
+            REASONING: f"The shape is {task.shape[:200]}, so I draw that.",
+            "program": {"draw": [figure]},
+            "my_plan": task.n_places if "malformed" in failures else 0 if "first" in failures else index,
+        }
+        return json.dumps(answer)
 
     def _step(self, prompt: StepPrompt, failures: frozenset[str]) -> str:
         waypoint, reason, last = self._waypoint(prompt, failures)

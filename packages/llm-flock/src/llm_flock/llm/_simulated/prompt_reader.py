@@ -7,12 +7,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import get_args
 
 import numpy as np
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import Point, Points
-from llm_flock.errors import InputError
+from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance
@@ -37,6 +38,7 @@ WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
 _JSON_MARK = "JSON object"
+_PROGRAM_MARK = "draw the shape as a short program"
 _POSITION = re.compile(rf"{STEP_MARK}(.*)")
 _NEIGHBORS = re.compile(r"^Robots near you, moving as well: (.*)", re.MULTILINE)
 _GOAL = re.compile(r"^Your goal, .*?: (.*)", re.MULTILINE)
@@ -167,6 +169,11 @@ def read_plan(text: str) -> tuple[int, bool]:
     return int(robot), _JSON_MARK in text
 
 
+def asks_for_program(text: str) -> bool:
+    """Whether a question for a plan wants a formation program."""
+    return _PROGRAM_MARK in text
+
+
 def read_still(text: str, dim: int) -> list[Point]:
     """Read the positions of robots that stand still from the plan message; empty if it names none."""
     return _points(_first_group(_STILL, text), dim)
@@ -218,20 +225,41 @@ def _other_words(template: str, text: str) -> InputError:
 
 @lru_cache(maxsize=64)
 def formation(task: Task) -> Points:
-    """Ideal points of the task's shape, shape (n, d) [units]; do not change them. Free text becomes a circle."""
+    """Ideal points of the task's shape, shape (n, d) [units]; do not change them.
+
+    Raises:
+        ModelError: `refused`, for a shape in free text, which a stand-in cannot read.
+    """
     center, n = task.center, task.n_places
     if _GIVEN in task.shape:
         rows = np.array(numbers(task.shape.partition(_GIVEN)[2])).reshape(n, len(center))
         points = formations.ideal_points("points", n, center, task.spacing, rows.tolist())
     else:
         spec = _spec(task.shape)
+        if spec is None:
+            raise ModelError("refused", f"a simulated model cannot read words: it draws no {task.shape[:80]!r}")
         points = formations.ideal_points(spec, n, center[:2], task.spacing)
-    assert points is not None, "only free text has no ideal points, and it became a circle"
+    assert points is not None, "only free text has no ideal points"
     if points.shape[1] < len(center):
         height = np.full((n, len(center) - 2), center[2:])
         points = np.hstack([points, height])
     points.setflags(write=False)
     return points
+
+
+def named_figure(task: Task) -> dict[str, object]:
+    """The element of a formation program that draws the task's named shape.
+
+    Raises:
+        ModelError: `refused`, for other shapes, of which a stand-in knows no drawing.
+    """
+    from llm_flock.formation._program import Flat
+
+    spec = "" if _GIVEN in task.shape else _spec(task.shape) or ""
+    name, _, sides = spec.partition(":")
+    if name not in get_args(Flat):
+        raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
+    return {"shape": name} | ({"sides": int(sides)} if sides else {})
 
 
 def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:
@@ -243,10 +271,10 @@ def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:
     )
 
 
-def _spec(words: str) -> str:
-    """The named shape that has this description."""
+def _spec(words: str) -> str | None:
+    """The named shape that has this description; None for other words."""
     polygon = _POLYGON.match(words)
     if polygon is not None:
         return f"polygon:{polygon[1]}"
-    plain = (info.name for info in formations.shapes() if ":" not in info.name and info.name != "points")
-    return next((name for name in plain if formations.describe(name) == words), "circle")
+    plain = (info.name for info in formations.shapes() if info.layout and ":" not in info.name)
+    return next((name for name in plain if formations.describe(name) == words), None)

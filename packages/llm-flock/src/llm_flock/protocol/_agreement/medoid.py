@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 import scipy
 
+from llm_flock.errors import InputError
 from llm_flock.message import Message
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
@@ -26,6 +28,7 @@ PITCH = 0.25
 """Share of the distance between neighbouring places by which the cap is larger: places that are evenly spread along
 one outline, but begin anywhere, are a quarter of it away from each other on average."""
 
+SAMPLES = 160  # places that a program is given to compare what it draws
 DECIMALS = 9  # of sums of distances, so that they are equal on every robot
 
 
@@ -33,7 +36,8 @@ def unlikeness(a: Plan, b: Plan) -> float:
     """The distance of two shapes as a share of the cap, in [0, 1]; place and size do not count. Symmetric.
 
     It is the Chamfer distance (Barrow et al. 1977) of the places, each set moved to a mean of zero and scaled to a mean
-    square radius of 1. Turns count, up to about 15 degrees, because a described shape has an upper side.
+    square radius of 1. A program counts by what it draws, with equally many places for all teams. Turns count, up to
+    about 15 degrees, because a described shape has an upper side.
     """
     return _unlikeness(*sorted((a, b), key=lambda plan: plan.digest))
 
@@ -50,16 +54,23 @@ def _unlikeness(a: Plan, b: Plan) -> float:
 
 @lru_cache(maxsize=1024)
 def _scaled(plan: Plan) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    rows = plan.array - plan.array.mean(axis=0)
+    rows = plan.array
+    if plan.program:
+        from llm_flock.formation import drawn_points, parse_program
+
+        with suppress(InputError):  # such as one that draws a fixed number of places
+            rows = drawn_points(parse_program(plan.program), SAMPLES, rows.shape[1])
+    rows = rows - rows.mean(axis=0)
     return rows / (math.sqrt(float((rows**2).sum(axis=1).mean())) or 1.0)
 
 
 @lru_cache(maxsize=1024)
 def _pitch(plan: Plan) -> float:
     """Median distance of a place from the next one, in the scale of `_scaled`."""
-    if len(plan) < 2:
+    rows = _scaled(plan)
+    if len(rows) < 2:
         return 0.0
-    away = scipy.spatial.distance.cdist(_scaled(plan), _scaled(plan)) + np.diag([math.inf] * len(plan))
+    away = scipy.spatial.distance.cdist(rows, rows) + np.diag([math.inf] * len(rows))
     return float(np.median(away.min(axis=1)))
 
 

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.correspondence import quick_error
+from llm_flock.errors import InputError
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import DECIMALS, Plan
+from llm_flock.printable import shape_title
 
 RESIDUAL_LIMIT = 0.05
 """Largest mean distance of places from the ideal shape, as a share of the spacing: half of a formed team's limit."""
@@ -101,7 +103,7 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
 @lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     """Class and reason of a plan of the right size; cached for all robots of a process."""
-    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
+    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing, _fault_of_program):
         reason = fault(mission, plan)
         if reason is not None:
             return PlanClass.REFUSED, reason
@@ -111,7 +113,7 @@ def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     if residual > RESIDUAL_LIMIT * mission.spacing:
         return PlanClass.REFUSED, (
             f"its points are {number_text(residual)} off the shape on average, "
-            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {mission.shape}."
+            f"{number_text(RESIDUAL_LIMIT * mission.spacing)} is the limit: this is not {shape_title(mission.shape)}."
         )
     exact = residual <= EXACT_RESIDUAL * mission.spacing
     return PlanClass.EXACT if exact else PlanClass.ACCEPTABLE, None
@@ -120,7 +122,8 @@ def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
 @lru_cache(maxsize=16)
 def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, float]:
     """The ideal shape, and bounds of a place's distance from its nearest other place [units]."""
-    target, distances = None, np.array([mission.spacing])
+    # What words describe may have parts; the robots of each have to hear those of the next.
+    target, distances = None, np.array([mission.spacing, max(mission.spacing, mission.comm_range / 1.1)])
     if mission.ideal is not None and mission.n_places > 1:
         points = np.array(mission.ideal)
         target, distances = metrics.ShapeTarget(points), _nearest(points)[0]
@@ -212,6 +215,21 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
                 f"from {number_text(near)} to {number_text(far)} is required."
             )
     return None
+
+
+def _fault_of_program(mission: Mission, plan: Plan) -> str | None:
+    """A program that does not draw the plan's points: robots judge by it what a plan shows."""
+    if not plan.program:
+        return None
+    from llm_flock.formation import parse_program, program_points
+
+    try:
+        points = program_points(parse_program(plan.program), len(plan), mission.dim, mission.spacing)
+    except InputError as error:
+        return f"its program cannot be drawn: {error}"
+    off = float(np.abs(points + np.array(mission.center) - plan.array).max())
+    allowed = ROUNDING * mission.spacing
+    return None if off <= allowed else f"its points are up to {number_text(off)} beside what its program draws."
 
 
 def _residual(mission: Mission, plan: Plan) -> float | None:

@@ -1,0 +1,186 @@
+"""A shape that nobody can check: which consensus rule finds a right drawing, and does the team fly it?
+
+    python -m benchmarks.words [--seeds N] [--jobs J] [--write]
+
+The word is the name of a single-colour icon of `fontawesomefree` (`pip install fontawesomefree==6.6.0`), drawn by the
+seed. *Simulated* readers answer with a formation program. A right one draws the word's icon; each simplifies, turns,
+stretches and skews it on its own, so no two programs are equal. A wrong one draws another icon: each its own, or all
+the same one (`alike`). Ten robots fly. Right: the team forms, on one plan, whose program a right reader wrote.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from benchmarks import figures
+
+import llm_flock
+from llm_flock.arrays import Points
+from llm_flock.errors import InputError
+from llm_flock.formation import parse_program, program_points
+from llm_flock.formation._paths import strokes_of
+from llm_flock.llm._port import Call
+from llm_flock.llm._simulated.model import SimulatedModel
+from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock.llm._simulated.prompt_reader import PLAN_MARK, read_plan
+
+ROBOTS = 10
+SHARES = (20, 40, 60, 80)  # wrong models of ten robots [per cent]
+RULES = ("medoid", "provenance", "influence")
+MOST_CORNERS = 150  # of a drawing, so that its program is short enough
+CASES: dict[str, dict[str, Any]] = {
+    "": {},
+    "a third of messages lost": {"loss": 0.3},
+    "two robots join in round 5": {"join": "2@5,7@5"},
+}
+
+
+@lru_cache(maxsize=1)
+def icons() -> dict[str, list[Points]]:
+    """The outlines of all solid icons that ten robots can show, by name; y upwards."""
+    spec = find_spec("fontawesomefree")
+    if spec is None or spec.origin is None:
+        raise SystemExit("icons are missing: pip install fontawesomefree==6.6.0")
+    folder = Path(spec.origin).parent / "static" / "fontawesomefree" / "svgs" / "solid"
+    found: dict[str, list[Points]] = {}
+    for path in sorted(folder.glob("*.svg")):
+        data = path.read_text(encoding="utf-8").partition(' d="')[2].partition('"')[0]
+        strokes = [np.array([(z.real, -z.imag) for z in stroke]) for stroke in strokes_of(data) if len(stroke) > 1]
+        if strokes and sum(map(len, strokes)) <= 8 * MOST_CORNERS:
+            found[path.stem] = strokes
+    return found
+
+
+def drawing(name: str, rng: np.random.Generator) -> str | None:
+    """The program of one reader for an icon; None if ten robots cannot show it."""
+    strokes = icons()[name]
+    width = max(float(np.ptp(np.concatenate(strokes), axis=0).max()), 1e-9)
+    angle, (wide, high), skew = math.radians(rng.uniform(-12, 12)), rng.uniform(0.88, 1.12, 2), rng.uniform(-0.1, 0.1)
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    tolerance = width * rng.uniform(0.004, 0.015)
+    rows: list[list[list[int]]] = []
+    for stroke in strokes:
+        plain = shapely.get_coordinates(shapely.LineString(stroke).simplify(tolerance))
+        moved = plain / width * 200 @ np.array([[wide, 0.0], [skew, high]]) @ turn
+        rows.append(moved.round().astype(int).tolist())
+    if sum(map(len, rows)) > MOST_CORNERS:
+        return None
+    try:
+        program = parse_program({"draw": [{"points": row} for row in rows]})
+        program_points(program, ROBOTS, 2, 1.0)
+    except InputError:
+        return None
+    return program.text
+
+
+class Reader:
+    """A *simulated* model that answers a word with a program it was given; its steps are good."""
+
+    simulated = True
+
+    def __init__(self, program: str, seed: int) -> None:
+        self._program = program
+        self._good = SimulatedModel(parse_profile("ideal"), np.random.default_rng(seed))
+
+    async def ask(self, call: Call) -> Any:
+        text = next(message.text for message in reversed(call.messages) if message.role == "user")
+        if PLAN_MARK not in text:
+            return await self._good.ask(call)
+        robot, _ = read_plan(text)
+        return json.dumps(
+            {"reasoning": "That is how I see it.", "program": json.loads(self._program), "my_plan": robot}
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """Whether a team formed one plan, whether a right reader wrote it, and after how many rounds."""
+
+    formed: bool
+    right: bool
+    rounds: int | None
+
+
+def readers(seed: int, wrong: int, *, alike: bool) -> tuple[list[str], list[bool]]:
+    """A program for each robot, and which of them are right. No two are equal."""
+    rng = np.random.default_rng([46, seed])
+    names, programs = iter(rng.permutation([*icons()]).tolist()), list[str]()
+    word = other = ""
+    while len(programs) < ROBOTS - wrong:
+        if not programs:
+            word = next(names)
+        one = drawing(word, rng)
+        programs = [*programs, one] if one and one not in programs else programs if one else []
+    right = len(programs)
+    while len(programs) < ROBOTS:
+        other = other if alike and other else next(names)
+        one = drawing(other, rng)
+        if one and one not in programs:
+            programs.append(one)
+        elif not one:
+            other, programs = "", programs[:right] if alike else programs
+    order = rng.permutation(ROBOTS)
+    return [programs[k] for k in order], [bool(k < right) for k in order]
+
+
+def fly(rule: str, wrong: int, alike: bool, options: dict[str, Any], seed: int) -> Flown:
+    programs, right = readers(seed, wrong, alike=alike)
+    flown = llm_flock.run(
+        shape="text:the word",
+        n_robots=ROBOTS,
+        spacing=6.0,
+        comm_range=30.0,
+        consensus=rule,
+        prompts="program",
+        start="separated",
+        model=[Reader(program, 100 * seed + j) for j, program in enumerate(programs)],
+        seed=seed,
+        rounds=60,
+        trace=False,
+        **options,
+    )
+    followed = {plan.program for plan in flown.plans if plan is not None}
+    written = [good for program, good in zip(programs, right, strict=True) if program in followed]
+    summary = flown.summary
+    return Flown(formed=summary.formed, right=summary.formed and all(written), rounds=summary.rounds_to_formed)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--write", action="store_true", help="write docs/data/words.csv")
+    given = parser.parse_args(arguments)
+    rows = [["Wrong models", "Wrong ones", "Case", *(f"{rule}: right %" for rule in RULES), "medoid: rounds"]]
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for case, options in CASES.items():
+            for alike in (False, True) if not case else (False,):
+                for share in SHARES if not case else (60, 80):
+                    row = [f"{share} %", "alike" if alike else "unlike", case]
+                    rounds: list[int] = []
+                    for rule in RULES:
+                        job = partial(fly, rule, share * ROBOTS // 100, alike, options)
+                        seen = list(pool.map(job, range(given.seeds)))
+                        row.append(f"{100 * sum(one.right for one in seen) / len(seen):.0f}")
+                        if rule == "medoid":
+                            rounds = sorted(one.rounds for one in seen if one.rounds is not None)
+                    rows.append([*row, str(rounds[len(rounds) // 2]) if rounds else "never"])
+                    print(*rows[-1], sep=" | ", flush=True)
+    if given.write:
+        figures.write("words.csv", rows)
+
+
+if __name__ == "__main__":
+    main()
