@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from llm_flock.errors import ModelError
 from llm_flock.llm._port import Call
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
@@ -77,4 +78,7 @@ def hashed(conversation: Sequence[tuple[str, str]]) -> str:
     rng = np.random.default_rng(int.from_bytes(seed))
     if conversation[0][1].startswith("You turn a request"):
         return json.dumps({"shape": "circle", "n_robots": int(rng.integers(3, 13))})
-    return SimulatedModel(parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3"), rng).answer(conversation)
+    try:
+        return SimulatedModel(parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3"), rng).answer(conversation)
+    except ModelError as error:  # a stand-in cannot read a shape in words
+        return str(error)

@@ -60,7 +60,7 @@ def time_text(time: int) -> str:
     return f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 1000:03} UTC" + (f" ({count})" if count else "")
 
 
-WIRE_VERSION = 9
+WIRE_VERSION = 10
 
 MAX_BID = 10 * MAX_COORDINATE  #: Largest distance between two points of the largest arena [units].
 

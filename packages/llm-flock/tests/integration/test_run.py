@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,8 @@ import llm_flock
 from llm_flock.errors import InputError, ReplayDrift
 from llm_flock.llm._limits import Limited
 from llm_flock.llm._port import Call, Reply
+from llm_flock.llm._simulated.model import SimulatedModel
+from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record._reader import iter_messages
 from llm_flock.record._schema import CHANNELS, channel_schema
@@ -89,8 +92,25 @@ def test_three_dimensions() -> None:
     assert figures.min_separation is not None and figures.min_separation >= 3 - 1e-6
 
 
+class RingModel:
+    """A *simulated* model that gives a plan which it was told, and flies straight."""
+
+    __module__ = "rings"
+    simulated = True
+
+    def __init__(self, ring: list[list[float]]) -> None:
+        self._ring, self._good = ring, SimulatedModel(parse_profile("ideal"), np.random.default_rng(0))
+
+    async def ask(self, call: Call) -> str | Reply:
+        if call.kind == "step":
+            return await self._good.ask(call)
+        return f"Plan: {self._ring}\nmy plan: {call.robot}"
+
+
 def test_free_text_has_no_ideal_to_compare_with() -> None:
-    result = llm_flock.run(llm_flock.Mission(shape="text:a ring", n_robots=6), seed=1)
+    ring = [[50.0 + 10.0 * math.cos(k * math.pi / 3), 50.0 + 10.0 * math.sin(k * math.pi / 3)] for k in range(6)]
+    model = RingModel(ring)
+    result = llm_flock.run(llm_flock.Mission(shape="text:a ring", n_robots=6), model=model, seed=1)
     assert result.formed and result.summary.procrustes_mean is None
     assert np.isnan(result.errors).all()
 

@@ -50,7 +50,7 @@ def smallest_true_distance(
                 near = np.linalg.norm(seen - seen[i], axis=1) <= sense_range
                 told: Any = [tuple(others[j]) for j in np.flatnonzero(near) if j != i]
                 aim = wish if rng.random() < 0.7 else now[rng.integers(n)]
-                limits = {"safe_distance": SAFE, "max_step": STEP, "noise_bound": sight.error}
+                limits: Any = {"safe_distance": SAFE, "max_step": STEP, "noise_bound": sight.error}
                 after[i] = now[i] + np.array(project(tuple(own), tuple(aim), told, **limits)) - own
         low = min(low, segment_separation(now, after))
         past, now = [*past[1:], after], after

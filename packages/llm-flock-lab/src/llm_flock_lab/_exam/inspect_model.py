@@ -163,7 +163,14 @@ class FlockModel(ModelAPI):
             raise InputError("model", f"{PREFIX}/{self.model_name}", "a model of Inspect: this one sits our exam only")
         if asked.answers is None:
             asked.answers = self._for_question(asked.robot, asked.round, config)
-        asked.reply = reply = await asked.answers.ask(asked.call)
+        try:
+            reply = await asked.answers.ask(asked.call)
+        except ModelError as error:
+            if error.kind != "refused" or not self.simulated:
+                raise
+            # A stand-in that cannot read a shape in words has not answered the question.
+            reply = Reply(text=str(error), model=self.model_name, usage=Usage(), cost_usd=0.0, latency_s=0.0)
+        asked.reply = reply
         output = _model.ModelOutput.from_content(reply.model, reply.text)
         used = reply.usage
         output.usage = _model.ModelUsage(

@@ -40,21 +40,22 @@ def program_points(program: Program, n: int, dim: int, spacing: float) -> Points
 
 
 @lru_cache(maxsize=256)
-def drawn_points(program: Program, n: int, dim: int) -> Points:
-    """About `n` points evenly over what a program draws, to compare drawings, shape (m, dim). Robots stand elsewhere.
+def drawn_points(text: str, n: int, dim: int) -> Points:
+    """About `n` points evenly over what a program in JSON draws, to compare drawings, shape (m, dim).
 
     Raises:
-        InputError: a drawing in space for a plane, or areas or groups that need another number of points.
+        InputError: no program, a drawing in space for a plane, or areas or groups that need another number of points.
     """
+    program = parse_program(text)
     drawing = None if program.draw is None else draw(program.draw)
     if drawing is None or drawing.regions or drawing.lattices:
         return program_points(program, n, dim, 1.0)
-    lines = [(stroke, np.linalg.norm(np.diff(stroke, axis=0), axis=1)) for stroke in drawing.strokes]
-    step = sum(float(lengths.sum()) for _, lengths in lines) / n or 1.0
+    ends: list[Points] = [np.linalg.norm(np.diff(stroke, axis=0), axis=1).cumsum() for stroke in drawing.strokes]
+    step = sum(float(end[-1]) for end in ends if len(end)) / n or 1.0
     rows: list[Points] = []
-    for stroke, lengths in lines:
-        at = np.concatenate([[0.0], np.cumsum(lengths)])
-        places = (np.arange(max(1, round(float(at[-1]) / step))) + 0.5) * step
+    for stroke, end in zip(drawing.strokes, ends, strict=True):
+        at: Points = np.concatenate([np.zeros(1), end])
+        places: Points = (np.arange(max(1, round(float(at[-1]) / step))) + 0.5) * step
         rows.append(np.column_stack([np.interp(np.minimum(places, at[-1]), at, axis) for axis in stroke.T]))
     return np.concatenate(rows)[:, :dim]
 

@@ -8,6 +8,7 @@ import pytest
 from rounds import observation
 
 import llm_flock
+from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.events import Origin
 from llm_flock.mission import Mission
@@ -25,7 +26,7 @@ def seen(x: float, y: float = 50.0, speed: float = 2.0, radius: float = 2.0) -> 
     return Mover(number=0, position=(x, y), radius=radius, speed=speed)
 
 
-def leg(goal: tuple[float, float], here: tuple[float, float]) -> Leg:
+def leg(goal: Point, here: Point) -> Leg:
     return Leg(goal=goal, stop=goal, left=math.dist(here, goal))
 
 

@@ -12,6 +12,7 @@ import llm_flock
 from llm_flock.arrays import Points
 from llm_flock.bounds import max_payload_bytes
 from llm_flock.errors import MessageError
+from llm_flock.formation import parse_program
 from llm_flock.llm._port import Call, Reply
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
@@ -106,6 +107,17 @@ def test_drawings_of_one_picture_are_alike_and_of_two_are_not() -> None:
 def test_single_places_and_heaps_can_be_compared() -> None:
     assert unlikeness(Plan.of([(3, 4)]), Plan.of([(5, 6)])) == 0.0
     assert unlikeness(Plan.of([(3, 4), (3, 4)]), Plan.of([(0, 0), (9, 0)])) == 1.0
+
+
+def test_a_program_counts_by_what_it_draws() -> None:
+    house = {"points": [[0, 0], [4, 0], [4, 3], [2, 5], [0, 3]], "closed": True}
+    text = [parse_program({"draw": [one]}).text for one in (house, house | {"scale": 7, "turn": 4}, {"shape": "star"})]
+    points = drawn("moon", 10, np.random.default_rng(0))
+    same, turned, star = (Plan.of(points * (1 + k), program) for k, program in enumerate(text))
+    assert unlikeness(same, turned) < 0.6 < 0.9 < unlikeness(same, star)
+    fixed = Plan.of(points, parse_program({"groups": [{"role": "a", "count": 10, "draw": [{"shape": "circle"}]}]}).text)
+    assert unlikeness(fixed, Plan.of(points)) == 0.0, "which draws no other number: its places count"
+    assert fixed.digest != Plan.of(points).digest
 
 
 def test_medoid_is_one_of_the_three_that_agree() -> None:

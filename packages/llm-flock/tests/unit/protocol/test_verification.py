@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.distance import pdist
 
 from llm_flock import shapes as formations
+from llm_flock.formation import parse_program, program_points
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion
@@ -183,3 +184,22 @@ def test_a_proposal_keeps_its_places_off_bodies_that_stand_still() -> None:
     assert fault is not None and fault.startswith("point 3 is 1 from the robot that stands still at")
     assert check_proposal(SQUARE, here, [(x + reach + 0.01, y)], (5.0, 5.0)) is None
     assert check_proposal(SQUARE, plan(ideal(SQUARE)[:7]), [], (5.0, 5.0)) == "the plan holds 7 points, 8 are required."
+
+
+def test_a_program_has_to_draw_the_points_of_its_plan() -> None:
+    mission = Mission(shape="text:a kite", n_robots=4)
+    kite = parse_program({"draw": [{"points": [[0, 0], [2, 3], [0, 5], [-2, 3]], "closed": True}]})
+    points = program_points(kite, 4, 2, mission.spacing) + np.array(mission.center)
+    assert check_plan(mission, Plan.of(points.tolist(), kite.text)) is None
+    turned = Plan.of((100.0 - points).tolist(), kite.text)
+    assert "beside what its program draws" in str(check_plan(mission, turned))
+    for program, fault in (("{}", "cannot be drawn"), ('{"draw":[{"shape":"cube"}]}', "cannot be drawn")):
+        assert fault in str(check_plan(mission, Plan.of(points.tolist(), program)))
+
+
+def test_parts_of_a_described_shape_may_be_apart_within_radio_range() -> None:
+    pairs = [(45.0, 50.0), (55.0, 50.0), (45.0, 64.0), (55.0, 64.0)]
+    centred = plan(np.array(pairs) - np.array([0.0, 7.0]))
+    assert check_plan(TEXT, centred) is None
+    spread = plan((np.array(pairs) - np.array([50.0, 57.0])) * 1.6 + np.array([50.0, 50.0]))
+    assert "from 9 to 15 is required" in str(check_plan(TEXT, spread))

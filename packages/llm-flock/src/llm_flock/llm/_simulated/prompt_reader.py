@@ -259,7 +259,8 @@ def named_figure(task: Task) -> dict[str, object]:
     name, _, sides = spec.partition(":")
     if name not in get_args(Flat):
         raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
-    return {"shape": name} | ({"sides": int(sides)} if sides else {})
+    figure: dict[str, object] = {"shape": name}
+    return figure | ({"sides": int(sides)} if sides else {})
 
 
 def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:

@@ -56,10 +56,10 @@ def _unlikeness(a: Plan, b: Plan) -> float:
 def _scaled(plan: Plan) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     rows = plan.array
     if plan.program:
-        from llm_flock.formation import drawn_points, parse_program
+        from llm_flock.formation import drawn_points
 
         with suppress(InputError):  # such as one that draws a fixed number of places
-            rows = drawn_points(parse_program(plan.program), SAMPLES, rows.shape[1])
+            rows = drawn_points(plan.program, SAMPLES, rows.shape[1])
     rows = rows - rows.mean(axis=0)
     return rows / (math.sqrt(float((rows**2).sum(axis=1).mean())) or 1.0)
 
