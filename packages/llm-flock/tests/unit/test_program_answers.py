@@ -55,7 +55,7 @@ def test_the_program_is_read_wherever_the_object_stands(frame: str) -> None:
         (" " * (MAX_CHARS + 1), "the limit"),
     ],
 )
-def test_what_is_no_program_for_this_team_is_refused_with_the_reason(answer: str, reason: str) -> None:
+def test_what_is_no_program_is_refused_with_the_reason(answer: str, reason: str) -> None:
     with pytest.raises(AnswerError) as caught:
         read_program(answer, MISSION)
     assert reason in str(caught.value)

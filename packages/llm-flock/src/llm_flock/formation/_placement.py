@@ -55,8 +55,8 @@ def drawn_points(text: str, n: int, dim: int) -> Points:
     rows: list[Points] = []
     for stroke, end in zip(drawing.strokes, ends, strict=True):
         at: Points = np.concatenate([np.zeros(1), end])
-        places: Points = (np.arange(max(1, round(float(at[-1]) / step))) + 0.5) * step
-        rows.append(np.column_stack([np.interp(np.minimum(places, at[-1]), at, axis) for axis in stroke.T]))
+        spots = [min((k + 0.5) * step, float(at[-1])) for k in range(max(1, round(float(at[-1]) / step)))]
+        rows.append(np.array([np.interp(spots, at, stroke[:, k]) for k in range(3)], dtype=np.float64).T)
     return np.concatenate(rows)[:, :dim]
 
 

@@ -197,7 +197,7 @@ def test_a_program_has_to_draw_the_points_of_its_plan() -> None:
         assert fault in str(check_plan(mission, Plan.of(points.tolist(), program)))
 
 
-def test_parts_of_a_described_shape_may_be_apart_within_radio_range() -> None:
+def test_parts_of_a_described_shape_may_be_apart() -> None:
     pairs = [(45.0, 50.0), (55.0, 50.0), (45.0, 64.0), (55.0, 64.0)]
     centred = plan(np.array(pairs) - np.array([0.0, 7.0]))
     assert check_plan(TEXT, centred) is None
