@@ -99,8 +99,10 @@ class Mind:
                 return _right(self._asked[max(0, len(self._asked) - 4)])
             case "fourth":
                 return here if len(self._asked) % 4 else right
-            case _:
+            case "still":
                 return here
+            case _:
+                return right
 
 
 def _right(prompt: StepPrompt) -> Point:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from benchmarks import minds, orders
 
 import llm_flock
+from llm_flock.arrays import Point
+from llm_flock.llm._port import Call
+from llm_flock.llm._simulated.prompt_reader import StepPrompt
 from llm_flock.mission import Mission
 
 
@@ -16,6 +21,46 @@ def test_minds_that_wait_hold_no_team_up(mind: str, team: str, seed: int) -> Non
     seen, good = minds.fly(team, mind, "all", seed), minds.fly(team, mind, "none", seed)
     assert seen.formed is not None and seen.says and seen.separation >= 3.0 - 1e-6
     assert seen.calls <= 2.5 * good.calls
+
+
+class Skittish(minds.Mind):
+    """It steps away from any robot that is near, also from a dead one beside its place."""
+
+    __module__ = "skittish"
+
+    async def ask(self, call: Call) -> str:
+        if call.kind == "plan":
+            return f"Plan: [[45, 45], [55, 45], [55, 55], [45, 55]]\nmy plan: {call.robot % 4}"
+        return await super().ask(call)
+
+    def _choose(self, prompt: StepPrompt) -> Point:
+        here = prompt.position
+        near = min(prompt.seen(), key=lambda other: math.dist(other, here), default=None)
+        if self._kind == "calm" or near is None or math.dist(near, here) >= 3.6:
+            return super()._choose(prompt)
+        share = prompt.reach / max(math.dist(near, here), 1e-9)
+        return here[0] - share * (near[0] - here[0]), here[1] - share * (near[1] - here[1])
+
+
+def test_a_probe_that_leads_away_closes_no_breaker() -> None:
+    """A place is 2.7 from a dead body, so others leave a robot at it no room."""
+    starts = [[30, 30], [70, 30], [30, 70], [70, 70], [56.9, 56.9]]
+    calls = list[int]()
+    for kind in ("calm", "skittish"):
+        flown = llm_flock.run(
+            shape="square",
+            n_robots=5,
+            places=4,
+            model=[Skittish(kind, k) for k in range(5)],
+            seed=1,
+            rounds=300,
+            start_positions=starts,
+            kill="4@1",
+            trace=False,
+        )
+        assert flown.formed
+        calls.append(flown.summary.model_calls)
+    assert calls[1] <= 1.5 * calls[0]
 
 
 @pytest.mark.parametrize("seed", [5, 6])

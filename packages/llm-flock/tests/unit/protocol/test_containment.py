@@ -256,6 +256,17 @@ def test_nearly_arrived_or_blocked_robot_is_not_called_slow() -> None:
     assert reasons[0] is None and "of a step nearer to the goal" in (reasons[-1] or ""), "others leave it room"
 
 
+def test_a_probe_that_leads_away_is_refused_even_without_room() -> None:
+    goal, pace = IDEAL.points[0], Pace()
+    here, near = (goal[0] + 20.0, goal[1]), (goal[0] + 17.0, goal[1])
+    question = StepQuestion(mission=MISSION, robot=0, round=1, position=here, neighbors=(near,), plan=IDEAL, slot=0)
+    away, aside = (here[0] + 5.0, here[1]), (here[0] - 1.0, here[1] + 5.0)
+    assert pace.too_slow(question, away, lambda: 0.0) is None, "it makes room"
+    probe = replace(question, probe=True)
+    assert "leads away" in (pace.too_slow(probe, away, lambda: 0.0) or "")
+    assert pace.too_slow(probe, aside, lambda: 0.0) is None
+
+
 @pytest.mark.parametrize(("beside", "ends"), [(2.5, "geometry"), (0.0, "model")])
 def test_a_model_that_waits_is_overruled_if_there_is_room(beside: float, ends: str) -> None:
     """A body is in its straight way; past one that stands a little aside, the shield would let it fly."""

@@ -51,7 +51,9 @@ class Pace:
         longest = min(mission.max_step, before)
         most = room() if before - after < longest and blocked(question) else longest
         if most < ROOM * longest:
-            return None
+            # A robot that others leave no room may step back, but that is no sign that its planner has recovered.
+            back = question.probe and after > before
+            return "it leads away from the goal, and the last positions were too slow." if back else None
         gain = (before - after) / most
         if mission.velocity is not None and before <= mission.max_step:
             gain = float(after <= AT_GOAL * mission.spacing)
