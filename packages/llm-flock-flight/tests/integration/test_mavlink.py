@@ -37,7 +37,7 @@ def test_the_driver_keeps_the_contract(patient):
 
     async def check(flavour, loss):
         with AutopilotStandIns([HOME], flavour=flavour, loss=loss, seed=1) as vehicles:
-            await check_robot(robot_of(vehicles))
+            await check_robot(robot_of(vehicles), patience_s=6.0)
             assert not vehicles[0].armed
 
     async def check_all():
@@ -163,7 +163,7 @@ def test_a_pilots_switch_is_not_fought():
         vehicle.switch(PILOT[vehicle.flavour])
         await until(lambda: robot.state().taken_over is not None, 2.0)
         assert f"its mode is {PILOT[vehicle.flavour]}, not {GUIDED[vehicle.flavour]}" in str(robot.state().taken_over)
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(0.5)
         sent, commands = len(vehicle.autopilot.set_points), len(vehicle.autopilot.commands)
         for command in (robot.go_to((1.0, 2.0, 1.0), 1.0), robot.hold(), robot.land(0.0, 1.0)):
             with pytest.raises(TakenOver, match="a pilot or a failsafe flies it"):
