@@ -23,6 +23,7 @@ from llm_flock_lab._exam.rows import summary
 from llm_flock_lab._exam.score import word_marks
 from llm_flock_lab._exam.splits import paper, public_split
 
+UNREAD = {"mission", "distraction"}  # sections in words, which a stand-in cannot read: the second is asked, in vain
 EXAMINER = Examiner(PromptSet.load("full"), "world")
 
 
@@ -63,19 +64,20 @@ def test_right_answers_are_right_in_every_section() -> None:
 def test_the_ideal_stand_in_is_right_where_straight_steps_are() -> None:
     found = dict(shares("ideal", 1000))
     others = found.pop("others")
-    assert found == dict.fromkeys(set(SECTIONS) - {"others", "mission"}, 1.0)
+    assert found == dict.fromkeys(set(SECTIONS) - {"others"} - UNREAD, 1.0) | {"distraction": 0.0}
     assert others < 0.5, "it walks straight, and turns shapes by chance: robots in the way are beyond it"
 
 
 @pytest.mark.parametrize(("limit", "seed"), [(1000, None), (30, 7)], ids=["public", "private"])
 def test_the_careful_stand_in_is_always_right(limit: int, seed: int | None) -> None:
-    assert shares("careful", limit, seed) == dict.fromkeys(set(SECTIONS) - {"mission"}, 1.0)
+    assert shares("careful", limit, seed) == dict.fromkeys(set(SECTIONS) - UNREAD, 1.0) | {"distraction": 0.0}
 
 
 def test_the_random_stand_in_is_wrong_in_every_section() -> None:
     found = shares("random", 1000)
     assert set(found) == set(SECTIONS) - {"mission"} and max(found.values()) <= 0.05
-    assert all(outcome.readable for outcome in ask_simulated("random", paper(limit=20)))
+    asked = ask_simulated("random", paper(limit=20))
+    assert all(outcome.readable != (outcome.section in UNREAD) for outcome in asked)
 
 
 def test_answers_by_chance_are_wrong() -> None:
@@ -86,12 +88,12 @@ def test_answers_by_chance_are_wrong() -> None:
     assert all(o.readable for o in outcomes if o.section == "plan")
 
 
-PLANS, STEPS = {"plan", "others", "retry", "distraction"}, {"step", "path", "retry", "agreement"}
+PLANS, STEPS = {"plan", "others", "retry"}, {"step", "path", "retry", "agreement"}
 FAULTS = {"distorted": PLANS, "overshoot": STEPS, "overlong": STEPS, "collapse": STEPS}
 
 
 @pytest.mark.parametrize(
-    ("fault", "sections"), [*FAULTS.items(), ("malformed", set(SECTIONS) - {"mission"})], ids=[*FAULTS, "malformed"]
+    ("fault", "sections"), [*FAULTS.items(), ("malformed", set(SECTIONS) - UNREAD)], ids=[*FAULTS, "malformed"]
 )
 def test_a_fault_lowers_exactly_its_sections(fault: str, sections: set[str]) -> None:
     ideal, faulty = shares("ideal", 20), shares(fault, 20)
@@ -99,12 +101,12 @@ def test_a_fault_lowers_exactly_its_sections(fault: str, sections: set[str]) -> 
 
 
 @pytest.mark.parametrize(
-    ("fault", "sections"), [*FAULTS.items(), ("random", set(SECTIONS) - {"mission"})], ids=[*FAULTS, "random"]
+    ("fault", "sections"), [*FAULTS.items(), ("random", set(SECTIONS) - UNREAD)], ids=[*FAULTS, "random"]
 )
 def test_a_fault_of_a_careful_model_lowers_its_sections(fault: str, sections: set[str]) -> None:
     """Steps among other robots count here too, which an ideal model, walking straight, gets wrong anyway."""
     faulty = shares(f"careful,{fault}", 20)
-    assert {name for name, share in faulty.items() if share < 1.0} == sections | {"others"}
+    assert {name for name, share in faulty.items() if share < 1.0} == sections | {"others", "distraction"}
 
 
 def test_a_private_split_ranks_models_as_the_public_one() -> None:
