@@ -62,10 +62,10 @@ STAND_INS = """\
 
 These are no language models. *simulated* rows are programs that read the prompts and make the faults that
 [their names say](../reference/simulated.md); geometry plans without any prompt, and knows no points for a shape in
-words. They show what the exam measures: that every section can be answered from its prompts alone
-(`simulated:careful`), that chance answers hardly any (`simulated:random`), and what each fault costs. They are not
-asked for missions in plain words, which they cannot read. All but `simulated:careful` walk straight and leave others to
-the shield, so that robots in the way (`others`) are beyond them. The command of a row gives it again, digit for digit
+words. They show what the exam measures: that sections without words can be answered from their prompts alone
+(`simulated:careful`), that chance answers hardly any (`simulated:random`), and what each fault costs. They read no
+words: no missions, which they are not asked for, and no shapes (`distraction`). All but `simulated:careful` walk
+straight and leave others to the shield, so that robots in the way (`others`) are beyond them. The command of a row gives it again, digit for digit
 but the seconds.
 """
 
