@@ -65,8 +65,8 @@ These are no language models. *simulated* rows are programs that read the prompt
 words. They show what the exam measures: that sections without words can be answered from their prompts alone
 (`simulated:careful`), that chance answers hardly any (`simulated:random`), and what each fault costs. They read no
 words: no missions, which they are not asked for, and no shapes (`distraction`). All but `simulated:careful` walk
-straight and leave others to the shield, so that robots in the way (`others`) are beyond them. The command of a row gives it again, digit for digit
-but the seconds.
+straight and leave others to the shield, so that robots in the way (`others`) are beyond them. The command of
+a row gives it again, digit for digit but the seconds.
 """
 
 Column = tuple[str, Callable[[Row], str]]
