@@ -7,6 +7,7 @@ from driven_agent import LINE, PLAN, DrivenAgent, says
 from toy_keys import ToyKeys
 
 from llm_flock.agent import Agent
+from llm_flock.errors import InputError
 from llm_flock.events import CommRoundBegan, MoveTo, Note, Origin
 from llm_flock.message import decode
 from llm_flock.mission import Mission
@@ -14,6 +15,7 @@ from llm_flock.plan import Plan
 from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import Claim, IndexAssignment, NearestAssignment
 from llm_flock.protocol._agreement.consensus import InfluenceConsensus, NoConsensus
+from llm_flock.protocol._agreement.medoid import MedoidConsensus
 from llm_flock.protocol._membership.team import TeamMembership
 from llm_flock.protocol._motion.leg import Leg
 from llm_flock.protocol._parts import Checker, Membership, Observation, Parts, Safety, Situation
@@ -140,3 +142,8 @@ def test_heartbeats_are_passed_over_where_none_are_counted() -> None:
     assert isinstance(channel, SignedChannel)
     message = decode(says(1, (0, 9, 9)), 3, 2)
     assert channel._verified_beats(message, Proofs()) is None
+
+
+def test_keys_refuse_rules_that_compare_proposals_passed_on() -> None:
+    with pytest.raises(InputError, match=r"consensus = 'medoid': expected .* in a team with keys"):
+        signed_parts(Parts(consensus=MedoidConsensus()), 0, LINE, ToyKeys(0))

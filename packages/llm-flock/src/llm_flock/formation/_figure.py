@@ -31,7 +31,7 @@ class Region:
 
     world: Affine
     area: float  #: In the drawing's coordinates.
-    sample: Callable[[int], Points]  #: About so many points, evenly spread, shape (m, 3).
+    sample: Callable[[int], Points]  #: About this number of points, evenly spread, shape (m, 3).
     onto: Callable[[Points], Points]  #: The points of the region that points near it stand for.
 
 
@@ -42,7 +42,7 @@ class Lattice:
     world: Affine
     volume: float  #: In the drawing's coordinates.
     least: int  #: Its corners, the fewest places that show it.
-    places: Callable[[int], Points]  #: The places of the smallest such body with so many, shape (m, 3), m >= n.
+    places: Callable[[int], Points]  #: The places of the smallest such body with at least n, shape (m, 3), m >= n.
 
 
 @dataclass(slots=True)

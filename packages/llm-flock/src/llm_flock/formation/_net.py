@@ -17,7 +17,7 @@ from llm_flock.arrays import Points
 
 NEAR = 1e-6  #: Points of strokes nearer than this, as a share of the drawing's width, are one.
 BEND_DEG = 30.0  #: A stroke that turns by more in one corner has a node there.
-MOST_SLID = 300  #: Points slide in drawings of so many at most: each pushes each.
+MOST_SLID = 300  #: Most points of a drawing that are moved apart: each one pushes every other.
 SLIDES, STEEP = 200, 8  #: Rounds of sliding, and the power with which the push falls with the distance.
 WORTH = 1.05  #: Points stay even unless sliding makes the closest pair so much wider.
 LEAST_ON_LOOP = 3  #: Pieces into which an edge that ends where it begins is cut at least.

@@ -21,7 +21,7 @@ DECIMALS = 6  #: Decimals of places for a spacing of 1, as plans have.
 MOST_SAMPLES = 20_000  #: Most samples, where that leaves ten for each place.
 SAMPLES = 60  #: Samples of an area for each place in it.
 MOVES = 60  #: Rounds of Lloyd's algorithm.
-BENDS_PAY = 1.25  #: Corners get points of their own unless that leaves so many times the largest gap for the spacing.
+BENDS_PAY = 1.25  #: Corners get points of their own, if that makes the largest gap at most this many times longer.
 HEXAGON = math.sqrt(0.75)  #: Area of a place in an evenly filled plane, for a spacing of 1.
 
 

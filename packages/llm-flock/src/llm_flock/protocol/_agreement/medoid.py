@@ -30,6 +30,7 @@ one outline, but begin anywhere, are a quarter of it away from each other on ave
 
 SAMPLES = 160  # places that a program is given to compare what it draws
 DECIMALS = 9  # of sums of distances, so that they are equal on every robot
+RANKED = 5  # elements of a plan's key that rank proposals before shapes count: mission and digest, epoch, places, class
 
 
 def unlikeness(a: Plan, b: Plan) -> float:
@@ -99,8 +100,3 @@ class MedoidConsensus:
         plans = [candidates[key][0] for key in best]
         sums = [round(math.fsum(unlikeness(one, other) for other in plans), DECIMALS) for one in plans]
         return candidates[best[sums.index(min(sums))]][1] if best else None
-
-
-RANKED = 5
-"""The first elements of a plan's key, by which proposals are ranked before their shapes count: mission, epoch, places
-and class."""
