@@ -230,7 +230,8 @@ class Mission(BaseModel):
         given = {"hold": 0} | stage.set
         if unknown := sorted(given.keys() - MISSION_FIELDS | given.keys() & {"since", "then"}):
             raise InputError("then", unknown, f"only {', '.join(sorted(MISSION_FIELDS - {'since', 'then'}))}")
-        return self.at(round_).change(**given, since=round_, then=tuple(rest))
+        travels = given.get("velocity", self.velocity) is not None  # else all robots that go on give the same order
+        return self.at(round_).change(**given, since=round_ if travels else 0, then=tuple(rest))
 
     def _check_room(self) -> None:
         """Check that messages have room for the mission, and the arena for random starts `safe_distance` apart."""
