@@ -239,6 +239,17 @@ class RunConfig(ConfigSection):
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
 
+    def flying(self, mission: Mission, gaps: Literal["report", "replan"] | None = None) -> Self:
+        """The same with another mission, checked as a whole; `gaps` replaces the protocol's, if given."""
+        protocol = self.protocol.model_copy(update={} if gaps is None else {"gaps": gaps})
+        return checked(type(self), dict(self) | {"mission": mission, "protocol": protocol})
+
+    def check_orders(self) -> None:
+        """Refuse a stage that waits for an order. Call where nobody can give one."""
+        if any(stage.when == "order" for stage in self.mission.then) and self.trial.rounds is None:
+            says = "a stage waits for an order, which nobody can give to this run: start it in llm-flock view"
+            raise InputError("then", None, says=f"{says}, or limit its --rounds")
+
     @property
     def sight(self) -> Sight:
         """What each robot may assume of positions; without the shield it assumes nothing, and never rests."""
