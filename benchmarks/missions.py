@@ -232,7 +232,12 @@ TASKS = (
 
 def fly(task: Task, reader: MissionReader, seeds: int) -> dict[str, str | int]:
     """One line of the table: how many of the seeds the judge passed, and the worst value."""
-    row: dict[str, str | int] = {"Kind": task.kind, "Words": task.words, "Judged by": task.measure or "-"}
+    row: dict[str, str | int] = {
+        "Kind": task.kind,
+        "Words": task.words,
+        "Radio": f"{task.radio:g}",
+        "Judged by": task.measure or "-",
+    }
     try:
         draft = asyncio.run(reader.read(task.words, llm_flock.Mission(comm_range=task.radio)))
     except InputError as error:
