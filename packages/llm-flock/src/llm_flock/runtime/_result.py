@@ -14,6 +14,7 @@ from llm_flock.errors import InputError
 from llm_flock.events import Origin
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.record._outcome import formed_text
 from llm_flock.record._schema import Entry, RunInfo, SummaryMessage
 from llm_flock.runtime._config import RunConfig
 
@@ -117,6 +118,7 @@ class Summary:
     plans_in_use: int  #: Different plans at the end.
     distinct_goals: int  #: Different goals at the end.
     robots_without_plan: int  #: Robots that never got a plan.
+    awake: int  #: Robots at the end that have begun and have not died.
     model_calls: int  #: Answered or failed calls, retries of rejected answers included.
     calls_rejected: int  #: Answers that could not be used.
     calls_failed: int  #: Calls that got no answer.
@@ -213,7 +215,7 @@ class RunResult:
     def __repr__(self) -> str:
         summary = self.summary
         simulated = ", simulated language models" if summary.simulated else ""
-        end = f"formed in round {summary.missions[-1].formed}" if summary.formed else f"not formed: {summary.stopped}"
+        end = formed_text(summary.to_dict()) or f"not formed: {summary.stopped}"
         return f"RunResult({summary.shape}, {summary.n_robots} robots, seed {summary.seed}, {end}{simulated})"
 
     def _repr_html_(self) -> str | None:
