@@ -133,6 +133,8 @@ def fly(folder: Path) -> list[tuple[str, Path, str]]:
 def says(text: str) -> str:
     """Whether a text calls a run formed or not; empty where it says neither."""
     low = text.lower()
+    if "yet" in low:
+        return "flies on"
     if re.match(r"\W*(no\b|not formed|mission [^:]*\bnot formed)", low) or "broke off" in low or "not known" in low:
         return "not formed"
     return "formed" if re.match(r"\W*(yes\b|formed\b|mission [^:]*\bformed\b)", low) else ""

@@ -19,8 +19,7 @@ from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.file_lock import is_written
 from llm_flock.printable import one_line, printable, shape_title
-from llm_flock.record._outcome import formed_text
-from llm_flock.record._words import begun, caveats, rules_text, verdict, work_text
+from llm_flock.record._words import begun, caveats, formed_text, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord

@@ -5,7 +5,6 @@ from ._diagnosis import diagnose as diagnose
 from ._history import CallCounts as CallCounts
 from ._history import RunHistory as RunHistory
 from ._outcome import Outcome as Outcome
-from ._outcome import formed_text as formed_text
 from ._outcome import outcome_of as outcome_of
 from ._outcome import shape_text as shape_text
 from ._reader import RunRecord as RunRecord
@@ -56,6 +55,7 @@ from ._words import caveats as caveats
 from ._words import counted as counted
 from ._words import ending as ending
 from ._words import formed_in as formed_in
+from ._words import formed_text as formed_text
 from ._words import letters as letters
 from ._words import protocol_text as protocol_text
 from ._words import robots_text as robots_text

@@ -13,7 +13,7 @@ from llm_flock.printable import shape_title
 from llm_flock.record._diagnosis import AT_GOAL
 from llm_flock.record._history import RunHistory
 from llm_flock.record._schema import DEAD, SILENT
-from llm_flock.record._words import MAX_PLACES, begun, ending, formed_in, robots_text
+from llm_flock.record._words import MAX_PLACES, begun, ending, formed_text, robots_text
 
 _STOPPED = {
     "budget": "the budget was used up",
@@ -60,11 +60,11 @@ def outcome_of(run: RunHistory, *, over: bool = True) -> Outcome:
     now = _empty_text(empty)
     if end == "formed":
         given = f" (given in round {part.first})" if len(parts) > 1 else ""
-        when = _formed_text(run.result or {}, part.formed)
+        when = formed_text(run.result or {}, part.formed)
         if broken:
             when = _until(run, *stood[-1], when)
-        elif empty and len(stood) > 1:
-            when = f"{_until(run, *stood[-2])}; formed again {when.removeprefix('formed ')}"
+        elif empty and (before := [span for span in stood if span[0] < (part.formed or 0)]):
+            when = f"{_until(run, *before[-1])}; formed again {when.removeprefix('formed ')}"
         words = f"{when}{given}{_help_text(run)}"
     else:
         words = "not formed yet" if not over else f"broke off: {_stopped(run)}"
@@ -85,7 +85,7 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
     for k, info in enumerate(given):
         last = given[k + 1].round - 1 if k + 1 < len(given) else None
         end = run.last_round if last is None else last
-        formed = next((since for since, _ in reversed(run.formations) if info.round <= since <= end), None)
+        formed = _formed_in(run, info.round, end)
         if len(entries) == len(given):
             entry = entries[k]
             number = cast("Mapping[str, Any]", entry).get("formed") if isinstance(entry, Mapping) else None
@@ -99,23 +99,22 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
     return parts
 
 
+def _formed_in(run: RunHistory, first: int, last: int) -> int | None:
+    """Since when the team that stands formed at last has done so, by its rounds in order; mere disorder is no end."""
+    number = None
+    for since, until in reversed(run.formations):
+        if first <= since <= last and (number is None or run.states[until].plan_ids == run.states[number].plan_ids):
+            number = since
+        elif since < first or number is not None:
+            break
+    return number
+
+
 def shape_text(mission: Mapping[str, Any]) -> str:
     """The shape and its number of places, and the number of robots where it is another one."""
     n, places = mission["n_robots"], mission.get("places")
     shape = shape_title(str(mission["shape"]))
     return f"{shape} of {n}" if places in (None, n) else f"{shape} of {places}, {n} robots"
-
-
-def formed_text(result: Mapping[str, Any]) -> str:
-    """When the last mission was formed: the round, or the time for a swarm; empty if it was not."""
-    return _formed_text(result, formed_in(result)) if ending(result) == "formed" else ""
-
-
-def _formed_text(result: Mapping[str, Any], number: int | None) -> str:
-    time_s = result.get("mission_s")
-    if isinstance(time_s, int | float):
-        return f"formed after {time_s:.1f} s"
-    return "formed" if number is None else f"formed in round {number}"
 
 
 def _until(run: RunHistory, first: int, last: int, when: str = "") -> str:

@@ -76,6 +76,17 @@ def formed_in(result: Mapping[str, Any]) -> int | None:
     return number if isinstance(number, int) else None
 
 
+def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
+    """When a team formed, in round `number` if that is not in its result, or after which time a swarm did.
+
+    Empty if it did not.
+    """
+    time_s, number = result.get("mission_s"), formed_in(result) if number is None else number
+    if isinstance(time_s, int | float):
+        return f"formed after {time_s:.1f} s"
+    return f"formed in round {number}" if number is not None else "formed" if ending(result) == "formed" else ""
+
+
 def verdict(entry: LlmEntry) -> str:
     """Whether an answer was used, rejected, or never came, and why."""
     if entry.error is not None:

@@ -14,7 +14,6 @@ from llm_flock.errors import InputError
 from llm_flock.events import Origin
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.record._outcome import formed_text
 from llm_flock.record._schema import Entry, RunInfo, SummaryMessage
 from llm_flock.runtime._config import RunConfig
 
@@ -215,7 +214,7 @@ class RunResult:
     def __repr__(self) -> str:
         summary = self.summary
         simulated = ", simulated language models" if summary.simulated else ""
-        end = formed_text(summary.to_dict()) or f"not formed: {summary.stopped}"
+        end = f"formed in round {summary.missions[-1].formed}" if summary.formed else f"not formed: {summary.stopped}"
         return f"RunResult({summary.shape}, {summary.n_robots} robots, seed {summary.seed}, {end}{simulated})"
 
     def _repr_html_(self) -> str | None:
