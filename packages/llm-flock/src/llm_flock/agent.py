@@ -113,6 +113,11 @@ class Agent:
         return self._agreement.plan
 
     @property
+    def replans(self) -> bool:
+        """Whether it will leave that plan, which does not fit the robots that it knows to be alive."""
+        return self._membership.replans
+
+    @property
     def provenance(self) -> Provenance | None:
         """Origin of that plan."""
         return self._agreement.provenance

@@ -28,6 +28,7 @@ LABELS: Mapping[str, str] = {
     "model": "Model",
     "seed": "Seed",
     "rounds": "Rounds at most",
+    "gaps": "Places of the dead",
     "loss": "Messages lost",
     "start": "Starts",
     "pace": "Rounds a second",

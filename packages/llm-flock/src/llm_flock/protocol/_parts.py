@@ -101,6 +101,11 @@ class Membership:
         return False
 
     @property
+    def replans(self) -> bool:
+        """Whether its plan does not fit the living team, as far as it knows, so that it will propose another one."""
+        return False
+
+    @property
     def known(self) -> object:
         """The collected positions; a new object after each change."""
         return None

@@ -220,7 +220,7 @@ class Trial:
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
-        return tracker.in_order and self.round >= self._notice_round
+        return tracker.held and self.round >= self._notice_round
 
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""

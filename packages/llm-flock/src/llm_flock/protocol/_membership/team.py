@@ -74,6 +74,10 @@ class TeamMembership(Membership):
         return self._seeking.sets_out
 
     @property
+    def replans(self) -> bool:
+        return self._misfit > 0
+
+    @property
     def known(self) -> object:
         return self._joint.known
 
