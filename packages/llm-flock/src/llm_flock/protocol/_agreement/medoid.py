@@ -56,11 +56,11 @@ def _unlikeness(a: Plan, b: Plan) -> float:
 @lru_cache(maxsize=1024)
 def _scaled(plan: Plan) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     rows = plan.array
-    if plan.program:
+    if plan.drawing is not None:
         from llm_flock.formation import drawn_points
 
         with suppress(InputError):  # such as one that draws a fixed number of places
-            rows = drawn_points(plan.program, SAMPLES, rows.shape[1])
+            rows = plan.drawing.placed(drawn_points(plan.program, SAMPLES, rows.shape[1]))
     rows = rows - rows.mean(axis=0)
     return rows / (math.sqrt(float((rows**2).sum(axis=1).mean())) or 1.0)
 
