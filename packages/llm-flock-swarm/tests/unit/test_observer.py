@@ -23,7 +23,6 @@ from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.self_reports import MAX_LATENCIES, MAX_PLANS
 from llm_flock_swarm._network.wire import Body, RobotReport, WorldState, pack, unpack
 
-
 UNDRAWN = Plan(drawing=Drawing(program="{}", places=N, spacing=1.0, center=(0.0, 0.0)))  # a program that draws nothing
 
 
