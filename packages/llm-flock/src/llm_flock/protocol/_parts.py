@@ -106,6 +106,11 @@ class Membership:
         return False
 
     @property
+    def missing(self) -> int:
+        """Number of robots that were heard of and are silent."""
+        return 0
+
+    @property
     def known(self) -> object:
         """The collected positions; a new object after each change."""
         return None

@@ -78,6 +78,10 @@ class TeamMembership(Membership):
         return self._misfit > 0
 
     @property
+    def missing(self) -> int:
+        return len(self.liveness.silent)
+
+    @property
     def known(self) -> object:
         return self._joint.known
 
