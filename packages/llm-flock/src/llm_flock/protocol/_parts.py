@@ -86,6 +86,7 @@ class Situation:
 class Membership:
     """A robot's knowledge of its team beyond the last messages of its neighbours. This part has none."""
 
+    deliberates: bool = False  #: Whether the team has yet to choose what to do about a death: until then, no searches.
     gaps: Gaps = "report"  #: What to do about slots that no living robot can take.
 
     @property

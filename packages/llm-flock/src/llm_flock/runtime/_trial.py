@@ -229,7 +229,7 @@ class Trial:
         from llm_flock.protocol._membership.liveness import patience
 
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        rounds_to_look = 10
+        rounds_to_look = 10 if self.config.protocol.judge == "rule" else 20  # and to choose, and to plan again
         return max(kills) + time_out + rounds_to_look
 
     @property

@@ -163,6 +163,7 @@ class Judgement:
         chosen = [(one, key in self._closed, self.votes.choice(one)) for key, (one, _) in self._since.items()]
         deaths = [(choice or self._usual) if closed else None for one, closed, choice in chosen if one.kind == "death"]
         self._membership.gaps = "replan" if "replan" in (deaths or [self._usual]) else "report"
+        self._membership.deliberates = not all(closed for one, closed, _ in chosen if one.kind == "death")
         weights = {one.robot: WEIGHT for one, closed, choice in chosen if closed and choice == "swap"}
         if weights != self._agreement.weights:
             self._agreement.weights = weights

@@ -10,16 +10,18 @@ import scipy
 
 from llm_flock.arrays import Point, Points
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Incident
-from llm_flock.metrics import AT_GOAL, ShapeTarget
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 from llm_flock.planner import Choice, JudgementOption
 from llm_flock.protocol._geometry import turned
+from llm_flock.protocol._membership.search import LOOKS_FOR_SILENT, NEXT_TO
+from llm_flock.protocol._membership.search import PATIENCE as SEARCH_PATIENCE
 from llm_flock.protocol._membership.team import REPLAN_PATIENCE
 from llm_flock.protocol._parts import Situation
 from llm_flock.protocol._verification.validator import resized
 
-MARGIN = 1.1
+MARGIN = 1.05
 """The way for which a battery should last, as a multiple of the way that code expects: others may be in the way."""
 
 LARGEST = 60
@@ -34,22 +36,18 @@ def death_options(now: Situation) -> tuple[JudgementOption, ...]:
     mission, plan, table = now.mission, now.plan, now.claim.table
     assert plan is not None and table is not None, "an incident is about the places of a plan"
     owned = tuple(a for a, entry in enumerate(table) if entry[2] >= 0)
-    gaps = len(plan) - len(owned)
-    left = JudgementOption(
-        choice="leave",
-        does="Leave the place empty.",
-        rounds=0,
-        distance=0.0,
-        gaps=gaps if _holes(mission, plan, owned) else 0,
-    )
-    options = [left]
-    move = closing(mission, plan, table) if left.gaps else None
+    unseen = tuple(a for a, (_, visits, owner) in enumerate(table) if owner == NO_OWNER and visits < LOOKS_FOR_SILENT)
+    gaps = len(plan) - len(owned) if _holes(mission, plan, owned) else 0
+    rounds, flown = _search(mission, plan, owned, unseen)
+    options = [JudgementOption(choice="leave", does="Leave the place empty.", rounds=rounds, distance=flown, gaps=gaps)]
+    move = closing(mission, plan, table) if gaps else None
     if move is not None:
-        far = math.dist(plan.points[move[0]], plan.points[move[1]])
-        robot = table[move[0]][2]
-        does = f"Close up: robot {robot} leaves its place at the edge and fills the gap."
-        rounds = math.ceil(far / mission.max_step - 1e-9)
-        options.append(JudgementOption(choice="close", does=does, rounds=rounds, distance=far, gaps=0))
+        left, gap = move
+        far, after = math.dist(plan.points[left], plan.points[gap]), tuple(sorted({*owned, gap} - {left}))
+        rounds, flown = _search(mission, plan, after, (left,))
+        rounds += math.ceil(far / mission.max_step - 1e-9)
+        does = f"Close up: robot {table[left][2]} leaves its place at the edge and fills the gap."
+        options.append(JudgementOption(choice="close", does=does, rounds=rounds, distance=far + flown, gaps=0))
     smaller = resized(mission, len(owned)) if owned else None
     if smaller is not None and smaller.ideal is not None:
         does = f"Make a new plan of {len(owned)} places for the robots that are left."
@@ -58,6 +56,15 @@ def death_options(now: Situation) -> tuple[JudgementOption, ...]:
         flown = float(np.mean([way.sum() for way in ways]))
         options.append(JudgementOption(choice="replan", does=does, rounds=rounds, distance=flown, gaps=0))
     return tuple(options)
+
+
+def _search(mission: Mission, plan: Plan, owned: Sequence[int], vacant: Sequence[int]) -> tuple[int, float]:
+    """Rounds and flying of the robots beside vacant places that look there once for the missing robot."""
+    ways = [(math.dist(plan.points[a], plan.points[gap]), gap) for gap in vacant for a in owned]
+    nearest = min(ways, default=(0.0, 0))[0]
+    looks = [way for way, _ in ways if way <= max(nearest * (1 + AT_GOAL), NEXT_TO * mission.spacing)]
+    longest = max(looks, default=0.0)
+    return (SEARCH_PATIENCE + 2 + 2 * math.ceil(longest / mission.max_step - 1e-9) if looks else 0), 2.0 * sum(looks)
 
 
 def closing(mission: Mission, plan: Plan, table: BidTable) -> tuple[int, int] | None:
@@ -83,12 +90,13 @@ def _closing(mission: Mission, plan: Plan, owned: tuple[int, ...], vacant: tuple
 
 @lru_cache(maxsize=1024)
 def _holes(mission: Mission, plan: Plan, owned: tuple[int, ...]) -> bool:
-    """Whether robots on these places do not form the whole shape of as many robots."""
+    """Whether robots on these places do not form the whole shape of as many robots, by all distances, wherever it is."""
     smaller = resized(mission, len(owned)) if owned else None
     if smaller is None or smaller.ideal is None:
         return True
-    error = ShapeTarget(np.array(smaller.ideal)).error(plan.array[list(owned)])
-    return error.mean > AT_GOAL * mission.spacing
+    shapes = (np.array(smaller.ideal), plan.array[list(owned)])
+    ideal, here = (np.sort(scipy.spatial.distance.pdist(points)) for points in shapes)
+    return float(np.abs(ideal - here).mean()) > AT_GOAL * mission.spacing
 
 
 @lru_cache(maxsize=64)

@@ -162,7 +162,7 @@ class TeamMembership(Membership):
     def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
         """The next intermediate target. The claim counts visits to vacant slots at which no robot was met."""
         placed = given_jointly(now.claim.table, now.claim.slot) and not self._unplaced
-        target, visited, notes = self._connectivity.route(now, placed=placed)
+        target, visited, notes = self._connectivity.route(now, placed=placed, searches=not self.deliberates)
         return target, with_visits(now.claim, visited), notes
 
     def seek(self, now: Situation) -> Point | None:
