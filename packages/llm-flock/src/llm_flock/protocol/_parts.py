@@ -74,6 +74,7 @@ class Situation:
         self.claim = Claim(slot=None)
         self.position: Point = ()
         self.sensed: Mapping[int, Point] = {}
+        self.weights: Mapping[int, float] = {}  #: Of robots whose ways count for more than others' in exchanges.
         self.earlier: tuple[Point, ...] = ()  #: Where robots may stand that missed the last orders.
 
     @property
