@@ -122,6 +122,8 @@ def _pauses(config: FlightConfig) -> Iterator[Check]:
         return
     own, most_s = own_pauses(), 0.8 * config.fleet.deadman_s  # a heartbeat may have been due just then
     longest_s, found = own.longest_s, f"at most {own.longest_s:.2f} s in {own.measured_for_s:.0f} s"
+    if longest_s < most_s:
+        found += f"; a flight outlives {most_s:.2g} s"
     if longest_s > most_s / 2:
         found = f"WARNING: {found}"
     asked = f"less than {most_s:.2g} s, after which the deadman takes over: end other programs, or raise deadman_s"
