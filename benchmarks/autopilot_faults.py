@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.autopilots import EXAMPLE, STARTS
+from benchmarks.autopilots import STARTS, example
 from benchmarks.flight import yes
 
 from llm_flock_flight._flight.config import FlightConfig
@@ -155,22 +155,13 @@ FAULTS: dict[str, Fault] = {
 }
 
 
-def example(stand_ins: AutopilotStandIns, **fields: Any) -> FlightConfig:
-    """The shipped example, flown by stand-ins."""
-    base = FlightConfig.load(EXAMPLE).model_dump(exclude_unset=True)
-    drones = [
-        {"name": f"v{k}", "uri": uri, "system_id": k + 1, "start": STARTS[k]} for k, uri in enumerate(stand_ins.uris)
-    ]
-    return FlightConfig.build(base, drones=drones, take_off_group=len(stand_ins), **fields)
-
-
 async def fly(name: str) -> dict[str, Any]:
     """One flight with one fault; its row."""
     fault = FAULTS[name]
     homes = [(x, y, 0.0) for x, y in STARTS[:4]]
     with AutopilotStandIns(homes, flavour="ardupilot", lifelike=True) as stand_ins:
         fault.prepare(stand_ins)
-        config, watch = example(stand_ins, **(fault.fields or {})), Watch(stand_ins)
+        config, watch = example(stand_ins.uris, **(fault.fields or {})), Watch(stand_ins)
         looking = asyncio.create_task(watch.look())
         run = _run_command if fault.signals else _run_here
         began_s, ended, ends = await run(config, fault, stand_ins)

@@ -169,7 +169,7 @@ class Autopilot:
             return
         if self.mode == self.flavour.land:
             self._land(now)
-        elif self.mode == self._home_mode and body.lifted:
+        elif self.mode == self._home_mode:
             self._return(now)
         elif self.mode != self.flavour.guided:
             body.target = body.target if body.feed_forward == REST and body.target else body.ned
@@ -187,7 +187,7 @@ class Autopilot:
         if math.hypot(north, east) <= NEAR_M:
             self._land(now)
         elif body.height_m < RETURN_M - NEAR_M:
-            body.target = (north, east, -RETURN_M)
+            body.target = (north, east, max(-RETURN_M, -body.height_m - 0.5))  # at 1.5 m/s: it brakes late
         else:
             body.target = (0.0, 0.0, -RETURN_M)
 
