@@ -213,7 +213,7 @@ def main(arguments: Sequence[str]) -> None:
         plain(self, config, names)
         safety = config.safety
         halves = {"tracking_m": safety.tracking_m / 2, "off_course_s": safety.off_course_s / 2}
-        self._safety = safety.model_copy(update=halves)  # noqa: SLF001
+        self._safety = safety.model_copy(update=halves)
 
     for shape, n, halved in FLIGHTS:
         if given.only not in ("", shape) or (given.halved and not halved):
