@@ -148,7 +148,7 @@ FAULTS: dict[str, Fault] = {
     "wind": Fault(
         title="A wind of 5 m/s", does="the mission is flown", prepare=lambda stand_ins: _all(stand_ins, _blow)
     ),
-    "link": Fault(title="One link loses 20 %, and delays by 300 ms", does="see the end", act=_worsen),
+    "link": Fault(title="One link loses 20 %, and delays by 300 ms each way", does="the mission is flown", act=_worsen),
     "ctrl_c": Fault(title="Ctrl-C once", does="all land", signals=(signal.SIGINT,)),
     "ctrl_c_twice": Fault(title="Ctrl-C twice", does="all motors are cut", signals=(signal.SIGINT, signal.SIGINT)),
     "killed": Fault(title="The flight process is killed", does="the deadman lands all", signals=(signal.SIGKILL,)),
@@ -212,7 +212,7 @@ async def _run_here(config: FlightConfig, fault: Fault, stand_ins: AutopilotStan
     flown.cancel()
     if result.result is None:
         failed = [str(check) for check in result.report.checks if not check.passed]
-        return 0.0, f"preflight: {'; '.join(failed)}", "4 never took off"
+        return 0.0, f"preflight: {'; '.join(failed)}".partition(" at udp")[0], "4 never took off"
     figures = result.result.summary.flight
     assert figures is not None
     ended = figures.ended if figures.reason is None else f"{figures.ended}: {figures.reason}"
@@ -262,22 +262,32 @@ async def _run_command(config: FlightConfig, fault: Fault, stand_ins: AutopilotS
     return began_s, f"{ended}: {reason}", _told(ends)
 
 
+def write(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Write the rows of a table, or replace those of these faults, in the order of `FAULTS`."""
+    table = {row["Name"]: row for row in rows}
+    if path.exists():
+        with path.open(newline="", encoding="utf-8") as file:
+            table = {row["Name"]: row for row in csv.DictReader(file)} | table
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(sorted(table.values(), key=lambda row: list(FAULTS).index(row["Name"])))
+
+
 def faults() -> None:
     """Every fault ends with everybody down or safe."""
     main(())
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Read the options, fly, and print a line of CSV of each fault."""
+    """Read the options, fly, and print a line of JSON of each fault."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks autopilot-faults")
     parser.add_argument("faults", nargs="*", choices=[*FAULTS, []], help="names; none: all")
-    parser.add_argument("--csv", type=Path, help="file to write")
+    parser.add_argument("--csv", type=Path, help="file to write, or whose rows of these faults to replace")
     given = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     for name in given.faults or FAULTS:
         rows.append(asyncio.run(fly(name)))
-        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-    with given.csv.open("w", newline="", encoding="utf-8") if given.csv else contextlib.nullcontext(sys.stdout) as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
+        print(json.dumps(rows[-1]), flush=True)
+    if given.csv:
+        write(given.csv, rows)

@@ -19,7 +19,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -45,6 +45,7 @@ DRONES = {
     "px4": "stand-ins for PX4",
     "crazyflie": "stand-ins for Crazyflies, PID",
 }
+NONE: Position = (math.nan, math.nan, math.nan)  # no set-point
 FRESH_S = 0.2  # a set-point older than this is not followed any more [s]
 LOOK_S = 0.025  # time between two looks at the bodies [s]
 DELAYS = 41  # delays that are tried, of `LOOK_S` each
@@ -60,16 +61,16 @@ def example(uris: Sequence[str], **fields: Any) -> FlightConfig:
 
 def led(vehicle: AutopilotStandIn | StandIn, home: Position) -> tuple[bool, Position, Position]:
     """Whether it is in the air, where it is, and where its set-point is, not a number without one [m]."""
-    none = (math.nan,) * 3
     if isinstance(vehicle, StandIn):
-        return vehicle.flying, vehicle.position, vehicle.firmware.body.set_point(time.monotonic())
+        return vehicle.flying, vehicle.position, vehicle.firmware.body.set_point(time.monotonic())[0]
     place = vehicle.position
     with vehicle.lock:
         mind = vehicle.autopilot
         stream, follows = mind._stream, mind.mode == mind.flavour.guided and mind.body.lifted  # noqa: SLF001
         fresh = stream is not None and follows and time.monotonic() - stream[1] < FRESH_S
-        point = enu(mind.set_points[-1]) if fresh else none
-    return place[2] > 0.05, place, tuple(a + b for a, b in zip(home, point, strict=True))  # pyright: ignore[reportReturnType]
+        point = enu(mind.set_points[-1]) if fresh else NONE
+    x, y, z = (a + b for a, b in zip(home, point, strict=True))
+    return place[2] > 0.05, place, (x, y, z)
 
 
 @dataclass(slots=True)
@@ -89,7 +90,7 @@ class Bodies:
                 if up and other_up:
                     self.nearest_m = min(self.nearest_m, math.dist(here, there))
             self.places.append([place for _, place, _ in looks])
-            self.points.append([point if up else (math.nan,) * 3 for up, _, point in looks])
+            self.points.append([point if up else NONE for up, _, point in looks])
             due = max(due + LOOK_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
 
@@ -166,7 +167,7 @@ def row_of(drones: str, shape: str, n: int, halved: bool, flights: Sequence[dict
         "Monitors": "halved" if halved else "as shipped",
         "Runs": len(flights),
         "Formed and landed": len(good),
-        "Ended early": "; ".join(flight["why"] for flight in flights if not (flight["formed"] and flight["landed"])),
+        "Ended early": " / ".join(flight["why"] for flight in flights if not (flight["formed"] and flight["landed"])),
         "Smallest distance [m]": most("nearest_m", 3, min),
         "Behind [s]": most("delay_s", 2),
         "Behind, as reported [s]": most("lag_s", 2),
@@ -180,7 +181,7 @@ def row_of(drones: str, shape: str, n: int, halved: bool, flights: Sequence[dict
 def write(rows: Sequence[dict[str, Any]]) -> None:
     """Replace rows of the table."""
 
-    def key(row: dict[str, Any]) -> tuple[Any, ...]:
+    def key(row: Mapping[str, Any]) -> tuple[Any, ...]:
         return row["Drones"], row["Flight"], row["Monitors"]
 
     with TABLE.open(newline="", encoding="utf-8") as file:
