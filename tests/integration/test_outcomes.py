@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from benchmarks.outcomes import BRISK, LONG, ROOT, flock, read, verdicts
+from sample_records import make_record
 
 from llm_flock.record import read_record
 from llm_flock_view._viewer.data import answer
@@ -36,15 +37,14 @@ def test_all_readers_agree_on_the_outcome(tmp_path: Path, kind: str) -> None:
     assert told["notebook"].startswith(told["viewer"])
 
 
-@pytest.mark.parametrize(("rounds", "end"), [(100_000, "formed since round 10"), (5, "the record ends early")])
-def test_all_readers_say_that_a_killed_run_broke_off(tmp_path: Path, rounds: int, end: str) -> None:
+@pytest.mark.parametrize(("formed", "end"), [(True, "formed since round 10"), (False, "the record ends early")])
+def test_all_readers_say_that_a_killed_run_broke_off(tmp_path: Path, formed: bool, end: str) -> None:
     record = tmp_path / "run.mcap"
-    if rounds > 5:
-        command = f"run --robots 6 --seed 4 {LONG} {rounds} --quiet --out {tmp_path}"
+    if formed:
+        command = f"run --robots 6 --seed 4 {LONG} 100000 --quiet --out {tmp_path}"
         flock(*command.split(), end=signal.SIGKILL, record=record)
     else:
-        flock(*f"run --robots 6 --seed 4 --rounds {rounds} --quiet --out {tmp_path}".split())
-        record.write_bytes(record.read_bytes()[:-400])
+        make_record(record, n=4, rounds=5, finish=False, agree=False)
     told = read(record, "")
     assert verdicts(told) == {"not formed"} and read_record(record).outcome().ending == "broke off", told
     assert told["viewer"].endswith(end) and told["report"] == "broke off"
