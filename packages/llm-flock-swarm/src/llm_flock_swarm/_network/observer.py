@@ -22,9 +22,8 @@ from llm_flock.arrays import Point, Points
 from llm_flock.errors import FlockError, MessageError
 from llm_flock.events import Origin
 from llm_flock.llm import parse_models
-from llm_flock.message import MissionStamp
+from llm_flock.message import MissionStamp, check_plan_sent
 from llm_flock.mission import Mission
-from llm_flock.plan import Plan
 from llm_flock.record import ASLEEP, DEAD, Guarded, MetricsRow, PlanInfo, RecordSink, RoundEnd, State
 from llm_flock.runtime import TrialProgress, commonest, finite, fits, mission_info
 from llm_flock.validation import input_error
@@ -118,7 +117,8 @@ class Observer:
 
     def _set_mission(self, mission: Mission) -> None:
         self.mission = mission
-        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        turns = mission.turn is None
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal), turns=turns)
         self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:
@@ -196,14 +196,12 @@ class Observer:
     def _check_report(self, robot: int, report: RobotReport) -> None:
         """A MessageError if a report is none of this robot's in this team, or no record has room for it."""
         dim = self.mission.dim
-        for point in (report.waypoint, *(report.points or ())):
-            if point is not None and len(point) != dim:
-                raise MessageError("wrong_length", f"a position of {len(point)} coordinates, not {dim}")
-        places = len(report.points or ())
-        if places > max(self.mission.n_robots, self.mission.n_places):
-            raise MessageError("wrong_length", f"a plan of {places} places")
-        if report.points is not None and not (places and Plan(report.points).digest == report.plan_id):
-            raise MessageError("malformed", "places of another plan than the digest names")
+        if report.waypoint is not None and len(report.waypoint) != dim:
+            raise MessageError("wrong_length", f"a position of {len(report.waypoint)} coordinates, not {dim}")
+        if report.plan is not None:
+            check_plan_sent(report.plan, self.mission.n_robots, dim)
+            if report.plan.digest != report.plan_id:
+                raise MessageError("malformed", "places of another plan than the digest names")
         if any(entry.robot != robot for entry in (*report.happened, *report.calls)):
             raise MessageError("impostor", f"robot {robot} reports an event or a call of another robot")
         try:
@@ -226,10 +224,10 @@ class Observer:
 
     def _take_places(self, robot: int, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""
-        plan_id, points = report.plan_id, report.points
-        if plan_id is None or points is None or not self.said.take_places(robot, plan_id, points):
+        plan_id, plan = report.plan_id, report.plan
+        if plan_id is None or plan is None or not self.said.take_places(robot, plan_id, plan.points):
             return
-        places, proposer = [list(point) for point in points], report.proposer or 0
+        places, proposer = [list(point) for point in plan.points], report.proposer or 0
         self._sink.write(PlanInfo(round=self._current_row, plan_id=plan_id, proposer=proposer, points=places))
 
     def _take_mission(self, report: RobotReport) -> None:
