@@ -18,6 +18,7 @@ from llm_flock.errors import MessageError
 from llm_flock.message import MissionStamp
 from llm_flock.plan import Drawing, Plan
 from llm_flock.record._schema import Entry, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent
+from llm_flock_swarm._network import observer as observers
 from llm_flock_swarm._network import swarm
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.self_reports import MAX_LATENCIES, MAX_PLANS
@@ -120,7 +121,8 @@ def test_a_team_that_will_replan_has_not_formed() -> None:
 
 
 @pytest.mark.parametrize(("gaps", "has"), [("report", True), ("replan", False)])
-def test_a_plan_for_more_robots_than_live_is_no_end(gaps: str, has: bool) -> None:
+def test_a_plan_for_more_robots_than_live_is_no_end(gaps: str, has: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observers, "fits", lambda _, places, robots: places == robots)  # no triangle has two corners
     seen = observer()
     protocol = CONFIG.protocol.model_copy(update={"gaps": gaps})
     seen._config = CONFIG.model_copy(update={"protocol": protocol})
@@ -384,6 +386,9 @@ def test_swarm_that_flies_on_does_not_end_once_formed(stops: bool, monkeypatch: 
 
         def result(self, stopped: str) -> str:
             return stopped
+
+        def tell(self, result: str) -> None:
+            assert result in ("formed", "time")
 
     monkeypatch.setattr(swarm, "launch_swarm", lambda *_, **__: Launched())
     config = swarm_config(3, stop_when_formed=stops)
