@@ -19,7 +19,7 @@ from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.file_lock import is_written
 from llm_flock.printable import one_line, printable, shape_title
-from llm_flock.record._words import begun, caveats, formed_text, rules_text, verdict, work_text
+from llm_flock.record._words import begun, caveats, counted, formed_text, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord
@@ -127,7 +127,7 @@ def _formed_text(summary: Summary) -> str:
         alone = "" if summary.formed_by_models else alone
         # Bounds count from when the last mission was given, as do rounds to the formation.
         several = len(summary.missions) > 1
-        took = f", in {summary.rounds_to_formed} rounds of the last mission" if several else ""
+        took = f", {counted(summary.rounds_to_formed, 'round')} after the last order" if several else ""
         return f"[bold green]yes[/], {formed.removeprefix('formed ')}{took}{bound}{alone}"
     return f"[bold red]no[/]{bound}"
 
