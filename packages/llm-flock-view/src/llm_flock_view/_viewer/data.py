@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, cast
 
 from pydantic_core import to_json
@@ -46,7 +46,9 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
     """The JSON for a path such as /data/1/news; None if there is no such path. Invalid numbers get their defaults."""
     parts = path.strip("/").split("/")
     if parts == ["data", "runs"]:
-        return to_json([run_row(run) for run in list(library.runs.values())])
+        changes, runs = library.changes, list(library.runs.values())
+        same = query.get("seen") == str(changes) and not any(run.open for run in runs)
+        return to_json({"changes": changes, "rows": None if same else [run_row(run) for run in runs]})
     run = library.runs.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
     if run is None:
         return None
@@ -89,7 +91,7 @@ def about(run: Recording) -> dict[str, Any]:
         "robots": history.n_robots,
         "space": len(fields["arena"][0]) > 2,
         **{name: fields[name] for name in ("safe_distance", "comm_range", "spacing")},
-        "arena": [list(corner)[:2] for corner in fields["arena"]],
+        "arena": [list(corner) for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }
 
@@ -124,7 +126,7 @@ def _frame(run: RunHistory, state: State) -> dict[str, Any]:
     return {
         "r": state.round,
         "x": [[round(part, DECIMALS) for part in row] for row in state.positions],
-        "g": [None if row is None else _from_above(row) for row in state.goals],
+        "g": [None if row is None else [round(part, DECIMALS) for part in row] for row in state.goals],
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
         "s": list(state.slots),
         "i": [round(share, 2) for share in state.influence],
@@ -155,10 +157,6 @@ def _printable(value: Any) -> Any:
     if isinstance(value, list):
         return [_printable(one) for one in cast("list[Any]", value)]
     return value
-
-
-def _from_above(row: Sequence[float]) -> list[float]:
-    return [round(row[0], DECIMALS), round(row[1], DECIMALS)]
 
 
 def _round(value: float | None) -> float | None:

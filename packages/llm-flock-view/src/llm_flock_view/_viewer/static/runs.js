@@ -4,7 +4,7 @@ import { listenToKeys, showKeys } from "llm-flock-viewer/keys.js";
 
 const SIGNS = { good: "✓", bad: "✗", open: "…" };
 const SIZE = 56;
-const REFRESH_MS = 1500; // while a run goes on
+const REFRESH_MS = 1500; // runs go on, and new records come
 
 /** Columns: title, how a row is sorted, and what its cell shows. */
 const COLUMNS = [
@@ -47,7 +47,7 @@ export function runs(options, place) {
       return wanted.every((word) => text.includes(word));
     };
     const key = COLUMNS[state.sort][1];
-    const order = (a, b) => (key(a) < key(b) ? -1 : key(a) > key(b) ? 1 : Number(a.key) - Number(b.key)) * (state.down ? -1 : 1);
+    const order = (a, b) => (key(a) < key(b) ? -1 : key(a) > key(b) ? 1 : a.key < b.key ? -1 : 1) * (state.down ? -1 : 1);
     const listed = state.rows.filter(matches).sort(order);
     body.replaceChildren(...listed.map((row) => line(row, state, draw, load)));
     count.textContent = state.rows.length ? `${listed.length} of ${state.rows.length} ${state.rows.length === 1 ? "run" : "runs"}` : "None yet: the cockpit starts them.";
@@ -55,17 +55,19 @@ export function runs(options, place) {
   };
   const load = async () => {
     try {
-      const answer = await fetch("/data/runs", { credentials: "same-origin" });
-      const rows = await answer.json();
-      if (JSON.stringify(rows) !== JSON.stringify(state.rows)) {
+      const answer = await fetch(`/data/runs?seen=${state.changes}`, { credentials: "same-origin" });
+      const { changes, rows } = await answer.json();
+      state.changes = changes;
+      if (rows && JSON.stringify(rows) !== JSON.stringify(state.rows)) {
         state.rows = rows;
         for (const key of state.chosen) if (!rows.some((row) => row.key === key)) state.chosen.delete(key);
         draw();
       }
-      if (rows.some((row) => row.open)) setTimeout(load, REFRESH_MS);
     } catch {
       count.textContent = "The viewer does not answer: is its command still running?";
     }
+    clearTimeout(state.next); // a row that was deleted asks at once
+    state.next = setTimeout(load, REFRESH_MS);
   };
   listenToKeys({ "?": showKeys });
   place.replaceChildren(header("Runs", [["Cockpit", "/cockpit"]], [], showKeys),
