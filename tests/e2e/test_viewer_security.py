@@ -75,7 +75,7 @@ def test_without_the_token_nothing_is_shown(served: str) -> None:
 
 def test_pages_with_the_token_carry_a_policy_but_not_the_key(served: str, cookie: str) -> None:
     for path in ("/", "/run/KEY", "/cockpit", "/runs", "/data/KEY/about", "/data/KEY/news", "/data/KEY/frames?count=9"):
-        path = path.replace("KEY", keys_of(served)[0])  # noqa: PLW2901
+        path = path.replace("KEY", keys_of(served)[0])
         status, headers, body = get(served, path, Cookie=cookie)
         assert status == 200, path
         assert "default-src 'self'" in headers["content-security-policy"]

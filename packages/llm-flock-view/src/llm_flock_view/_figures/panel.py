@@ -63,7 +63,8 @@ ABOVE, SIDE = [0, 1], [0, 2]
 class Panel:
     """Draws moments of one record in a `window` [units]; robots and words fit its `width` [points].
 
-    It shows two coordinates, by default those seen from above. Words have letters of at least `letters` [points]; discs have room for them.
+    It shows two coordinates, by default those seen from above. Words have letters of at least `letters` [points]; discs
+    have room for them.
     """
 
     def __init__(
