@@ -57,6 +57,7 @@ from benchmarks import (
     lies,
     links,
     local,
+    outcomes,
     physics,
     radio,
     ros2,
@@ -197,6 +198,7 @@ LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swa
 if __name__ == "__main__":
     commands = {
         "same": same.main,
+        "outcomes": outcomes.main,
         "flight": flight.main,
         "flight-cases": flight_cases.main,
         "autopilots": autopilots.main,

@@ -6,11 +6,15 @@ The word is the name of a single-colour icon of `fontawesomefree` (`pip install 
 seed. *Simulated* readers answer with a formation program. A right one draws the word's icon; each simplifies, turns,
 stretches and skews it on its own, so no two programs are equal. A wrong one draws another icon: each its own, or all
 the same one (`alike`). Ten robots fly. Right: the team forms, on one plan, whose program a right reader wrote.
+
+All drawings can be flown by this team, for a reader has no other answer to give if its plan is refused. The likeness of
+shapes was tuned on the half of the icons, by a hash of their names, that is left out here.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import os
@@ -29,14 +33,17 @@ from benchmarks import figures
 import llm_flock
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError
-from llm_flock.formation import parse_program, program_points
+from llm_flock.formation import parse_program
 from llm_flock.formation._paths import strokes_of
 from llm_flock.llm._port import Call
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.llm._simulated.prompt_reader import PLAN_MARK, read_plan
+from llm_flock.plan import Drawing, Plan
+from llm_flock.protocol._verification.plans import check_plan
 
 ROBOTS = 10
+MISSION = llm_flock.Mission(shape="text:the word", n_robots=ROBOTS, spacing=6.0, comm_range=30.0)
 SHARES = (20, 40, 60, 80)  # wrong models of ten robots [per cent]
 RULES = ("medoid", "provenance", "influence")
 MOST_CORNERS = 150  # of a drawing, so that its program is short enough
@@ -49,13 +56,15 @@ CASES: dict[str, dict[str, Any]] = {
 
 @lru_cache(maxsize=1)
 def icons() -> dict[str, list[Points]]:
-    """The outlines of all solid icons that ten robots can show, by name; y upwards."""
+    """The outlines of half of the solid icons that ten robots can show, by name; y upwards."""
     spec = find_spec("fontawesomefree")
     if spec is None or spec.origin is None:
         raise SystemExit("icons are missing: pip install fontawesomefree==6.6.0")
     folder = Path(spec.origin).parent / "static" / "fontawesomefree" / "svgs" / "solid"
     found: dict[str, list[Points]] = {}
     for path in sorted(folder.glob("*.svg")):
+        if hashlib.blake2b(path.stem.encode(), digest_size=1).digest()[0] % 2 == 0:
+            continue
         data = path.read_text(encoding="utf-8").partition(' d="')[2].partition('"')[0]
         strokes = [np.array([(z.real, -z.imag) for z in stroke]) for stroke in strokes_of(data) if len(stroke) > 1]
         if strokes and sum(map(len, strokes)) <= 8 * MOST_CORNERS:
@@ -79,10 +88,10 @@ def drawing(name: str, rng: np.random.Generator) -> str | None:
         return None
     try:
         program = parse_program({"draw": [{"points": row} for row in rows]})
-        program_points(program, ROBOTS, 2, 1.0)
+        plan = Plan(drawing=Drawing(program.text, ROBOTS, MISSION.spacing, MISSION.center))
+        return None if check_plan(MISSION, plan) else program.text
     except InputError:
         return None
-    return program.text
 
 
 class Reader:
@@ -138,10 +147,7 @@ def readers(seed: int, wrong: int, *, alike: bool) -> tuple[list[str], list[bool
 def fly(rule: str, wrong: int, alike: bool, options: dict[str, Any], seed: int) -> Flown:
     programs, right = readers(seed, wrong, alike=alike)
     flown = llm_flock.run(
-        shape="text:the word",
-        n_robots=ROBOTS,
-        spacing=6.0,
-        comm_range=30.0,
+        MISSION,
         consensus=rule,
         prompts="program",
         start="separated",

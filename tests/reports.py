@@ -30,7 +30,7 @@ def told(robot: int, **changes: Any) -> RobotReport:
         "mission": (0, MISSION.digest),
         "order": b"",
         "plan_id": PLAN.digest,
-        "points": PLACES,
+        "plan": PLAN,
         "proposer": 0,
         "slot": robot,
         "blocked": (),

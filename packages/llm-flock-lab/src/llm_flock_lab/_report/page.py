@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.printable import csv_cell, printable
-from llm_flock.record import answers_of_others, read_record
+from llm_flock.record import ENDINGS, answers_of_others, read_record
 from llm_flock_lab._experiments.store import write_whole
 from llm_flock_lab._experiments.tex import to_tex
 from llm_flock_lab._report import sheets
@@ -30,7 +30,7 @@ from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.findings import caveats, cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import Failure, gallery
 from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
-from llm_flock_lab._report.results import OUTCOMES, Results
+from llm_flock_lab._report.results import Results
 from llm_flock_lab._report.sheets import Sheet
 from llm_flock_view._figures.figures import save
 from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
@@ -238,7 +238,7 @@ def _warnings(results: Results) -> Iterator[str]:
     yield from caveats(results)
     bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
     if bad:
-        words = "; ".join(f"{n} {name} ({OUTCOMES[name]})" for name, n in bad.items())
+        words = "; ".join(f"{n} {name} ({ENDINGS[name]})" for name, n in bad.items())
         yield f"Trials that came to no proper end: {words}. They are counted as not formed."
     missing = (results.planned or 0) - len(results.trials)
     if missing > 0:

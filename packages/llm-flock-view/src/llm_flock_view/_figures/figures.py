@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import InputError
 from llm_flock.printable import one_line
-from llm_flock.record import PALETTE, RunRecord, formed_in
+from llm_flock.record import PALETTE, RunRecord, formed_text
 from llm_flock_view._figures.charts import DPI, PAGE, fold, new_figure
 from llm_flock_view._figures.key import Entry, columns_of, key_of
 from llm_flock_view._figures.panel import ABOVE, SIDE, Box, Panel, close_up, view
@@ -255,9 +255,8 @@ def png(figure: Figure) -> bytes:
 def outcome(record: RunRecord) -> str:
     """How a run ended, in a few words."""
     last = record.metrics[-1]
-    formed = formed_in(record.result or {})
-    if formed is not None:
-        return f"formed in round {formed}"
+    if formed := formed_text(record.result or {}):
+        return formed
     plans = "1 plan" if last.plans_in_use == 1 else f"{last.plans_in_use} plans"
     goals = "1 goal" if last.distinct_goals == 1 else f"{last.distinct_goals} goals"
     return f"not formed: {plans}, {goals}"

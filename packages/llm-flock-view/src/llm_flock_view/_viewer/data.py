@@ -8,12 +8,12 @@ from typing import Any, cast
 from pydantic_core import to_json
 
 from llm_flock.printable import printable
-from llm_flock.record import ASLEEP, DEAD, RunHistory, State, sentence
+from llm_flock.record import ASLEEP, DEAD, RunHistory, State, sentence, shape_text
 from llm_flock_view._figures.style import plan_look
 from llm_flock_view._viewer.events import in_words
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.mind import mind, prompt
-from llm_flock_view._viewer.outcome import outcome, shape_text
+from llm_flock_view._viewer.outcome import outcome
 from llm_flock_view._viewer.recording import Recording, box
 from llm_flock_view._viewer.run_rows import run_row
 
@@ -38,8 +38,9 @@ FIGURES = (
     "segment_separation",
     "model_calls",
     "cost_usd",
+    "in_order_since",
 )
-"""Measurements for the plots, by their names in the record."""
+"""Measurements for the plots and the words about a round, by their names in the record."""
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:

@@ -43,15 +43,48 @@ def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | 
     return f"{name} ({rules})" if name else rules
 
 
+ENDINGS: Mapping[str, str] = {
+    "formed": "the formation was built",
+    "not formed": "all rounds were flown",
+    "budget": "a budget was used up first",
+    "no plan": "no model proposed an acceptable plan, and none is asked any more",
+    "no answers": "no model answered any more",
+    "interrupted": "the run was stopped from outside",
+    "broke off": "an error ended the run",
+}
+"""How runs end; each has exactly one of these endings."""
+
+
+def ending(result: Mapping[str, Any] | None) -> str:
+    """How a run ended, one of `ENDINGS`. Without a result it broke off, whatever it had come to."""
+    if result is None or result.get("stopped") == "failed":
+        return "broke off"
+    if result.get("formed"):
+        return "formed"
+    stopped = str(result.get("stopped")).replace("_", " ")
+    return stopped if stopped in ENDINGS.keys() - {"formed"} else "not formed"
+
+
 def formed_in(result: Mapping[str, Any]) -> int | None:
     """The round of the run in which its last mission was formed, by its result; None if it was not."""
-    if not result.get("formed"):
+    if ending(result) != "formed":
         return None
     missions = result.get("missions")
     last = cast("list[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
     formed = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
     number = formed if isinstance(formed, int) else result.get("rounds_to_formed")
     return number if isinstance(number, int) else None
+
+
+def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
+    """When a team formed, in round `number` if that is not in its result, or after which time a swarm did.
+
+    Empty if it did not.
+    """
+    time_s, number = result.get("mission_s"), formed_in(result) if number is None else number
+    if isinstance(time_s, int | float):
+        return f"formed after {time_s:.1f} s"
+    return f"formed in round {number}" if number is not None else "formed" if ending(result) == "formed" else ""
 
 
 def verdict(entry: LlmEntry) -> str:
@@ -93,6 +126,10 @@ def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
         found.append(f"{counted(over, 'step')} over the limit ended there")
     if off is not None and off > mission["spacing"] / 10:
         found.append(f"the team is {off:.2f} beside the centre of its mission")
+    given = cast("Sequence[Mapping[str, Any]]", result.get("missions") or [mission])
+    kind, _, drawn = str(given[-1].get("shape")).partition(":")
+    if kind == "text" and result.get("formed"):
+        found.append(f"it formed the agreed program; nobody checked that it is {one_line(drawn, 200)}")
     return found + answers_of_others(result.get("models") or (), result.get("answered_by") or ())
 
 

@@ -1,8 +1,8 @@
 // The table of runs: sort, filter, compare, delete.
+import { SIGNS } from "llm-flock-viewer/banner.js";
 import { button, dialog, h, header, order, picture } from "llm-flock-viewer/dom.js";
 import { listenToKeys, showKeys } from "llm-flock-viewer/keys.js";
 
-const SIGNS = { good: "✓", bad: "✗", open: "…" };
 const SIZE = 56;
 const REFRESH_MS = 1500; // runs go on, and new records come
 
