@@ -127,6 +127,10 @@ def test_the_time_line_is_scrubbed_and_its_marks_are_clicked(replay: str, browse
         expect(page.locator(".flock-where")).to_have_text("round 5 of 12")
         page.get_by_role("tab", name="Events").click()
         expect(page.get_by_text("6 events in round 5")).to_be_visible()
+        page.get_by_label("Find in all rounds").fill("robot 3 took")
+        expect(page.get_by_text("12 events in all rounds")).to_be_visible()
+        page.get_by_role("button", name="Round 9").click()
+        expect(page.locator(".flock-where")).to_have_text("round 9 of 12")
 
 
 def test_a_conversation_is_read_and_two_robots_are_compared(replay: str, browser: Browser) -> None:
@@ -326,7 +330,7 @@ def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: 
         expect(names).to_have_text(["alpha", "beta", "gamma"])
         page.get_by_role("button", name="Run ▲").click()
         expect(names).to_have_text(["gamma", "beta", "alpha"])
-        page.get_by_label("Filter").fill("formed in")
+        page.get_by_label("Search").fill("formed in")
         expect(names).to_have_text(["gamma", "alpha"])
         page.get_by_label("Compare gamma").check()
         page.get_by_label("Compare alpha").check()
@@ -342,7 +346,7 @@ def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: 
         page.get_by_role("dialog").get_by_role("button", name="Delete").click()
         expect(names).to_have_text(["gamma"])
         assert not (tmp_path / "alpha").exists() and (tmp_path / "gamma" / "run.mcap").exists()
-        page.get_by_label("Filter").fill("")
+        page.get_by_label("Search").fill("")
         make_record(tmp_path / "runs" / "delta" / "run.mcap", n=4, rounds=4)
         expect(names).to_have_text(["gamma", "delta", "beta"])
 

@@ -184,7 +184,7 @@ def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> N
                 assert bar == ("sticky" if height > 560 else "static"), "what stays in sight leaves room for the rest"
                 go(page, at(url, "runs"))
                 cells = page.locator("tbody tr").first.get_by_role("cell")
-                expect(cells).to_have_count(10)
+                expect(cells).to_have_count(13)
                 assert page.get_by_role("link", name="one").evaluate("(at) => at.getBoundingClientRect().height") < 40
 
 

@@ -111,6 +111,9 @@ def test_a_page_gets_its_run_by_its_key(tmp_path: Path) -> None:
     assert mind["calls"][0]["verdict"] == "used: next waypoint (1, 2)"
     assert asked("/data/KEY/mind", robot="9", round="1") is None
     assert asked("/data/KEY/events", round="1")["total"] == 4
+    found = asked("/data/KEY/events", find="Robot 2", round="1")
+    assert [(who, number) for who, _, number in found["lines"]] == [("robot 2", k) for k in (1, 2, 3)]
+    assert found["more"] is False and asked("/data/KEY/events", find="robot 2 nonsense")["lines"] == []
     assert isinstance(asked("/data/KEY/frames", first="x", count="-3"), list)
     for nothing in ("/data/1/about", f"/data/{run.key}/secret", "/data/../run.mcap", "/run.mcap"):
         assert answer(library, nothing, {}) is None, nothing

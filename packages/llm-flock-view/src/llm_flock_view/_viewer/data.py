@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from pydantic_core import to_json
@@ -66,6 +67,8 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         case "prompt":
             return to_json(prompt(run.history, number("robot"), number("round"), number("call")))
         case "events":
+            if words := query.get("find", "").lower().split():
+                return to_json(events_with(run.history, words))
             return to_json(event_lines(run.history, number("round"), MAX_TOLD_LENGTH))
         case "about":
             return to_json(about(run))
@@ -140,6 +143,21 @@ def _frame(run: RunHistory, state: State) -> dict[str, Any]:
         ],
         "b": [k for k, kinds in enumerate(state.open_breakers) if "step" in kinds or (kinds and not state.plan_ids[k])],
     }
+
+
+def events_with(run: RunHistory, words: Sequence[str]) -> dict[str, Any]:
+    """The first MAX_EVENTS events of all rounds whose sentences hold all words, in lower case; each with its round."""
+    lines: list[list[Any]] = []
+    for number in sorted(run.events):
+        for event in run.events[number]:
+            line = [f"robot {event.robot}", sentence(in_words(event, run.plan_name), MAX_WORDS), number]
+            text = f"{line[0]} {line[1]}".lower()
+            # A number is meant as a whole: 7 is robot 7, and no coordinate with a 7 in it.
+            if all(word in (re.split(r"[\s,()]+", text) if word.isdigit() else text) for word in words):
+                lines.append(line)
+        if len(lines) > MAX_EVENTS:
+            return {"round": None, "more": True, "lines": lines[:MAX_EVENTS]}
+    return {"round": None, "more": False, "lines": lines}
 
 
 def event_lines(run: RunHistory, number: int, most: int = MAX_WORDS) -> dict[str, Any]:

@@ -17,6 +17,9 @@ const COLUMNS = [
   ["Model", (row) => row.model || "", (row) => [h("div", { class: "flock-model", text: (row.model || "").replaceAll(",", ", ") })]],
   ["Rounds / bound", (row) => row.ratio ?? Infinity, (row) => [!row.ready ? "" : row.ratio === null ? `${row.rounds} flown`
     : `${row.took} / ${row.bound} = ${row.ratio.toFixed(2)}`]],
+  ["Seed", (row) => row.seed ?? -1, (row) => [String(row.seed ?? "")]],
+  ["Loss", (row) => row.loss ?? -1, (row) => [row.loss ? `${Math.round(100 * row.loss)} %` : ""]],
+  ["Deaths", (row) => row.deaths ?? -1, (row) => [row.deaths ? String(row.deaths) : ""]],
   ["Calls", (row) => row.calls ?? -1, (row) => [row.calls === undefined ? "" : String(row.calls)]],
 ];
 
@@ -43,7 +46,7 @@ export function runs(options, place) {
     });
     const wanted = state.words.split(/\s+/).filter(Boolean);
     const matches = (row) => {
-      const text = [row.title, row.outcome, row.protocol, row.model, row.mission, row.date].join(" ").toLowerCase();
+      const text = [row.title, row.outcome, row.protocol, row.model, row.mission, row.date, `seed ${row.seed}`].join(" ").toLowerCase();
       return wanted.every((word) => text.includes(word));
     };
     const key = COLUMNS[state.sort][1];
@@ -72,10 +75,10 @@ export function runs(options, place) {
   listenToKeys({ "?": showKeys });
   place.replaceChildren(header("Runs", [["Cockpit", "/cockpit"]], [], showKeys),
     h("main", { class: "flock-page flock-broad" }, h("section", { class: "flock-card", "aria-label": "All runs" },
-      h("div", { class: "flock-row" }, h("label", { for: "flock-filter", text: "Filter" }), filter, count),
+      h("div", { class: "flock-row" }, h("label", { for: "flock-filter", text: "Search" }), filter, count), compared,
       h("div", { class: "flock-scroll", tabindex: "0", role: "region", "aria-label": "Table of runs" }, h("table", { class: "flock-table flock-runs", role: "table" },
         h("thead", { role: "rowgroup" }, h("tr", { role: "row" }, h("th", { scope: "col", text: "Compare" }), h("th", { scope: "col", text: "Last round" }), ...heads, h("th", { scope: "col", text: "Delete" }))),
-        body)), compared)));
+        body)))));
   load();
 }
 
@@ -91,7 +94,7 @@ function line(row, state, draw, load) {
   const remove = button("Delete", () => ask(row, load), { words: `Delete ${row.title}` });
   remove.disabled = !row.deletable;
   if (!row.deletable) remove.title = row.open ? "The run is not over: end it first." : "There is no record to delete.";
-  const dots = (row.thumbnail || []).map(([x, y, fill]) => ["circle", { cx: 5 + x * (SIZE - 10), cy: 5 + y * (SIZE - 10), r: 2.5, fill }]);
+  const dots = (row.thumbnail || []).map(([x, y, fill]) => ["circle", { cx: 5 + x * (SIZE - 10), cy: 5 + y * (SIZE - 10), r: 2.5, fill, class: "k-dot" }]);
   // Roles and names of cells: on a phone a row is a card, and no table any more.
   const cell = (label, ...content) => h("td", { role: "cell", "data-label": label }, ...content);
   return h("tr", { role: "row", "data-key": row.key }, cell("Compare", box), cell("", picture(SIZE, SIZE, dots)),
