@@ -111,7 +111,7 @@ def snapshots(
                 axes.set_xlabel("x [units]")
                 if column == 0:
                     axes.set_ylabel(f"{'xyz'[seen[1]]} [units]")
-                size = {} if width is None else {"width": 72 * (inches - 0.3), "letters": 0.7 * font}
+                size: dict[str, Any] = {} if width is None else {"width": 72 * (inches - 0.3), "letters": 0.7 * font}
                 panels.append((_frame(record, axes, k, seen, **size), axes, k))
         figure.suptitle(title)
         _legend(figure, key_of((panel, [k]) for panel, _, k in panels), whole)
@@ -207,7 +207,7 @@ def comparison(
         broad = max(columns * (PANEL_INCHES + 0.2), 5.5) if width is None else width
         figure = new_figure(broad, tall + (3.3 if known else 1.2))
         grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1]) if known else figure.add_gridspec(1, columns)
-        size = {} if width is None else {"width": 72 * (inches - 0.3), "letters": 0.7 * font}
+        size: dict[str, Any] = {} if width is None else {"width": 72 * (inches - 0.3), "letters": 0.7 * font}
         panels = [Panel(record, window=window, **size) for record in records]
         teams: list[tuple[Panel, Axes, int]] = []
         for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):

@@ -119,9 +119,8 @@ class Panel:
             if obstacle.get("polygon") is not None:
                 axes.add_patch(Polygon(obstacle["polygon"], closed=True, facecolor=FAINT, **look))
             else:
-                axes.add_patch(
-                    Circle([obstacle["center"][k] for k in self.seen], obstacle["radius"], facecolor=FAINT, **look)
-                )
+                x, y = (obstacle["center"][k] for k in self.seen)
+                axes.add_patch(Circle((x, y), obstacle["radius"], facecolor=FAINT, **look))
 
     def inset(self, axes: Axes, round_number: int, whole: Box) -> None:
         """A small map of the whole view in the corner with the fewest robots; shows this window and every robot."""
