@@ -46,7 +46,7 @@ ROBOTS = 10
 MISSION = llm_flock.Mission(shape="text:the word", n_robots=ROBOTS, spacing=6.0, comm_range=30.0)
 SHARES = (20, 40, 60, 80)  # wrong models of ten robots [per cent]
 RULES = ("medoid", "provenance", "influence")
-BLOCK = 10  # seeds after which the table is shown
+BLOCK = 5  # seeds after which the table is shown
 MOST_CORNERS = 150  # of a drawing, so that its program is short enough
 CASES: dict[str, dict[str, Any]] = {
     "": {},
@@ -183,7 +183,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--first", type=int, default=0, help="number of the first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--write", action="store_true", help="write docs/data/words.csv after every ten seeds")
+    parser.add_argument("--write", action="store_true", help="write docs/data/words.csv as it grows")
     given = parser.parse_args(arguments)
     kinds = [(share, alike, "") for alike in (False, True) for share in SHARES]
     kinds += [(share, False, case) for case in CASES if case for share in (60, 80)]
