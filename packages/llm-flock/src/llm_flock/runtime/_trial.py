@@ -18,11 +18,19 @@ from llm_flock import events
 from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError, unknown
-from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
+from llm_flock.events import AskJudgement, AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
 from llm_flock.mission import Mission
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.record._schema import MetricsRow
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._journal import Journal
@@ -131,6 +139,8 @@ class Trial:
         self._on_round = on_round
         self._steer = steer
         self._moves: dict[int, MoveTo] = {}
+        self._judging: dict[int, JudgementQuestion] = {}
+        self._left: dict[int, float] = {}  # how far robots with weak batteries can fly [units]
         self._check = collision_check(config.protocol.collision_check or "none")
         self.began = time.perf_counter()
 
@@ -140,7 +150,7 @@ class Trial:
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
         after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
-        if self.schedule.kills and self.config.protocol.gaps == "replan":
+        if self.schedule.kills and (self.config.protocol.gaps == "replan" or self.config.protocol.judge == "models"):
             # No robot plans for fewer before the search for the others has ended, and its turn has come.
             from llm_flock.protocol._membership.search import longest_search
             from llm_flock.protocol._membership.team import MAX_WAIT, REPLAN_PATIENCE
@@ -224,7 +234,7 @@ class Trial:
         from llm_flock.protocol._membership.liveness import patience
 
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        rounds_to_look = 10
+        rounds_to_look = 10 if self.config.protocol.judge == "rule" else 20  # and to choose, and to plan again
         return max(kills) + time_out + rounds_to_look
 
     @property
@@ -235,7 +245,7 @@ class Trial:
             return False
         if self.mission.then or self.round < tracker.formed_at + self.mission.hold:
             return False
-        return tracker.in_order and self.round >= self._notice_round
+        return tracker.held and self.round >= self._notice_round
 
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""
@@ -247,7 +257,11 @@ class Trial:
         for robot in joined:
             journal.rejected_before += roster.join(robot).rejected
             journal.note(number, None, robot, Note("joined", {}))
-        if killed or joined or number == schedule.crossed:
+        for robot, left in schedule.weak.get(number, ()):
+            if robot in roster.awake:
+                self._left[robot] = left
+                self._send(robot, events.BatteryWeak(left))
+        if killed or joined or number in schedule.weak or number == schedule.crossed:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
@@ -272,6 +286,9 @@ class Trial:
         questions = self.plan_questions(number)
         asked = {robot: self.planners[robot].plan(question) for robot, question in questions.items()}
         plans = await _all(asked, self._report)
+        judging = {robot: self._judge(robot, question) for robot, question in self._judging.items()}
+        for robot, answer in (await _all(judging, self._report)).items():
+            self._send(robot, events.Judged(answer))
         self.journal.flush_attempts()
         self.take_plans(plans)
         asking = self.step_questions()
@@ -290,6 +307,7 @@ class Trial:
         """Begin a round: carry out its schedule, let robots sense, and return the questions of those without a plan."""
         self._carry_out_schedule(number)
         asking: dict[int, PlanQuestion] = {}
+        self._judging.clear()
         observe_all = self.config.model.observe == "all"
         for robot in self.roster.awake:
             sensing = self.bodies.readings.sense(robot)
@@ -305,8 +323,14 @@ class Trial:
             for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):
                     asking[robot] = effect.question
+                elif isinstance(effect, AskJudgement):
+                    self._judging[robot] = effect.question
             self._follow(self.roster.agents[robot])
         return asking
+
+    async def _judge(self, robot: int, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
+        judge = getattr(self.planners[robot], "judge", None)
+        return NoAnswer(cause="answer", reason="no model is asked") if judge is None else await judge(question)
 
     def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:
         """Give the robots that asked their answers; then all robots exchange messages."""
@@ -367,6 +391,14 @@ class Trial:
         over = lengths > longest * (1 + STEP_TOLERANCE)
         displacements[over] *= longest / lengths[over, None]
         self.journal.steps_over_limit += int(over.sum())
+        for robot in sorted(self._left.keys() & moves.keys()):
+            left, way = self._left[robot], float(np.linalg.norm(displacements[robot]))
+            self._left[robot] = left - way
+            if way > left:  # its body stops there, and the robot is dead from the next round on
+                displacements[robot] *= left / way
+                del self._left[robot]
+                kills, number = self.schedule.kills, self.round + 2
+                self.schedule = replace(self.schedule, kills={**kills, number: (*kills.get(number, ()), robot)})
         return displacements
 
     def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:

@@ -23,16 +23,17 @@ export function cockpit(options, place) {
     seed: field("Seed", number(0, { step: 1 }), "the same seed, the same run"),
     rounds: field("Rounds at most", number(200, { step: 1 })),
     start: field("Starts", choice(options.starts, "separated")),
+    gaps: field("Places of the dead", choice(options.gaps.map(([name]) => [name, name]), "report"), " "),
     loss: field("Messages lost", loss),
     pace: field("Rounds a second", pace),
   };
   shown(fields.loss, (value) => `${Math.round(100 * value)} %`);
   shown(fields.pace, () => `${paceOf(pace)}`);
-  const told = () => {
-    fields.protocol.box.querySelector(".flock-hint").textContent = Object.fromEntries(options.protocols)[fields.protocol.control.value];
-  };
-  fields.protocol.control.addEventListener("change", told);
-  told();
+  for (const [one, about] of [[fields.protocol, options.protocols], [fields.gaps, options.gaps]]) {
+    const told = () => { one.box.querySelector(".flock-hint").textContent = Object.fromEntries(about)[one.control.value]; };
+    one.control.addEventListener("change", told);
+    told();
+  }
   const on = h("input", { type: "checkbox", checked: true });
   const said = h("div", { class: "flock-error", role: "alert" });
   const waits = h("span", { class: "flock-hint", role: "status" });
