@@ -132,12 +132,13 @@ def test_every_field_that_is_flown_is_said() -> None:
     changes: dict[str, Any] = {
         "shape": "line", "center": (40, 50), "spacing": 9, "places": 10, "velocity": (1, 0), "turn": 30, "hold": 4,
         "n_robots": 11, "obstacles": ({"center": (90, 90), "radius": 3},), "prefer": ({"robot": 3, "way": "edge"},),
-        "then": ({"set": {"shape": "line"}},), "points": tuple((10.0 * k, 0.0) for k in range(9)),
+        "then": ({"set": {"shape": "line"}},), "points": tuple((9.0 * k, 0.0) for k in range(9)),
     }  # fmt: skip
     own = {"since", "safe_distance", "max_step", "comm_range", "sense_range", "arena"}
     assert changes.keys() | own == Mission.model_fields.keys()
     for field, value in changes.items():
-        said.add(mission_words(build_mission(**{**base.model_dump(), field: value})))
+        shape = {"shape": "points"} if field == "points" else {}
+        said.add(mission_words(build_mission(**{**base.model_dump(), "places": None, **shape, field: value})))
     for gaps in ("replan", "report"):
         said.add(mission_words(base, gaps))
     assert len(said) == len(changes) + 3
