@@ -92,10 +92,10 @@ async def preflight(
     more: Callable[[Sequence[RobotState], float], list[Check]] = lambda states, now_s: [],
 ) -> PreflightReport:
     """Connect, then repeat the checks until all pass or the time for that is over; `more` returns further checks."""
-    own_pauses().restart()
     connections, seconds = await connect(robots, config.fleet.connect_s, on_connect)
     if not all(check.passed for check in connections):
         return PreflightReport(checks=tuple(connections), connect_s=seconds)
+    own_pauses().restart()  # drivers have loaded their libraries, for which nothing else runs
     began = time.monotonic()
     while True:
         states, now_s = [robot.state() for robot in robots], time.monotonic()
@@ -118,11 +118,13 @@ def _own(robots: Sequence[Robot]) -> Iterator[Check]:
 
 
 def _pauses(config: FlightConfig) -> Iterator[Check]:
-    """How far this computer's own pauses, since the connections began, are from those that end a flight."""
+    """How far this computer's own pauses, since all were connected, are from those that end a flight."""
     if not config.fleet.watched:
         return
     own, most_s = own_pauses(), 0.8 * config.fleet.deadman_s  # a heartbeat may have been due just then
     longest_s, found = own.longest_s, f"at most {own.longest_s:.2f} s in {own.measured_for_s:.0f} s"
+    if longest_s < most_s:
+        found += f"; a flight outlives {most_s:.2g} s"
     if longest_s > most_s / 2:
         found = f"WARNING: {found}"
     asked = f"less than {most_s:.2g} s, after which the deadman takes over: end other programs, or raise deadman_s"

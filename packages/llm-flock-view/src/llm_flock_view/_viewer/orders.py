@@ -70,6 +70,9 @@ class PageOrders:
             # Neither form has a field for the arena: the centre is what moves a formation away from its walls.
             field = "center" if field == "arena" else field
             said = printable(_in_form_words(error, at_field=field is not None))
+            # In flight the number of robots is as it is: another shape is what can be chosen.
+            if field == "n_robots" and isinstance(error, InputError) and order.get("order") == "change":
+                field, said = "shape", f"{said}; this team has {printable(str(error.value))}"
             return {"error": said, "field": field if field is None else printable(field)}
 
     async def _order(self, asked: Mapping[str, Any]) -> dict[str, Any]:

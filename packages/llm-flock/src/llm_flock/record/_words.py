@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 MAX_PLACES = 12
 """Number of places of a plan that are listed."""
 
-PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#7F7F7F")
-"""Colours that can be told apart with any colour vision (Okabe, Ito 2008), with grey in place of their black."""
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8B462E", "#7400E8", "#8B74FF", "#B9A25D")
+"""Ten colours, any two of which can be told apart with any colour vision; the first six are of Okabe and Ito (2008)."""
 
 NO_PLAN = "#FFFFFF"
 
