@@ -25,7 +25,7 @@ class MissionPart(NamedTuple):
     formed: int | None
 
 
-class Outcome(NamedTuple):
+class RunOutcome(NamedTuple):
     """The outcome of a run, or of its flight so far."""
 
     ending: str  #: One of `ENDINGS`; empty while the run flies and is not formed.
@@ -34,7 +34,7 @@ class Outcome(NamedTuple):
     missions: tuple[MissionPart, ...]
 
 
-def outcome_of(run: RunHistory, *, over: bool = True) -> Outcome:
+def outcome_of(run: RunHistory, *, over: bool = True) -> RunOutcome:
     """The outcome of a run that has a round, up to its last round. A run that is not `over` flies on."""
     parts = mission_parts(run)
     part, last = parts[-1], run.last_round
@@ -60,7 +60,7 @@ def outcome_of(run: RunHistory, *, over: bool = True) -> Outcome:
             words = f"{words}; {_until(run, *stood[-1])}" if over else _until(run, *stood[-1])
         now = now if stood else ""
     whole = end == "formed" and not lacks and not broken
-    return Outcome(end, begun("; ".join(filter(None, (f"{name}{words}", now)))), whole, tuple(parts))
+    return RunOutcome(end, begun("; ".join(filter(None, (f"{name}{words}", now)))), whole, tuple(parts))
 
 
 def mission_parts(run: RunHistory) -> list[MissionPart]:
@@ -148,9 +148,9 @@ def _stopped(run: RunHistory) -> str:
     """Why a run ended."""
     if run.result is None:
         return "the record ends early"
-    stopped, flown = str(run.result.get("stopped")), run.last_round
+    stopped, flown, end = str(run.result.get("stopped", "ended early")), run.last_round, ending(run.result)
     if stopped == "rounds" and flown < 2:
         return "the only round was used up" if flown else "no round was flown"
     rounds = f"all {flown} rounds were used up"
     other = {"rounds": rounds, "time": "its time was over", "ended": "no robot was left"}
-    return other.get(stopped, ENDINGS[ending(run.result)])
+    return other.get(stopped, stopped if end == "not formed" else ENDINGS[end])
