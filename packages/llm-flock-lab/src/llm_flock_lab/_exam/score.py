@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -102,9 +102,12 @@ def word_marks(question: Question, text: str) -> WordMarks:
     assert question.wanted is not None
     refused: str | None = None
     try:
-        fields = answer_of(text).model_dump(exclude_none=True)
+        answer = answer_of(text)
     except AnswerError as error:
         return WordMarks(reason=str(error), read=False, safe=True)
+    stages = answer.model_dump(include={"stages"}, exclude_none=True)["stages"]
+    said: dict[str, Any] = stages[0]["parts"][0] if [len(stage["parts"]) for stage in stages] == [1] else {}
+    fields: dict[str, Any] = said | ({} if answer.robots is None else {"n_robots": answer.robots})
     try:
         draft_of(text)
     except (AnswerError, InputError) as error:
