@@ -31,7 +31,9 @@ from llm_flock.metrics import AT_GOAL, ROUNDING, ShapeTarget
 from llm_flock.planner import AIMS
 from llm_flock.runtime import Stream, stream
 
-SHARES = (0, 10, 20, 30, 40, 50, 60, 70)
+SHARES = {"unlike": (0, 20, 40, 50, 60, 70), "alike": (40, 50, 60)}
+"""Shares of models that judge wrongly [%], each on its own or all alike."""
+
 SHAPES = ("circle", "line", "wedge")
 AFTER = 50
 """Rounds that are flown after an event."""
@@ -172,12 +174,12 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any
         return None  # there is nothing to choose
     usual = "leave" if kind == "death" else "continue"
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
-    for alike in (False, True):
-        for share in SHARES:
+    for case, shares in SHARES.items():
+        for share in shares:
             rounds = world.event + (24 if kind == "death" else 10)
-            team = fly(world, models(world, seed, share, alike=alike), rounds=rounds)
+            team = fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
             choice = team.choice or usual
-            found["alike" if alike else "unlike", share] = (
+            found[case, share] = (
                 flown.get(choice),
                 choice in right,
                 team.first in right,
