@@ -31,11 +31,11 @@ from llm_flock.metrics import AT_GOAL, ROUNDING, ShapeTarget
 from llm_flock.planner import AIMS
 from llm_flock.runtime import Stream, stream
 
-SHARES = {"unlike": (0, 20, 40, 50, 60, 70), "alike": (40, 50, 60)}
+SHARES = {"unlike": (0, 20, 40, 50, 60, 70), "alike": (40, 60)}
 """Shares of models that judge wrongly [%], each on its own or all alike."""
 
 SHAPES = ("circle", "line", "wedge")
-AFTER = 50
+AFTER = 40
 """Rounds that are flown after an event."""
 
 MOVED = 0.2
@@ -105,11 +105,11 @@ class Events:
 def world_of(kind: str, seed: int) -> World:
     rng = np.random.default_rng([4, seed])
     shape, aim = str(rng.choice(SHAPES)), str(rng.choice([*AIMS]))
-    n = int(rng.integers(6, 11))
+    n = int(rng.integers(6, 9))
     robot, event = int(rng.integers(n)), int(rng.integers(4, 8)) if kind == "death" else int(rng.integers(4, 7))
     mission = {"shape": shape, "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
     options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER, "stop_when_formed": False}
-    options["decide"] = "on-event"
+    options |= {"decide": "on-event", "time_out": 5}
     if kind == "death":
         options["kill"] = f"{robot}@{event}"
         return World(kind=kind, mission=mission, options=options, event=event, lost=1)
@@ -176,7 +176,7 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
     for case, shares in SHARES.items():
         for share in shares:
-            rounds = world.event + (24 if kind == "death" else 10)
+            rounds = world.event + (16 if kind == "death" else 8)
             team = fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
             choice = team.choice or usual
             found[case, share] = (
