@@ -95,7 +95,7 @@ def projected(points: Points, turn_deg: float) -> Points:
 
 def glow(onto: NDArray[np.float64], dots: Points, colour: NDArray[np.float64], radius: float, power: float) -> None:
     """Add soft discs to a picture, shape (height, width, 3)."""
-    nearness = (dots[:, 2] / dots[:, 2].mean()) ** 5  # what is far away is dim
+    nearness = (dots[:, 2] / dots[:, 2].mean()) ** 3  # what is far away is dim
     for (x, y, scale), near in zip(dots.tolist(), nearness.tolist(), strict=True):
         reach = math.ceil(4 * radius * scale)
         left, top = max(0, int(x) - reach), max(0, int(y) - reach)
