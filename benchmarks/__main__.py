@@ -27,8 +27,8 @@
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
             may go wrong in one; see benchmarks/flight.py and benchmarks/flight_cases.py (only when named)
-`autopilots`  the shipped example for MAVLink on stand-ins that lift late, see benchmarks/autopilots.py (only when
-            named)
+`autopilots`  the shipped example for MAVLink on stand-ins that lift late, and `autopilot-faults`: see
+            benchmarks/autopilots.py and benchmarks/autopilot_faults.py (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it. First comes how long a loop and a
 large table take in plain Python: machines differ, and a shared one differs by a factor of three from day to day.
@@ -49,6 +49,7 @@ from typing import Any
 
 from benchmarks import (
     arrivals,
+    autopilot_faults,
     autopilots,
     containment,
     drawn,
@@ -57,6 +58,7 @@ from benchmarks import (
     lies,
     links,
     local,
+    outcomes,
     physics,
     radio,
     ros2,
@@ -186,7 +188,7 @@ def late() -> None:
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"sweep": sweeps.whole, "twenty": sweeps.twenty}
 LONG |= {"flight": flight.paper_flights, "flight-cases": flight_cases.safety_cases}
-LONG |= {"autopilots": autopilots.flights}
+LONG |= {"autopilots": autopilots.flights, "autopilot-faults": autopilot_faults.faults}
 LONG |= {"containment-http": containment.over_http}
 LONG |= {"starts": starts.measure}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
@@ -197,9 +199,11 @@ LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swa
 if __name__ == "__main__":
     commands = {
         "same": same.main,
+        "outcomes": outcomes.main,
         "flight": flight.main,
         "flight-cases": flight_cases.main,
         "autopilots": autopilots.main,
+        "autopilot-faults": autopilot_faults.main,
         "physics": physics.main,
         "scale": scale.main,
         "arrivals": arrivals.main,

@@ -13,6 +13,7 @@ from llm_flock.errors import AnswerError, InputError
 from llm_flock.llm._mission_words import MissionReader, draft_of
 from llm_flock.runtime._config import RunConfig
 from llm_flock_view._viewer import launcher
+from llm_flock_view._viewer.form import options
 from llm_flock_view._viewer.launcher import Launcher
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.orders import PageOrders
@@ -28,6 +29,13 @@ def test_a_form_is_checked_as_the_command_line_checks_it() -> None:
         config_of({"model": "simulated:nonsense"})
     with pytest.raises(InputError, match="n_robots"):
         config_of({"n_robots": 2000, "start": "separated"})
+
+
+def test_what_becomes_of_gaps_is_a_choice_of_the_form(tmp_path: Path) -> None:
+    offered = [name for name, _ in options(Launcher(Library(), tmp_path))["gaps"]]
+    assert [config_of({"gaps": name}).protocol.gaps for name in offered] == ["report", "replan"]
+    with pytest.raises(InputError, match="expected one of report, replan"):
+        config_of({"gaps": "fill"})
 
 
 @pytest.mark.parametrize(

@@ -301,6 +301,7 @@ class AgentLoop:
             plan=told,
             proposer=None if origin is None else origin.proposer,
             slot=agent.claim.slot,
+            replans=agent.replans,
             blocked=tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
             waypoint=None if move is None else move.waypoint,
             origin="start" if move is None else move.origin.value,

@@ -25,7 +25,7 @@ from llm_flock.llm import parse_models
 from llm_flock.message import MissionStamp, check_plan_sent
 from llm_flock.mission import Mission
 from llm_flock.record import ASLEEP, DEAD, Guarded, MetricsRow, PlanInfo, RecordSink, RoundEnd, State
-from llm_flock.runtime import TrialProgress, commonest, finite, mission_info
+from llm_flock.runtime import TrialProgress, commonest, finite, fits, mission_info
 from llm_flock.validation import input_error
 from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
@@ -44,20 +44,29 @@ class _FormedClock:
     def __init__(self, spacing: float, held_s: float) -> None:
         self.formed_s: float | None = None
         self.tracker = metrics.FormedTracker(spacing=spacing)
+        self.since_row: int | None = None  # first row of the record in which it was in order, while it is
         self._held_s = held_s
-        self._since_s: float | None = None
+        self._since_s = math.inf
         self._checks = 0
 
     def update(self, now: float, **team: Any) -> None:
         """Add the state of the team at a time, as `FormedTracker.update` takes it."""
         self._checks += 1
+        before = self.tracker.since
         self.tracker.update(self._checks, **team)
-        if not self.tracker.in_order:
-            self._since_s = None
-            return
-        self._since_s = now if self._since_s is None else self._since_s
-        if self.formed_s is None and now - self._since_s >= self._held_s:
+        if self.tracker.since != before:
+            self._since_s, self.since_row = now, None
+        if self.tracker.left:
+            self.formed_s = None
+        if self.formed_s is None and self.tracker.in_order and now - self._since_s >= self._held_s:
             self.formed_s = self._since_s
+
+    def first_row(self, row: int) -> int | None:
+        """The first row in order up to this one, which is written now."""
+        if not self.tracker.in_order:
+            return None
+        self.since_row = row if self.since_row is None else self.since_row
+        return self.since_row
 
 
 class Observer:
@@ -108,7 +117,8 @@ class Observer:
 
     def _set_mission(self, mission: Mission) -> None:
         self.mission = mission
-        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        turns = mission.turn is None
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal), turns=turns)
         self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:
@@ -341,10 +351,11 @@ class Observer:
         places = self.said.places.get((reports[0].plan_id if reports else None) or "", ())
         witnesses = Counter(slot for report in reports for slot in set(report.blocked))
         blocked = [slot for slot, count in witnesses.items() if count >= min(self._witnesses, len(reports))]
-        stamp = (self._counter, self.mission.digest)
+        stamp, replans = (self._counter, self.mission.digest), self._config.protocol.gaps == "replan"
+        fit = not replans or fits(self.mission, len(places), len(robots))
         self._formed.update(
             now,
-            plan_ids=[report.plan_id if tuple(report.mission) == stamp else None for report in reports],
+            plan_ids=[r.plan_id if fit and tuple(r.mission) == stamp and not r.replans else None for r in reports],
             slots=[report.slot for report in reports],
             goal_distances=distances,
             residual=error,
@@ -369,6 +380,7 @@ class Observer:
             plans_in_use=metrics.plans_in_use(plan_ids),
             distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
             robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+            in_order_since=self._formed.first_row(self._row),
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
             model_calls=self.said.calls,
             tokens=self.said.tokens,

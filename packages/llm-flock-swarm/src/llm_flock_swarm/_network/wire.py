@@ -98,6 +98,7 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     proposer: Id | None  # robot that proposed it
     slot: Id | None  # index of its place in the plan
     blocked: Slots  # slots that it knows to be out of every robot's reach
+    replans: bool = False  # whether it will leave the plan, which does not fit the robots that it knows to be alive
     waypoint: Place | None  # where it is flying to
     origin: Word  # what chose that waypoint
     neighbors: Id  # |N_i|

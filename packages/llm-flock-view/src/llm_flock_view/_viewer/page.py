@@ -37,7 +37,7 @@ PLAYER = (
         "timeline",
         "plots",
     ),
-    *("banner", "legend", "mind", "steer", "transport", "player"),
+    *("banner", "legend", "mind", "steer", "transport", "moment", "player"),
 )
 """Scripts that a replay needs, each after those that it imports."""
 

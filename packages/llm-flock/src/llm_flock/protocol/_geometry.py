@@ -33,7 +33,7 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
     placements = mission.placements(angle_rad)
     if mission.velocity is not None:
-        placements = [mission.plan(angle_rad)]
+        placements = [mission.plan(angle_rad if mission.turn is None else 0.0)]
     for plan in placements:
         objection = check_proposal(mission, plan, question.still, question.position)
         if objection is None:

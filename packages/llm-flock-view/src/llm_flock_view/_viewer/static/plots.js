@@ -162,7 +162,7 @@ export class Plots {
     const unknown = last < values.length - 1;
     if (value === undefined || (!unknown && (run.open || run.last >= this.clock.last))) return;
     if (unknown && this.note) this.note.hidden = false;
-    const formed = run.outcome && run.outcome.tone === "good";
+    const formed = run.outcome && run.outcome.formed;
     pen.setLineDash([]);
     pen.font = `700 13px ${FONT}`;
     pen.textAlign = "center";

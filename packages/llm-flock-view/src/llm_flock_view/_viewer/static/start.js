@@ -17,6 +17,15 @@ function answers(run) {
     if (what === "about") return run.about;
     if (what === "news") return run.news;
     const asked = new URLSearchParams(query);
+    const words = (asked.get("find") || "").toLowerCase().split(/\s+/).filter(Boolean);
+    if (what === "events" && words.length) {
+      const lines = run.events.flatMap(({ round, lines: all }) => all.map((line) => [...line, round]))
+        .filter(([who, said]) => words.every((word) => { // a number is meant as a whole
+          const text = `${who} ${said}`.toLowerCase();
+          return (/^\d+$/.test(word) ? text.split(/[\s,()]+/) : text).includes(word);
+        }));
+      return { round: null, more: lines.length > 100, lines: lines.slice(0, 100) };
+    }
     if (what === "events") return run.events[Number(asked.get("round"))] || null;
     const first = Number(asked.get("first"));
     return run.frames.slice(first, first + Number(asked.get("count")));

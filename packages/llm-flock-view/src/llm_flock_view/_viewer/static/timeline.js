@@ -120,7 +120,7 @@ export class Timeline {
     if (pair) {
       // Whose half of the row this is, by the stroke of its side: colours alone do not tell it.
       pen.setLineDash(side(r).stroke.length ? [3, 2] : []);
-      this.surface.line([LEFT - 16, at], [LEFT - 3, at]);
+      this.surface.line([LEFT - 12, at], [LEFT - 3, at]);
       pen.setLineDash([]);
     }
     let before = -Infinity;

@@ -31,12 +31,13 @@ PROFILES: Mapping[str, str] = {
     "mirrored": "programs: mirrored, left and right in exchange",
     "open": "programs: a filled outline that is not closed",
     "crowded": "programs: a size without room for the robots",
+    "misjudge": "judgements: another option than the right one, by chance",
 }
 """Every profile, and its failure or habit."""
 
 PROGRAM_FAULTS = frozenset({"misread", "stranger", "mirrored", "open", "crowded"})
 
-NOT_IN_STEPS = frozenset({"careful", "canonical", "first", "any", "alike"}) | PROGRAM_FAULTS
+NOT_IN_STEPS = frozenset({"careful", "canonical", "first", "any", "alike", "misjudge"}) | PROGRAM_FAULTS
 """Profiles that do not change how a step is made, or only where others are near."""
 
 FAILURES = tuple(name for name in PROFILES if name != "ideal")
