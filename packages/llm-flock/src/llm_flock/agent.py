@@ -25,6 +25,7 @@ from llm_flock.protocol._breaker import CircuitBreaker, Fallback, QuestionKind
 from llm_flock.protocol._motion.pilot import Observation, Pilot
 from llm_flock.protocol._parts import Parts
 from llm_flock.protocol._proposals import Proposals
+from llm_flock.protocol._stages import Stages
 
 
 class IllegalEvent(AssertionError):
@@ -63,6 +64,7 @@ class Agent:
         self._messaging = Messaging(robot, self._agreement, parts)
         self._pilot = Pilot(robot, mission, parts, noise_bound=noise_bound, on_event=on_event, fallback=fallback)
         self._proposals = Proposals(robot, self._agreement, parts, fallback)
+        self._stages = Stages(self._agreement, parts.membership, noise_bound)
         self._breakers: dict[QuestionKind, CircuitBreaker] = {
             "plan": self._proposals.breaker,
             "step": self._pilot.breaker,
@@ -192,8 +194,12 @@ class Agent:
         self._sense(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
+        effects = list[Effect]()
+        if (stage := self._stages.next(event.round)) is not None:
+            effects = self._give_mission(events.MissionGiven(mission=stage, ordered_at=self.ordered_at + 1))
+            self._sense(event.round, event)
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
-        effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
+        effects += [] if listening else [*self._proposals.ask(event)]
         return (Phase.PLANNING if effects and isinstance(effects[-1], events.AskPlan) else Phase.AGREEING), effects
 
     @property

@@ -22,7 +22,7 @@ from msgspec.structs import astuple, force_setattr, replace
 from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes
 from llm_flock.errors import InputError, MessageError
-from llm_flock.mission import MISSION_FIELDS, Mission
+from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
 from llm_flock.plan import Coordinate, Plan
 
 LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
@@ -388,7 +388,7 @@ def received_mission(message: Message, own: Mission) -> Mission:
     if not fields.keys() <= MISSION_FIELDS:
         raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
     try:
-        mission = own.change(**fields)
+        mission = own.change(**{**WISHES, **fields})
     except InputError as error:
         raise MessageError("other_mission", str(error)) from None
     if mission.digest != message.mission.digest:

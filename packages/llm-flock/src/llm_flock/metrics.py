@@ -299,12 +299,14 @@ class ShapeTarget:
 
     Args:
         target: ideal points, shape (n, d) [units], d = 2 or 3, in any position and orientation.
+        turns: whether teams may have any orientation, or only that of the target.
 
     Raises:
         InputError: the points do not have this shape, or are not finite.
     """
 
-    def __init__(self, target: ArrayLike) -> None:
+    def __init__(self, target: ArrayLike, *, turns: bool = True) -> None:
+        self._turns = turns
         rows = _rows("target", target)
         self._target = rows - rows.mean(axis=0)
         self._symmetry = formations.rotational_symmetry(rows, tolerance=1e-12)
@@ -325,7 +327,10 @@ class ShapeTarget:
         if rows.shape != shape:
             raise InputError("positions", rows.shape, f"an array of shape {shape}, the shape of the target")
         rows = rows - rows.mean(axis=0)
-        if rows.shape[1] == 2:
+        if not self._turns:
+            apart = scipy.spatial.distance.cdist(rows, self._target)
+            columns, rotation = scipy.optimize.linear_sum_assignment(apart**2)[1], np.eye(rows.shape[1])
+        elif rows.shape[1] == 2:
             columns, rotation = self._best_in_plane(rows)
         else:
             from llm_flock.correspondence import best_in_space

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -33,10 +33,49 @@ paper's spacing of 10, the largest error of whole-number coordinates. The shape 
 
 SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less than that, if no orientation fits.
 
-MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
+WISHES: Mapping[str, Any] = {"turn": None, "hold": 0, "prefer": (), "then": ()}
+"""Fields that are left out of JSON, and of a digest, where they have these values."""
+
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since", *WISHES})
 """Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
 
+MAX_STAGES = 20  #: Most stages of a mission: each is checked with all that follow.
+
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
+
+
+class Preference(BaseModel):
+    """Which robots should take which places: one of the three forms of `Mission.prefer`.
+
+    `robot` and `group`: it belongs to that group of the program. `side` and `group`: the group gets the robots farthest
+    to that side. `robot` and `way`: it gets a short way, or a place near the centre or far from it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    robot: int | None = Field(default=None, ge=0, lt=MAX_ROBOTS)
+    side: Literal["west", "east", "north", "south"] | None = None
+    group: int | None = Field(default=None, ge=0)
+    way: Literal["shortest", "center", "edge"] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = {name for name, value in self if value is not None}
+        if given not in ({"robot", "group"}, {"side", "group"}, {"robot", "way"}):
+            raise InputError("prefer", sorted(given), "robot and group, side and group, or robot and way")
+        return self
+
+
+class Stage(BaseModel):
+    """A later stage of a mission: the fields that it changes, and when the team goes on to it.
+
+    `formed`: when a robot sees that the team has formed. `order`: on an operator's order. A number: in this round.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    set: dict[str, Any]
+    when: Literal["formed", "order"] | Annotated[int, Field(ge=1)] = "formed"
 
 
 class Mission(BaseModel):
@@ -82,6 +121,32 @@ class Mission(BaseModel):
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots must avoid"
     )
+    turn: float | None = Field(
+        default=None,
+        ge=-360,
+        le=360,
+        exclude_if=lambda turn: turn is None,
+        description="Orientation of the formation, anticlockwise from that of the shape [degrees]; any if unset",
+    )
+    hold: int = Field(
+        default=0,
+        ge=0,
+        le=100_000,
+        exclude_if=lambda hold: hold == 0,
+        description="Rounds for which the team stays formed, before the next stage or the end",
+    )
+    prefer: tuple[Preference, ...] = Field(
+        default=(),
+        max_length=100,
+        exclude_if=lambda prefer: not prefer,
+        description="Who takes which place: {robot, group}, {side, group} or {robot, way: shortest, center or edge}",
+    )
+    then: tuple[Stage, ...] = Field(
+        default=(),
+        max_length=MAX_STAGES,
+        exclude_if=lambda then: not then,
+        description="Stages that follow: {set: {field: value, ...}, when: formed, order or a round}",
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -125,6 +190,7 @@ class Mission(BaseModel):
         self._check_room()
         self.check_shape()
         self._check_obstacles()
+        self._check_wishes()
         return self
 
     def _check_velocity(self) -> None:
@@ -137,6 +203,35 @@ class Mission(BaseModel):
         if speed > most + 1e-9:
             why = f"so that robots can catch up with their places (here {speed:.4g})"
             raise InputError("velocity", list(self.velocity), f"at most max_step / 2 = {most:g} per round, {why}")
+
+    def _check_wishes(self) -> None:
+        """Check orientation and preferences, and build all later stages."""
+        if self.turn is not None and self.ideal is None:
+            raise InputError("turn", self.turn, says="has no effect on a shape in words: say in the words where it points")
+        groups = 1
+        if self.prefer and formations.is_drawn(self.shape):
+            from llm_flock.formation import program_of
+
+            groups = len(getattr(program_of(self.shape), "groups", None) or (self.shape,))
+        for wish in self.prefer:
+            if (wish.robot or 0) >= self.n_robots or (wish.group or 0) >= groups:
+                allowed = f"robots from 0 to {self.n_robots - 1}, and groups from 0 to {groups - 1}"
+                raise InputError("prefer", wish.model_dump(exclude_none=True), allowed)
+        if self.then:
+            self.following()
+
+    def following(self, round_: int = 0) -> Mission:
+        """The next stage, if the team goes on to it at the start of a round.
+
+        Raises:
+            InputError: it is no valid mission, or names a field that does not travel by radio.
+        """
+        stage, *rest = self.then
+        given = {"hold": 0} | stage.set
+        if unknown := sorted(given.keys() - MISSION_FIELDS | given.keys() & {"since", "then"}):
+            raise InputError("then", unknown, f"only {', '.join(sorted(MISSION_FIELDS - {'since', 'then'}))}")
+        travels = given.get("velocity", self.velocity) is not None  # else all robots that go on give the same order
+        return self.at(round_).change(**given, since=round_ if travels else 0, then=tuple(rest))
 
     def _check_room(self) -> None:
         """Check that messages have room for the mission, and the arena for random starts `safe_distance` apart."""
@@ -179,8 +274,13 @@ class Mission(BaseModel):
         if formations.is_drawn(self.shape) and (gap := formations.widest_gap(self.ideal)) > self.comm_range + 1e-9:
             says = f"at least {gap:.4g}, so that all robots of '{shape_title(self.shape)}' hear each other"
             raise InputError("comm_range", self.comm_range, f"{says}; more robots or less spacing would do, too")
-        reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
+        if self.turn is not None:
+            if out := [p for p in self.ideal if any(not a - 1e-9 <= x <= b + 1e-9 for a, x, b in zip(low, p, high, strict=True))]:
+                place = [round(x, 2) for x in out[0]]
+                raise InputError("arena", [list(low), list(high)], f"a larger one: a place would be at {place}")
+            return
+        reach = formations.circumradius(self.ideal, self.center)
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
             size = f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g}"
@@ -218,8 +318,9 @@ class Mission(BaseModel):
             return
         points, reach = np.array(self.ideal), 0.9 * CENTER_TOLERANCE * self.spacing
         around = [2 * math.pi * k / SHIFTS for k in range(SHIFTS)] if self.obstacles else []
+        turns, angle_rad = (ORIENTATIONS, angle_rad) if self.turn is None else (1, 0.0)
         for shift in ((0.0, 0.0), *((reach * math.cos(a), reach * math.sin(a)) for a in around)):
-            for k in range(ORIENTATIONS):
+            for k in range(turns):
                 turned = points.copy()
                 angle = angle_rad + 2 * math.pi * k / ORIENTATIONS
                 turned[:, :2] = formations.rotated(points[:, :2], self.center[:2], angle) + np.array(shift)
@@ -298,6 +399,8 @@ class Mission(BaseModel):
                 raise
             # Name the field that sets this number.
             raise InputError("places", error.value, says=error.says.replace("robots", "places")) from None
+        if points is not None and self.turn:
+            points[:, :2] = formations.rotated(points[:, :2], self.center[:2], math.radians(self.turn))
         return None if points is None else tuple(tuple(row) for row in points.tolist())
 
     @cached_property
@@ -312,9 +415,12 @@ class Mission(BaseModel):
             return math.inf
         reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
         low, high = self.arena
+        least, most = [c - reach for c in self.center], [c + reach for c in self.center]
+        if self.turn is not None and self.ideal is not None:
+            least, most = map(min, zip(*self.ideal, strict=True)), map(max, zip(*self.ideal, strict=True))
         room = [
-            (b - reach - c) / v if v > 0 else (c - reach - a) / -v
-            for a, c, b, v in zip(low, self.center, high, self.velocity, strict=True)
+            (b - y) / v if v > 0 else (x - a) / -v
+            for a, b, x, y, v in zip(low, high, least, most, self.velocity, strict=True)
             if v != 0
         ]
         return max(0.0, min(room, default=math.inf))
@@ -350,15 +456,19 @@ class Mission(BaseModel):
     def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
 
+        Stages that were to follow are dropped; a new shape also drops orientation, preferences and `hold`.
+
         Raises:
             InputError: a field is invalid; names the first such field, its value, and what is allowed.
         """
-        changed = {**self.model_dump(), **fields}
+        changed = {**self.model_dump(), "then": (), **fields}
         if fields.get("points") is not None:
             changed["shape"] = fields.get("shape", "points")
             changed["places"] = fields.get("places")
         elif "shape" in fields and fields["shape"] != self.shape:
             changed["points"] = None
+        if {"shape", "points"} & fields.keys() and (changed["shape"], changed["points"]) != (self.shape, self.points):
+            changed |= {name: fields.get(name, default) for name, default in WISHES.items()}
         return build_mission(**changed)
 
     def check_sensing(self) -> None:

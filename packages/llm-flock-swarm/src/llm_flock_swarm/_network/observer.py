@@ -109,7 +109,8 @@ class Observer:
 
     def _set_mission(self, mission: Mission) -> None:
         self.mission = mission
-        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal))
+        turns = mission.turn is None
+        self._target = None if mission.ideal is None else metrics.ShapeTarget(np.array(mission.ideal), turns=turns)
         self._restart()
 
     def comes_or_goes(self, robot: int, alive: bool) -> None:

@@ -18,6 +18,7 @@ from ._limits import CallLane as CallLane
 from ._limits import CallLimits as CallLimits
 from ._limits import Limited as Limited
 from ._limits import Spent as Spent
+from ._mission_draft import MissionDraft as MissionDraft
 from ._mission_words import MissionReader as MissionReader
 from ._mission_words import answer_of as answer_of
 from ._mission_words import draft_of as draft_of

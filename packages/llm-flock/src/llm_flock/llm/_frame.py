@@ -56,8 +56,9 @@ class PromptFrame:
             fields["velocity"] = tuple(v / self.unit for v in mission.velocity)
         if mission.points is not None:
             fields["points"] = tuple(tuple(x / self.unit for x in row) for row in mission.points)
-        elif is_drawn(mission.shape):  # a program may have lengths in units
-            fields["shape"], fields["points"] = "points", tuple(map(self.exact, mission.ideal or ()))
+        if (is_drawn(mission.shape) or mission.turn) and mission.ideal:  # a program may have lengths in units
+            fields["shape"], fields["points"] = "points", tuple(map(self.exact, mission.ideal))
+            fields["turn"] = None if mission.turn is None else 0.0
         return Mission.model_construct(**fields)
 
     def _obstacle(self, obstacle: Obstacle) -> Obstacle:

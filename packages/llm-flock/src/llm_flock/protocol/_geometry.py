@@ -34,7 +34,7 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
     placements = mission.placements(angle_rad)
     if mission.velocity is not None:
-        placements = [turned(np.array(mission.ideal), mission.center, angle_rad)]
+        placements = [turned(np.array(mission.ideal), mission.center, 0.0 if mission.turn is not None else angle_rad)]
     for points in placements:
         plan = Plan.of(points.tolist())
         objection = check_proposal(mission, plan, question.still, question.position)

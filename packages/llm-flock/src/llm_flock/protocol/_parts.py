@@ -101,6 +101,16 @@ class Membership:
         return False
 
     @property
+    def missing(self) -> int:
+        """Number of robots that were heard of and are silent."""
+        return 0
+
+    @property
+    def fits(self) -> bool:
+        """Whether the plan need not be replaced by one for a team of another size."""
+        return True
+
+    @property
     def known(self) -> object:
         """The collected positions; a new object after each change."""
         return None

@@ -93,6 +93,10 @@ def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
         found.append(f"{counted(over, 'step')} over the limit ended there")
     if off is not None and off > mission["spacing"] / 10:
         found.append(f"the team is {off:.2f} beside the centre of its mission")
+    given = cast("Sequence[Mapping[str, Any]]", result.get("missions") or [mission])
+    kind, _, drawn = str(given[-1].get("shape")).partition(":")
+    if kind == "text" and result.get("formed"):
+        found.append(f"it formed the agreed program; nobody checked that it is {one_line(drawn, 200)}")
     return found + answers_of_others(result.get("models") or (), result.get("answered_by") or ())
 
 

@@ -224,6 +224,12 @@ class RunConfig(ConfigSection):
                     allowed = f"a speed of at most {reach / rounds:.4g}: robots must see an obstacle before it is there"
                     raise InputError("moving_obstacles", one.model_dump(), allowed)
         given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
+        staged = [mission for mission in (self.mission, *given) if mission.then or mission.prefer]
+        if staged and self.protocol.assignment != "auction":
+            allowed = "auction, by which robots tell each other who stands where, for a mission with then or prefer"
+            raise InputError("assignment", self.protocol.assignment, allowed)
+        if self.trial.changes and any(mission.then for mission in staged):
+            raise InputError("changes", len(self.trial.changes), "none beside `then`, whose stages may begin in a round")
         if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
             says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
             raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
@@ -232,6 +238,17 @@ class RunConfig(ConfigSection):
     def schedule(self) -> Schedule:
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
+
+    def flying(self, mission: Mission, gaps: Literal["report", "replan"] | None = None) -> Self:
+        """The same with another mission, checked as a whole; `gaps` replaces the protocol's, if given."""
+        protocol = self.protocol.model_copy(update={} if gaps is None else {"gaps": gaps})
+        return checked(type(self), dict(self) | {"mission": mission, "protocol": protocol})
+
+    def check_orders(self) -> None:
+        """Refuse a stage that waits for an order. Call where nobody can give one."""
+        if any(stage.when == "order" for stage in self.mission.then) and self.trial.rounds is None:
+            says = "a stage waits for an order, which nobody can give to this run: start it in llm-flock view"
+            raise InputError("then", None, says=f"{says}, or limit its --rounds")
 
     @property
     def sight(self) -> Sight:
@@ -256,7 +273,16 @@ class RunConfig(ConfigSection):
         if self.trial.rounds is not None:
             return self.trial.rounds
         across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
-        return self.schedule().last + deadline(across * (1 + self.sight.rests))
+        rounds, stage = self.schedule().last, self.mission
+        while stage.then:
+            when = stage.then[0].when
+            rounds = max(rounds, when) if isinstance(when, int) else rounds
+            rounds, stage = rounds + self._most_of(stage, across), stage.following()
+        return rounds + self._most_of(stage, across)
+
+    def _most_of(self, stage: Mission, across: int) -> int:
+        """Most rounds of a stage whose robots have `across` rounds to fly."""
+        return deadline(across * (1 + self.sight.rests)) + stage.hold + (stage.n_robots if stage.then else 0)
 
     @classmethod
     def section_of(cls, field: str) -> str:

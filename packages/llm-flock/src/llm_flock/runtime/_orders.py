@@ -6,6 +6,7 @@ import threading
 from typing import Any
 
 from llm_flock.errors import InputError
+from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import Change, build_schedule
 from llm_flock.runtime._trial import Trial
@@ -24,6 +25,7 @@ class RunOrders:
         self._ordered_rounds: set[int] = set()
         self._awake = [k for k in range(config.mission.n_robots) if k not in schedule.asleep]
         self._lock = threading.Lock()
+        self._now: Mission | None = None  # the stage in force, where the team has gone on by itself
         self.round = 0
 
     def kill(self, robot: int) -> None:
@@ -31,10 +33,20 @@ class RunOrders:
         with self._lock:
             self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
 
+    def proceed(self) -> int:
+        """Order the next stage of the mission in force, as `change` does."""
+        now = self._now or self._config.mission
+        if not now.then:
+            raise InputError("then", [], says="no stage of the mission is left")
+        return self.change({**now.then[0].set, "then": now.then[1:]})
+
     def change(self, fields: dict[str, Any]) -> int:
         """Change fields of the mission of one robot, and return that robot. It tells the others."""
         with self._lock:
             when = self.round + 1
+            if self._now is not None:  # the schedule does not know this stage
+                changed = self._now.at(when).change(**fields, since=when)
+                fields = {**WISHES, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
             dead = self._schedule.kills.get(when, ())
             taker = next(robot for robot in self._awake if robot not in dead)
             # A second order for the next round replaces the first; the configuration's own changes stay.
@@ -52,6 +64,7 @@ class RunOrders:
         with self._lock:
             self.round = trial.round + 1
             self._awake = list(trial.roster.awake)
+            self._now = trial.mission if trial.staged else None
             trial.schedule = self._schedule
 
     def _reschedule(self, kills: list[str], changes: list[Change]) -> None:

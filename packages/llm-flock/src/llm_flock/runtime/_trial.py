@@ -21,6 +21,7 @@ from llm_flock.errors import InputError, unknown
 from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
+from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.record._schema import MetricsRow
 from llm_flock.runtime._config import RunConfig
@@ -28,7 +29,7 @@ from llm_flock.runtime._journal import Journal
 from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._roster import Roster, make_agent, parts_of
 from llm_flock.runtime._rules import Rules
-from llm_flock.runtime._schedule import Stream, stream
+from llm_flock.runtime._schedule import MAX_ROUNDS, Stream, stream
 from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
@@ -99,7 +100,8 @@ def _new_agent(config: RunConfig, rules: Rules, robot: int) -> Agent:
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    `steer` is awaited before each round, and may change the schedule, the links and the planners.
+    `steer` is awaited before each round, and may change the schedule, the links and the planners. `staged` says whether
+    the mission in force began by the team's own decision.
     """
 
     def __init__(
@@ -123,6 +125,7 @@ class Trial:
         self.journal = journal
         journal.begin_mission(config.mission, 0, start)
         self.round = 0
+        self._stamp, self.staged = (0, config.mission.digest), False  # of the last mission that any robot has begun
         self.stopped = "rounds"
         self.reason: str | None = None
         self._on_round = on_round
@@ -145,7 +148,17 @@ class Trial:
             missing = sum(map(len, self.schedule.kills.values()))
             after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
         awake, pace = self.roster.awake, 1 + self.config.sight.rests
-        return self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace)
+        due, mission = self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace), self.mission
+        if mission.then and (when := mission.then[0].when) != "formed":
+            return MAX_ROUNDS if when == "order" else max(due, when)
+        formed = self.journal.episode.formed_at
+        # Until every robot has heard that all others stand at their places.
+        return due if formed is None else max(due, formed + mission.hold + mission.n_robots * bool(mission.then) + 10)
+
+    @property
+    def mission(self) -> Mission:
+        """The mission in force: the last one that any robot has begun."""
+        return self.journal.episode.mission
 
     async def run(self) -> None:
         """Fly rounds until the formation is held, rounds or budget are used up, or no model gives usable answers."""
@@ -220,6 +233,8 @@ class Trial:
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
+        if self.mission.then or self.round < tracker.formed_at + self.mission.hold:
+            return False
         return tracker.in_order and self.round >= self._notice_round
 
     def _carry_out_schedule(self, number: int) -> None:
@@ -236,8 +251,22 @@ class Trial:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
-            journal.begin_mission(mission, number - 1, self.bodies.positions)
+            self._begin(mission, order_time(number, count))
             self._send(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
+        if self.mission.then and journal.episode.formed_at is not None and journal.episode.bound is None:
+            journal.close_episode(roster)  # robots may go on at any moment, and forget their plan
+
+    def _begin(self, mission: Mission, ordered_at: int) -> None:
+        self._stamp, self.staged = (ordered_at, mission.digest), False
+        self.journal.begin_mission(mission, self.round, self.bodies.positions)
+
+    def _follow(self, agent: Agent) -> None:
+        """Note that a robot has gone on to the next stage by itself."""
+        if self.mission.then and (agent.ordered_at, agent.mission.digest) > self._stamp:
+            if self.journal.episode.bound is None:
+                self.journal.close_episode(self.roster)
+            self._begin(agent.mission, agent.ordered_at)
+            self.staged = True
 
     async def _fly_round(self, number: int) -> None:
         questions = self.plan_questions(number)
@@ -276,6 +305,7 @@ class Trial:
             for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):
                     asking[robot] = effect.question
+            self._follow(self.roster.agents[robot])
         return asking
 
     def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:

@@ -18,6 +18,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._answer_forms import REASONING
 from llm_flock.llm._port import Call, CallSettings, Reply, Usage
+from llm_flock.llm._prompt_values import IN_PLACE
 from llm_flock.llm._simulated.profiles import FAILURES, HABITS, Profile
 from llm_flock.llm._simulated.prompt_reader import (
     PLAN_MARK,
@@ -156,9 +157,10 @@ class SimulatedModel:
 
     def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str], still: Sequence[Point]) -> str:
         angle_rad, points = self._rng.uniform(0.0, 2 * math.pi), formation(task)
-        if "canonical" in failures:
+        oriented = IN_PLACE in task.shape
+        if "canonical" in failures or oriented:
             angle_rad = 0.0
-        for k in range(ORIENTATIONS if task.obstacles or still else 1):
+        for k in range(ORIENTATIONS if (task.obstacles or still) and not oriented else 1):
             points = turned(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
             if is_clear(points, task, still):
                 break

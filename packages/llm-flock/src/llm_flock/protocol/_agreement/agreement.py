@@ -198,6 +198,7 @@ class Agreement(Situation):
             roadmap=self.ways,
             occupancy=occupancy,
             positions=self._membership.positions(self),
+            wishes=self.mission if self.mission.prefer else None,
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:

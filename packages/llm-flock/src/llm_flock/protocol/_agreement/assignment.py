@@ -12,6 +12,7 @@ from llm_flock.algorithm1 import nearest_available
 from llm_flock.arrays import Point
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.message import NO_MISSION, BidEntry, BidTable, Message, MissionStamp, Offer, Provenance, TeamPositions
+from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     freed: Callable[[int, int], bool] | None = None
     exchanges: bool = True  #: Whether the robot may exchange slots.
     straight: bool = False  #: Whether exchanges weigh straight distances, not ways along the formation.
+    wishes: Mission | None = None  #: The mission, if it has preferences.
 
 
 class AssignmentRule(Protocol):

@@ -74,6 +74,14 @@ class TeamMembership(Membership):
         return self._seeking.sets_out
 
     @property
+    def missing(self) -> int:
+        return len(self.liveness.silent)
+
+    @property
+    def fits(self) -> bool:
+        return not self._misfit
+
+    @property
     def known(self) -> object:
         return self._joint.known
 

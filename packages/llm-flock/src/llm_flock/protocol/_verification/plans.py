@@ -51,7 +51,7 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
     mean at the centre; all half the safe distance away from obstacles, and in one region, so that robots can get from
     each to each; no pair nearer than the safe distance; every place about as far from its nearest one as in the shape;
-    and, if the ideal is known, close to it after the best rotation and correspondence. A formation that travels passes
+    and, if the ideal is known, close to it after the best correspondence, and the best rotation unless `turn` fixes it. A formation that travels passes
     obstacles: where they are does not matter for its plan.
     """
     return _fault_of_size(mission, plan) or _verdict(mission, plan)[1]
@@ -126,7 +126,7 @@ def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, floa
     target, distances = None, np.array([mission.spacing, max(mission.spacing, mission.comm_range / 1.1)])
     if mission.ideal is not None and mission.n_places > 1:
         points = np.array(mission.ideal)
-        target, distances = metrics.ShapeTarget(points), _nearest(points)[0]
+        target, distances = metrics.ShapeTarget(points, turns=mission.turn is None), _nearest(points)[0]
     tolerance = 0.1  # share by which the distance of a place from its nearest other place may differ from the shape's
     return target, float(distances.min()) * (1 - tolerance), float(distances.max()) * (1 + tolerance)
 
@@ -238,7 +238,8 @@ def _residual(mission: Mission, plan: Plan) -> float | None:
     if target is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = quick_error(plan.array, np.array(mission.ideal), exact) if mission.dim == 2 else None
+    turns = mission.dim == 2 and mission.turn is None
+    quick = quick_error(plan.array, np.array(mission.ideal), exact) if turns else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
         quick = target.error(plan.array).mean
     return round(quick, DECIMALS)
