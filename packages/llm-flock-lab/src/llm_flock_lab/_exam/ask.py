@@ -19,6 +19,8 @@ from llm_flock.llm import (
     LanguagePlanner,
     PromptSet,
     Reply,
+    drawn_program,
+    edit_call,
     frame_plan,
     frame_step,
     mission_call,
@@ -28,7 +30,7 @@ from llm_flock.mission import Mission
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol import GeometryPlanner, Verdict
 from llm_flock.protocol import judge as judge_step
-from llm_flock_lab._exam.questions import WORDS, Question
+from llm_flock_lab._exam.questions import Question
 from llm_flock_lab._exam.score import (
     Marks,
     objection_to_plan,
@@ -56,7 +58,7 @@ class Outcome:
     repeat: int
     tries: int | None  # reasons given before the answer was right; None if it never was
     readable: bool
-    flyable: bool  # clipped if need be; for words: whether no wrong mission would be shown
+    flyable: bool  # as it is; for words: whether nothing wrong would be shown to people
     error: float | None = None
     calls: int
     tokens_input: int
@@ -109,7 +111,7 @@ class Examiner:
     def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
         """The first messages to a model, for each robot that is asked, without scripted answers."""
         if question.words is not None:
-            yield mission_call(question.words).messages
+            yield _call_of(question).messages
             return
         mission = question.build_mission()
         for robot in question.robots:
@@ -132,8 +134,7 @@ class Examiner:
     async def ask(self, question: Question, model: LanguageModel | None, repeat: int = 0) -> Outcome:
         """Ask a question for the `repeat`-th time, and score what comes back; without a model, geometry answers."""
         round_ = round_of(question, repeat)
-        if question.section == WORDS:
-            assert model is not None, "geometry cannot read"
+        if question.words is not None:
             return await self._ask_words(question, model, round_, repeat)
         mission = question.build_mission()
         asked = [await self._ask_robot(question, mission, robot, model, round_) for robot in question.robots]
@@ -221,10 +222,11 @@ class Examiner:
             return json.dumps({REASONING: SAID, **fields} if self._prompts.reasons else fields)
         return f"{SAID}\n\n{lines}" if self._prompts.reasons else lines
 
-    async def _ask_words(self, question: Question, model: LanguageModel, round_: int, repeat: int) -> Outcome:
-        """Ask for a mission in plain words: once, as the cockpit does."""
-        assert question.words is not None
-        call = replace(mission_call(question.words), round=round_)
+    async def _ask_words(self, question: Question, model: LanguageModel | None, round_: int, repeat: int) -> Outcome:
+        """Ask once for a mission or an edit in words; geometry reads none."""
+        if model is None:
+            return _score(question, repeat, [], tries=None, marks=None, cause=None, reason="geometry reads no words.")
+        call = replace(_call_of(question), round=round_)
         try:
             reply = await model.ask(call)
         except ModelError as error:
@@ -235,6 +237,15 @@ class Examiner:
         tries = 0 if marks.reason is None else None
         scored = _score(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
         return replace(scored, readable=marks.read, flyable=marks.safe)
+
+
+def _call_of(question: Question) -> Call:
+    """The question in words as people's missions and edits are asked."""
+    assert question.words is not None
+    base = question.build_mission()
+    if question.section == "edit":
+        return edit_call(question.words, drawn_program(base.shape), base)
+    return mission_call(question.words, base, flying=question.flying)
 
 
 async def _by_geometry(

@@ -73,7 +73,7 @@ Column = tuple[str, Callable[[Row], str]]
 
 
 def page_text(rows: Iterable[Row]) -> str:
-    ordered = sorted(rows, key=lambda row: (-row.total.value, row.model))
+    ordered = sorted(rows, key=lambda row: (row.total is None, 0 if row.total is None else -row.total.value, row.model))
     models = [row for row in ordered if not row.stand_in]
     stand_ins = [row for row in ordered if row.stand_in]
     parts = [HEAD, _table(models, SCORES) if models else "No model has sat the exam yet.\n"]
@@ -109,14 +109,14 @@ def _percent(value: float) -> str:
     return f"{100 * value:.0f} %"
 
 
-def _interval(share: Share) -> str:
-    return f"{_percent(share.value)} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+def _interval(share: Share | None) -> str:
+    return "-" if share is None else f"{_percent(share.value)} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
 
 
 SCORES: Sequence[Column] = (
     ("Model", lambda row: _code(row.model) + (" *simulated*" if row.simulated else "")),
     ("Total", lambda row: _interval(row.total)),
-    ("After two reasons", lambda row: _percent(row.total_two.value)),
+    ("After two reasons", lambda row: "-" if row.total_two is None else _percent(row.total_two.value)),
     *((section, _section_cell(section)) for section in SECTIONS),
     ("Questions", lambda row: str(row.count)),
     ("Tokens a call", lambda row: f"{row.tokens / max(1, row.calls):.0f}"),

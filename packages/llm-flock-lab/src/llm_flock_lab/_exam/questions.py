@@ -25,13 +25,14 @@ SECTIONS: Mapping[str, str] = {
     "path": "a path of several positions",
     "retry": "an answer after the reason why the first was refused",
     "agreement": "a step by the team's plan after its own plan was not adopted",
-    "mission": "a mission in plain words as fields, or a refusal where it cannot be flown",
+    "mission": "a mission in words as a typed answer: what is flown, a question back, or a refusal",
     "distraction": "a plan of a shape in words with irrelevant, contradictory or hostile text in it",
+    "edit": "a formation program changed as words say",
 }
 """The sections, in the order in which they are asked, and what each asks for."""
 
-WORDS = "mission"
-"""The section that stand-ins and geometry are not asked: they cannot read plain words."""
+WRITTEN = {"mission", "edit"}
+"""The sections whose questions were written, and not generated."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +57,8 @@ class Question:
     own: Mapping[str, Any] | None = None  # plan that the model is taken to have proposed (`agreement`)
     meant: str | None = None  # shape that a text describes (`distraction`)
     words: str | None = None
-    wanted: Mapping[str, Any] | None = None  # fields of the mission in `words`; of an impossible one too
-    possible: bool = True
+    flying: bool = False  # whether the team flies `mission` when it gets the words
+    wanted: tuple[Mapping[str, Any], ...] = ()  # right answers to the words
 
     @property
     def asks_plan(self) -> bool:
@@ -65,7 +66,7 @@ class Question:
         return self.words is None and not self.plan
 
     def build_mission(self) -> Mission:
-        assert self.mission is not None, "a question in words has no mission"
+        assert self.mission is not None, "every question has a mission"
         return build_mission(**self.mission)
 
     def plan_question(self, mission: Mission, robot: int, round_: int) -> PlanQuestion:

@@ -85,7 +85,7 @@ class MissionReader:
             fields["prefer"] = mission.prefer
             return MissionDraft(fields, f"{difference(program, new)} · {mission_words(mission)}", mission)
 
-        return self._marked(await self._ask(_edit_call(text, program, base), take))
+        return self._marked(await self._ask(edit_call(text, program, base), take))
 
     def _marked(self, draft: MissionDraft) -> MissionDraft:
         return draft._replace(in_words=f"simulated reader: {draft.in_words}") if self.simulated else draft
@@ -157,7 +157,8 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
     return Call(robot=0, round=0, kind="plan", attempt=0, messages=messages, schema=schema)
 
 
-def _edit_call(text: str, program: Program, base: Mission) -> Call:
+def edit_call(text: str, program: Program, base: Mission) -> Call:
+    """The question to a model for a changed program; InputError if the text is too long."""
     rules = EDITING.format(schema=json.dumps(program_schema()), n=base.n_places)
     asked = f"The program:\n{program.text}\n\n{_checked(text)}"
     messages = (ChatMessage("system", rules), ChatMessage("user", asked))
