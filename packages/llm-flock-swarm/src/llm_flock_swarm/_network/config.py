@@ -94,13 +94,15 @@ class SwarmConfig(RunConfig):
     def _check_swarm(self) -> Self:
         trial = self.trial
         bodies = ("noise", "drift", "sensing_delay", "moving_obstacles")
-        for field in ("kill", "join", "kill_random", "join_random", "changes", *bodies):
+        for field in ("kill", "join", "battery", "kill_random", "join_random", "changes", *bodies):
             if getattr(trial, field):
                 raise InputError(field, getattr(trial, field), says="cannot be used in a swarm of processes")
         protocol = self.protocol
         if protocol.relay or protocol.collision_check != "none":
             says = "cannot be used in a swarm of processes: it needs all robots in one"
             raise InputError("protocol", protocol.protocol, says=says)
+        if protocol.judge != "rule":
+            raise InputError("judge", protocol.judge, "'rule' in a swarm of processes")
         check_still(self.mission)
         liars, n = self.network.liars, self.mission.n_robots
         if liars > LIARS and 3 * liars >= n:

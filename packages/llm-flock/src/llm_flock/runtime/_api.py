@@ -118,6 +118,7 @@ class Parameters(TypedDict, total=False):
     fallback: Fallback | None
     comm_rounds: int | None
     gaps: Literal["report", "replan"]
+    judge: Literal["rule", "models"]
     time_out: int
     # Language models.
     model: ModelChoice
@@ -157,6 +158,7 @@ class Parameters(TypedDict, total=False):
     start_area: Sequence[Row] | None
     kill: str | None
     join: str | None
+    battery: str | None
     kill_random: int
     join_random: int
     changes: Sequence[Change | Mapping[str, Any]]

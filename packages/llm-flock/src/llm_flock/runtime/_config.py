@@ -45,7 +45,7 @@ PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(
 _NO_NAME = re.compile("[\0\ud800-\udfff]")
 """What neither the names of files nor the texts of a record can hold."""
 
-_PLAIN = re.compile("shape|kill|join|history|wish|temperature|reasoning_effort|model_seed|swarm")
+_PLAIN = re.compile("shape|kill|join|battery|history|wish|temperature|reasoning_effort|model_seed|swarm")
 """Fields with free text that names no file, no code and no address."""
 
 
@@ -108,6 +108,11 @@ class ProtocolConfig(ConfigSection):
     gaps: Literal["report", "replan"] = Field(
         default="report", description="If fewer robots are alive than the plan has places: report the gaps, or replan"
     )
+    judge: Literal["rule", "models"] = Field(
+        default="rule",
+        description="After a death that leaves a gap, or with a weak battery: do as --gaps says and fly on (rule), or "
+        "ask all models once, and do what most of them choose (models)",
+    )
     time_out: int = Field(
         default=TIME_OUT,
         ge=1,
@@ -125,6 +130,8 @@ class ProtocolConfig(ConfigSection):
             raise InputError("fallback", self.fallback, "'hold' while verify is off")
         if self.without is not None and (self.assignment, self.shield) != ("auction", True):
             raise InputError("without", self.without, says="takes something away from the auction and the shield only")
+        if self.judge == "models" and self.assignment != "auction":
+            raise InputError("judge", self.judge, "'rule' unless places are given by the auction")
         return self
 
     def rules(self) -> Rules:
@@ -160,7 +167,10 @@ class ModelConfig(ConfigSection):
         description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
         "[the model's: brief for local:smollm2, letters for local:smollm2+letters, full for others]",
     )
-    wish: str | None = Field(default=None, description="What is wished of the steps, in words; with --prompts letters")
+    wish: str | None = Field(
+        default=None,
+        description="What is wished, in words: of steps with --prompts letters, of judgements with --judge models",
+    )
     frame: FrameName | None = Field(
         default=None,
         description="Coordinates in a model's prompts: world, or own (plans around the origin in spacings, steps "

@@ -18,11 +18,21 @@ from llm_flock import events
 from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError, unknown
-from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
+from llm_flock.events import AskJudgement, AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
 from llm_flock.mission import Mission
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    Judge,
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    Planner,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.record._schema import MetricsRow
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._journal import Journal
@@ -131,6 +141,9 @@ class Trial:
         self._on_round = on_round
         self._steer = steer
         self._moves: dict[int, MoveTo] = {}
+        self._judging: dict[int, JudgementQuestion] = {}
+        self._left: dict[int, float] = {}  # how far robots with weak batteries can fly [units]
+        self._emptied = 0  # the round in which the last battery was empty
         self._check = collision_check(config.protocol.collision_check or "none")
         self.began = time.perf_counter()
 
@@ -140,12 +153,12 @@ class Trial:
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
         after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
-        if self.schedule.kills and self.config.protocol.gaps == "replan":
+        if self._deaths and (self.config.protocol.gaps == "replan" or self.config.protocol.judge == "models"):
             # No robot plans for fewer before the search for the others has ended, and its turn has come.
             from llm_flock.protocol._membership.search import longest_search
             from llm_flock.protocol._membership.team import MAX_WAIT, REPLAN_PATIENCE
 
-            missing = sum(map(len, self.schedule.kills.values()))
+            missing = sum(map(len, self.schedule.kills.values())) + len(self._left)
             after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
         awake, pace = self.roster.awake, 1 + self.config.sight.rests
         due, mission = self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace), self.mission
@@ -216,15 +229,20 @@ class Trial:
         return True
 
     @property
+    def _deaths(self) -> list[int]:
+        """Rounds in which robots die by the schedule, or have died because their batteries were empty."""
+        return [*self.schedule.kills, *([self._emptied] if self._emptied else [])]
+
+    @property
     def _notice_round(self) -> int:
         """The round by which others have noticed the last death, and looked for the dead robot."""
-        kills = self.schedule.kills
+        kills = self._deaths
         if not kills:
             return 0
         from llm_flock.protocol._membership.liveness import patience
 
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        rounds_to_look = 10
+        rounds_to_look = 10 if self.config.protocol.judge == "rule" else 20  # and to choose, and to plan again
         return max(kills) + time_out + rounds_to_look
 
     @property
@@ -240,14 +258,20 @@ class Trial:
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""
         journal, roster, schedule = self.journal, self.roster, self.schedule
-        killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
+        empty = [robot for robot in roster.awake if self._left.get(robot, 0.0) < 0.0]
+        killed, joined = (*schedule.kills.get(number, ()), *empty), schedule.joins.get(number, ())
+        self._emptied = number if empty else self._emptied
         for robot in killed:
             roster.kill(robot)
             journal.note(number, None, robot, Note("killed", {}))
         for robot in joined:
             journal.rejected_before += roster.join(robot).rejected
             journal.note(number, None, robot, Note("joined", {}))
-        if killed or joined or number == schedule.crossed:
+        for robot, left in schedule.weak.get(number, ()):
+            if robot in roster.awake:
+                self._left[robot] = left
+                self._send(robot, events.BatteryWeak(left))
+        if killed or joined or number in schedule.weak or number == schedule.crossed:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
@@ -272,6 +296,9 @@ class Trial:
         questions = self.plan_questions(number)
         asked = {robot: self.planners[robot].plan(question) for robot, question in questions.items()}
         plans = await _all(asked, self._report)
+        judging = {robot: _judge(self.planners[robot], question) for robot, question in self._judging.items()}
+        for robot, answer in (await _all(judging, self._report)).items():
+            self._send(robot, events.Judged(answer))
         self.journal.flush_attempts()
         self.take_plans(plans)
         asking = self.step_questions()
@@ -290,6 +317,7 @@ class Trial:
         """Begin a round: carry out its schedule, let robots sense, and return the questions of those without a plan."""
         self._carry_out_schedule(number)
         asking: dict[int, PlanQuestion] = {}
+        self._judging.clear()
         observe_all = self.config.model.observe == "all"
         for robot in self.roster.awake:
             sensing = self.bodies.readings.sense(robot)
@@ -305,6 +333,8 @@ class Trial:
             for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):
                     asking[robot] = effect.question
+                elif isinstance(effect, AskJudgement):
+                    self._judging[robot] = effect.question
             self._follow(self.roster.agents[robot])
         return asking
 
@@ -367,6 +397,11 @@ class Trial:
         over = lengths > longest * (1 + STEP_TOLERANCE)
         displacements[over] *= longest / lengths[over, None]
         self.journal.steps_over_limit += int(over.sum())
+        for robot in self._left.keys() & moves.keys():
+            left, way = self._left[robot], float(min(np.linalg.norm(displacements[robot]), longest))
+            self._left[robot] = left - way
+            if way > left:  # its body stops there, and the robot is dead from the next round on
+                displacements[robot] *= left / way
         return displacements
 
     def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:
@@ -401,6 +436,12 @@ def commonest(reasons: Sequence[str]) -> tuple[int, str]:
     kinds = [re.sub(r"[0-9.]+", "0", reason) for reason in reasons]
     kind, count = Counter(kinds).most_common(1)[0]
     return count, reasons[kinds.index(kind)]
+
+
+async def _judge(planner: Planner, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
+    if isinstance(planner, Judge):
+        return await planner.judge(question)
+    return NoAnswer(cause="answer", reason="this planner gives no judgements")
 
 
 async def _all(

@@ -21,6 +21,7 @@ from llm_flock.llm._port import Call, CallSettings, Reply, Usage
 from llm_flock.llm._prompt_values import IN_PLACE
 from llm_flock.llm._simulated.profiles import FAILURES, HABITS, Profile
 from llm_flock.llm._simulated.prompt_reader import (
+    JUDGEMENT_MARK,
     PLAN_MARK,
     STEP_MARK,
     StepPrompt,
@@ -30,6 +31,7 @@ from llm_flock.llm._simulated.prompt_reader import (
     is_clear,
     named_figure,
     numbers,
+    read_judgement,
     read_plan,
     read_step,
     read_still,
@@ -39,12 +41,13 @@ from llm_flock.llm._simulated.prompt_reader import (
 )
 from llm_flock.llm._simulated.seen import AFTER_REJECTION, SEEN, is_retry, spoiled
 from llm_flock.mission import ORIENTATIONS
+from llm_flock.planner import best_option
 from llm_flock.protocol._geometry import turned
 
 CHARS_PER_TOKEN = 4
 """For an estimate of the tokens."""
 
-ADDED_LATER = 8
+ADDED_LATER = 9
 """Number of the last `FAILURES` that were added after the first results were published."""
 
 CHANCE_WITHIN = 10.0
@@ -129,6 +132,10 @@ class SimulatedModel:
         """The answer to the last question of a conversation of (role, text); failures are drawn if left out."""
         if failures is None:
             failures = self.draw() | self._draw_seen(conversation)
+        for role, text in reversed(conversation):
+            if role == "user" and JUDGEMENT_MARK in text:
+                return self._judgement(text, failures)
+        failures -= {"misjudge"}
         for fault in SEEN.keys() & failures:
             right = self.answer(conversation, failures - SEEN.keys())
             return spoiled(fault, right, conversation, self._rng)
@@ -154,6 +161,18 @@ class SimulatedModel:
         if "malformed" in failures:
             return "I would rather not say."
         return ways[int(self._rng.integers(len(ways)))] if "random" in failures else ways[0]
+
+    def _judgement(self, text: str, failures: frozenset[str]) -> str:
+        """The right option by the figures in the prompt, except for some failures."""
+        if "malformed" in failures:
+            return "That depends on what the others choose."
+        options, aim, as_json = read_judgement(text)
+        choice = best_option(options, aim)
+        others = [option.choice for option in options if "random" in failures or option.choice != choice]
+        if others and failures & {"misjudge", "random"}:
+            choice = others[int(self._rng.integers(len(others)))]
+        reason = f"Of {len(options)} options I prefer {choice}: {aim.partition(' count')[0]} decide."
+        return json.dumps({REASONING: reason, "choice": choice}) if as_json else f"{reason}\n\nChoice: {choice}"
 
     def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str], still: Sequence[Point]) -> str:
         angle_rad, points = self._rng.uniform(0.0, 2 * math.pi), formation(task)

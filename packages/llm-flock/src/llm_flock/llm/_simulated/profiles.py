@@ -26,6 +26,7 @@ PROFILES: Mapping[str, str] = {
     "first": "no answer is wrong: takes the first place of its plan, as in the paper's example (line 381)",
     "any": "no answer is wrong: takes a place of its plan by chance",
     "alike": "no answer is wrong: all robots draw the same chances, so they turn plans and err alike, as one model",
+    "misjudge": "judgements: another option than the right one, by chance",
 }
 """Every profile, and its failure or habit."""
 

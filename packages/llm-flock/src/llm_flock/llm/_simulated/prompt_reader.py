@@ -18,7 +18,7 @@ from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
-from llm_flock.planner import PlanQuestion, StepQuestion
+from llm_flock.planner import AIMS, JudgementOption, PlanQuestion, StepQuestion
 
 _FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
 _TEAM = re.compile(r"in a team of ([0-9]+)")
@@ -34,6 +34,12 @@ _GIVEN = "relative to its centre its places are [["
 
 _WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
 
+_OPTION = re.compile(
+    r"^- ([a-z]+): .*Rounds: (\d+); flying: ([\d.]+) units; empty places: (\d+); robots lost: (\d+)\.$", re.MULTILINE
+)
+_AIM = re.compile("no robot may be lost; after that, (.*)")
+
+JUDGEMENT_MARK = "Something has come up: "
 WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
@@ -172,6 +178,24 @@ def read_plan(text: str) -> tuple[int, bool]:
 def asks_for_program(text: str) -> bool:
     """Whether a question for a plan wants a formation program."""
     return _PROGRAM_MARK in text
+
+
+def read_judgement(text: str) -> tuple[list[JudgementOption], str, bool]:
+    """Read the options of a judgement, what counts, and whether the answer is to be JSON; InputError as in `read_task`.
+
+    Raises:
+        ModelError: `refused`, for a wish in free words.
+    """
+    found, aim = _OPTION.findall(text), _first_group(_AIM, text)
+    if not found or not aim:
+        raise _other_words("judgement.j2", text)
+    if aim not in AIMS:
+        raise ModelError("refused", f"a simulated model cannot read the wish {aim[:80]!r}")
+    options = [
+        JudgementOption(choice=name, does="", rounds=int(a), distance=float(b), gaps=int(c), lost=int(d))
+        for name, a, b, c, d in found
+    ]
+    return options, aim, _JSON_MARK in text
 
 
 def read_still(text: str, dim: int) -> list[Point]:

@@ -128,7 +128,7 @@ class AuctionAssignment:
         else:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = _keep_one(now, table, among)
-            if slot is None and offer is None:
+            if slot is None and offer is None and not now.retired:
                 table, slot = _claim_best(now, bids, table, before=claim.slot)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
@@ -218,12 +218,15 @@ def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
-def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """Gain of an exchange with a robot at `there`: the fall in the sum of squared ways [units^2]."""
+def gain(
+    now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False, peer: int = -1
+) -> float:
+    """Gain of an exchange with a peer at `there`: the fall in the weighted sum of squared ways [units^2]."""
+    own, other = now.weights.get(now.robot, 1.0), now.weights.get(peer, 1.0)
     spacing = None if straight else now.spacing
     keep, take = _squared_ways(now.position, now.plan, mine, theirs, spacing, now.roadmap)
     their_keep, their_take = _squared_ways(there, now.plan, theirs, mine, spacing, now.roadmap)
-    return keep + their_keep - take - their_take
+    return own * keep + other * their_keep - own * take - other * their_take
 
 
 @lru_cache(maxsize=2**16)
@@ -243,11 +246,12 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    if now.wishes is not None:
+    if now.wishes is not None and not now.weights:
         slots = claim.slot, slot
         apart = np.array([ways_to(here, now.plan, slots, now.roadmap) for here in (now.position, there)])
         return exchange_gain(now.wishes, now.plan, (now.robot, peer), slots, apart)
-    return gain(now, there, claim.slot, slot, straight=now.straight or flown_straight(claim.table, claim.slot))
+    straight = now.straight or flown_straight(claim.table, claim.slot)
+    return gain(now, there, claim.slot, slot, straight=straight, peer=peer)
 
 
 def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:

@@ -35,10 +35,12 @@ class ConnectivityRecovery:
         """Whether the search for missing robots has ended without success."""
         return self._search.given_up
 
-    def route(self, now: Situation, *, placed: bool) -> tuple[Point | None, tuple[int, ...], list[Note]]:
+    def route(
+        self, now: Situation, *, placed: bool, searches: bool = True
+    ) -> tuple[Point | None, tuple[int, ...], list[Note]]:
         """The next target (None: fly straight), slots just visited in vain, and notes. Call once a round.
 
-        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
+        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round; `searches`, whether it may look for missing robots now.
         """
         mission, plan, slot, table, here = now.mission, now.plan, now.claim.slot, now.claim.table, now.position
         assert plan is not None and slot is not None, "a robot without a place has no way to it"
@@ -56,7 +58,11 @@ class ConnectivityRecovery:
             point = self._gathering.target(mission, plan, slot, here, strangers=strangers, alone=alone)
             if point is not None:
                 return point, (), []
-        notes = [] if table is None or not self._searches else self._look_for_others(now, places, slot, table)
+        notes = (
+            []
+            if table is None or not (self._searches and searches)
+            else self._look_for_others(now, places, slot, table)
+        )
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_jointly(table, slot) and (live.strangers or live.silent or lonely):

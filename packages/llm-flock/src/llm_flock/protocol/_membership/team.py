@@ -47,7 +47,7 @@ class TeamMembership(Membership):
         searches: bool = True,  # whether robots look for others that are missing
     ) -> None:
         n_robots = mission.n_robots
-        self.gaps: Gaps = gaps
+        self.gaps = gaps
         self._made_of = robot, mission, time_out, searches
         self.liveness = Liveness(robot, n_robots, time_out)
         self._robot, self._misfit = robot, 0  # rounds for which the plan has not fitted the team
@@ -64,6 +64,14 @@ class TeamMembership(Membership):
     @property
     def beats(self) -> tuple[int, ...]:
         return self.liveness.beats
+
+    @property
+    def silent(self) -> frozenset[int]:
+        return self.liveness.silent
+
+    @property
+    def present(self) -> frozenset[int]:
+        return self.liveness.present
 
     @property
     def lost(self) -> bool:
@@ -162,7 +170,7 @@ class TeamMembership(Membership):
     def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
         """The next intermediate target. The claim counts visits to vacant slots at which no robot was met."""
         placed = given_jointly(now.claim.table, now.claim.slot) and not self._unplaced
-        target, visited, notes = self._connectivity.route(now, placed=placed)
+        target, visited, notes = self._connectivity.route(now, placed=placed, searches=not self.deliberates)
         return target, with_visits(now.claim, visited), notes
 
     def seek(self, now: Situation) -> Point | None:

@@ -100,6 +100,8 @@ class Dissemination:
             while message.proposals and len(self._payload) > max_payload_bytes(mission.n_robots):
                 message = replace(message, proposals=message.proposals[:-1])  # they come again in later messages
                 self._payload = encode(replace(message, sequence=self._sequence))
+            if message.votes and len(self._payload) > max_payload_bytes(mission.n_robots):
+                self._payload = encode(replace(message, sequence=self._sequence, votes=None))
             self._sequence += 1
         return self._payload
 

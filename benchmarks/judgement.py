@@ -1,0 +1,148 @@
+"""Whether a team's models choose what is right after an event, by the share of models that judge wrongly.
+
+    python -m benchmarks.judgement [--worlds 40] [--jobs 2] [--write]
+
+A world is a team and one event: a robot that dies, or a battery that gets weak. In each world every option is flown
+from the same seed. The right one loses no robot; after that it is the best by the world's wish: fewest empty places,
+fewest rounds or least flying, as flown and not as expected. Then models are asked: all are *simulated*; some, drawn by
+the seed, choose another option than the right one by its figures, each on its own or all alike. `one` is the share of
+worlds in which the vote that stands first in the order of plans would have been right: one robot that decides for all.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from benchmarks import figures
+
+import llm_flock
+from llm_flock.errors import InputError
+from llm_flock.llm._simulated.model import SimulatedModel
+from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock.llm._simulated.prompt_reader import JUDGEMENT_MARK
+from llm_flock.metrics import AT_GOAL, ROUNDING, ShapeTarget
+from llm_flock.planner import AIMS
+from llm_flock.runtime import Stream, stream
+
+SHARES = (0, 10, 20, 30, 40, 50, 60, 70)
+SHAPES = ("circle", "line", "wedge")
+AFTER = 50
+"""Rounds that are flown after an event."""
+
+MOVED = 0.2
+"""A robot that moves by more than this in a round is still on its way [units]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A mission, the options of its run, and the round of its event."""
+
+    kind: str
+    mission: dict[str, Any]
+    options: dict[str, Any]
+    event: int
+    lost: int  #: Robots that are lost whatever is chosen.
+
+
+@dataclass(frozen=True, kw_only=True)
+class Flown:
+    """The figures of one flight, what was agreed, and what the vote that stands first says."""
+
+    lost: int
+    gaps: int
+    rounds: int
+    distance: float
+    near: bool
+    one_choice: bool
+    choice: str | None
+    first: str | None
+    offered: tuple[str, ...]
+
+    def worth(self, aim: str) -> tuple[float, ...]:
+        """Figures in the order in which they count; the lower the better."""
+        return (self.lost, *(round(float(getattr(self, name))) for name in AIMS[aim]))
+
+
+class Fixed:
+    """A *simulated* model that chooses one option, whatever its figures; its plans and steps are good."""
+
+    simulated = True
+
+    def __init__(self, choice: str, seed: int, robot: int) -> None:
+        self._choice = choice
+        self._good = SimulatedModel(parse_profile("ideal"), stream(seed, Stream.MODEL, robot))
+
+    async def ask(self, call: Any) -> Any:
+        asked = any(JUDGEMENT_MARK in message.text for message in call.messages)
+        return f"Choice: {self._choice}" if asked else await self._good.ask(call)
+
+
+class Events:
+    """Keeps the events of a run."""
+
+    def __init__(self) -> None:
+        self.seen: list[Any] = []
+
+    def write(self, entry: Any) -> None:
+        if type(entry).__name__ == "ProtocolEvent":
+            self.seen.append(entry)
+
+
+def world_of(kind: str, seed: int) -> World:
+    rng = np.random.default_rng([4, seed])
+    shape, aim = str(rng.choice(SHAPES)), str(rng.choice([*AIMS]))
+    n = int(rng.integers(6, 11))
+    robot, event = int(rng.integers(n)), int(rng.integers(4, 8)) if kind == "death" else int(rng.integers(4, 7))
+    mission = {"shape": shape, "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
+    options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER, "stop_when_formed": False}
+    options["decide"] = "on-event"
+    if kind == "death":
+        options["kill"] = f"{robot}@{event}"
+        return World(kind=kind, mission=mission, options=options, event=event, lost=1)
+    if rng.random() < 0.4:
+        mission["places"] = n - 1
+    whole = llm_flock.run(llm_flock.Mission(**mission), **options, battery=f"{robot}@{event}:1000")
+    way = np.linalg.norm(np.diff(whole.positions[event - 1 :, robot], axis=0), axis=1).sum()
+    options["battery"] = f"{robot}@{event}:{max(0.5, rng.uniform(0.3, 1.4) * way):.1f}"
+    return World(kind=kind, mission=mission, options=options, event=event, lost=0)
+
+
+def fly(world: World, model: Any, **other: Any) -> Flown:
+    events = Events()
+    flown = llm_flock.run(llm_flock.Mission(**world.mission), model=model, sink=events, **{**world.options, **other})
+    positions, mission = flown.positions, flown.mission
+    steps = np.linalg.norm(np.diff(positions[world.event - 1 :], axis=0), axis=2)
+    killed = {one.robot for one in events.seen if one.kind == "killed"}
+    placed = [j for j, slot in enumerate(flown.slots) if slot is not None and j not in killed]
+    whole = mission.n_robots - world.lost if mission.places is None else mission.places
+    here = positions[-1][placed]
+    gaps = max(whole - len(placed), 0)
+    try:
+        ideal = np.array(mission.resized(len(placed)).ideal)
+        error = ShapeTarget(ideal).error(here - here.mean(axis=0) + ideal.mean(axis=0)).mean
+    except InputError:
+        error = np.inf
+    gaps = gaps or int(error > 2 * AT_GOAL * mission.spacing)
+    seen = [one for one in events.seen if one.detail.get("about") == world.kind]
+    agreed = [one.detail["choice"] for one in seen if one.kind == "agreed"]
+    votes = [one for one in seen if one.kind == "judged"]
+    return Flown(
+        lost=len(killed) - world.lost,
+        gaps=gaps,
+        rounds=int(max(np.flatnonzero(steps.max(axis=1) > MOVED), default=-1)) + 1,
+        distance=float(steps.sum()),
+        near=bool(
+            flown.summary.min_separation is not None and flown.summary.min_separation < mission.safe_distance - ROUNDING
+        ),
+        one_choice=len({*agreed}) <= 1,
+        choice=agreed[-1] if agreed else None,
+        first=max(votes, key=lambda one: one.robot).detail["choice"] if votes else None,
+        offered=tuple(dict.fromkeys(x for one in seen if one.kind == "incident" for x in one.detail["options"])),
+    )
