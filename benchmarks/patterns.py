@@ -1,47 +1,69 @@
-"""Reads missions by regular expressions: what a short program makes of words, beside language models.
+"""A reader of missions by regular expressions: what a program of 350 lines makes of the exam's sentences.
 
-It was written against half of the exam's sentences (`python -m benchmarks readings-in-words` measures it on both).
+    python -m benchmarks.patterns [--write]
+
+It was written against half of the sentences (tag `open`), and has not been changed since it was scored on the others.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import math
 import re
 from collections.abc import Iterator
 from typing import Any
 
-UNITS = "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen"
+from benchmarks import figures
+
+UNITS = (
+    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen"
+)
 TENS = "twenty thirty forty fifty sixty seventy eighty ninety hundred"
 NUMBERS = {word: k for k, word in enumerate(f"{UNITS} eighteen nineteen".split())}
 NUMBERS |= {word: 10 * k for k, word in enumerate(TENS.split(), 2)} | {"dozen": 12, "hundred": 100}
 NUMBER, PAIR = r"(-?\d+(?:\.\d+)?)", r"[\(\[]?(-?\d+(?:\.\d+)?)(?:\s*,\s*|\s+)(-?\d+(?:\.\d+)?)[\)\]]?"
 COMPASS = {"n": (0, 1), "e": (1, 0), "s": (0, -1), "w": (-1, 0)}
 DIRECTION = r"\b(north|south|east|west|n|s|e|w)(?:[- ]?(east|west|e|w))?(?:wards?|erly)?\b"
-SIDES = {"left": "left|west\\w*", "right": "right|east\\w*", "front": "front\\w*|north\\w*|first", "back": "back|rear\\w*|south\\w*"}
+SIDES = {
+    "left": "left|west\\w*",
+    "right": "right|east\\w*",
+    "front": "front\\w*|north\\w*|first",
+    "back": "back|rear\\w*|south\\w*",
+}
 SHAPES = {
-    "polygon:5": "pentagon|five[- ]sid|5[- ](?:equal )?(?:sid|corner)", "polygon:6": "hexagon|honeycomb|6[- ](?:equal )?(?:sid|corner)",
-    "polygon:7": "heptagon|7[- ]sid", "polygon:8": "octagon|8[- ]sid|stop sign", "pyramid": "pyramid", "sphere": "sphere|ball|globe",
-    "cube": r"cubes?\b|dice", "dome": "dome|hemisphere|igloo", "cylinder": "cylinder|tube|pipe", "helix": "helix|corkscrew|spiral",
+    "polygon:5": "pentagon|five[- ]sid|5[- ](?:equal )?(?:sid|corner)",
+    "polygon:6": "hexagon|honeycomb|6[- ](?:equal )?(?:sid|corner)",
+    "polygon:7": "heptagon|7[- ]sid", "polygon:8": "octagon|8[- ]sid|stop sign", "pyramid": "pyramid",
+    "sphere": "sphere|ball|globe",
+    "cube": r"cubes?\b|dice", "dome": "dome|hemisphere|igloo", "cylinder": "cylinder|tube|pipe",
+    "helix": "helix|corkscrew|spiral",
     "line": r"lines?\b|single file|one row|queue|column", "circle": "circle|ring|disc|disk|encircle|round shape",
     "triangle": "triangle", "square": r"squares?\b|box", "star": r"\bstars?\b", "cross": r"cross\b|plus sign",
     "wedge": r"wedge|geese|\bv\b|arrowhead", "grid": r"grid|rows and columns|matrix|lattice",
 }  # fmt: skip
 CANNOT = (
-    r"\b(push|knock|chase|paint|lift|load|carry|grab|ram|crash|collide|bring|fetch|cook|sing|shout|photo\w*|film|open the|"
+    r"\b(push|knock|chase|paint|lift|load|carry|grab|ram|crash|collide|bring|fetch|cook|sing|shout|"
+    r"photo\w*|film|open the|"
     r"land on|invisible|teleport|same time|same stage|safety dist\w* off|shoot|spray|pick up|clean|wash)\b"
 )
 UNCLEAR = {
     "order": r"which (1st|first)|order (is|will|tbc)|(a single|1) after (the )?other|^the \w+ and the \w+\b",
-    "robots": r"\bsome of|those 2|a single of the robots|\w+'s robot|team [ab]\b|[ab] team|a few|several|you know (who|the)",
-    "direction": r"heading (to follow|tbc)|certain angle|that way|ne or nw|emergency|looks wrong|turn (it|the \w+)\b(?!.*(\d|north|south|east|west))"
+    "robots": r"\bsome of|those 2|a single of the robots|\w+'s robot|team [ab]\b|[ab] team|a few|several|"
+        r"you know (who|the)",
+    "direction": r"heading (to follow|tbc)|certain angle|that way|ne or nw|emergency|looks wrong|turn (it|"
+        r"the \w+)\b(?!.*(\d|north|south|east|west))"
     r"|^(move|shift|go) \d+$",
-    "place": r"coords in|beacon|destination given|corner there|a single of the walls|from the wall|over there|@ \d+, ?\[|the usual place",
+    "place": r"coords in|beacon|destination given|corner there|a single of the walls|from the wall|over there|"
+        r"@ \d+, ?\[|the usual place",
     "size": r"^(wider|spread out|bigger|smaller|closer|tighter)|bigger!|smaller!|a bit (wider|bigger)|different size",
-    "shape": r"favourite|tbc|will be communicated|honestly haven't|discussed|enclosed|yesterday|last time|of the day|something (else|different)"
+    "shape": r"favourite|tbc|will be communicated|honestly haven't|discussed|enclosed|yesterday|last time|"
+        r"of the day|something (else|different)"
     r"|what to do|form up|the usual|\?\?\?|surprise",
 }  # fmt: skip
 NOT_MEANT = (
-    r"(not (?:just )?(?:an? |the )|instead of (?:an? |the )|forget the |i was going to say an? |no |rather than (?:an? |the ))[\w-]+",
+    r"(not (?:just )?(?:an? |the )|instead of (?:an? |the )|forget the |i was going to say an? |no |"
+    r"rather than (?:an? |the ))[\w-]+",
     r"\b[\w ]+ would be possible, but it is not wanted", r"\b\w+\.\.\. (?:belay that|no|scrap that)", r"\b[\w]+\? no\.",
     r"make a \w+\.\.\. oh[^.?!]*[.?!]", r"that is being flown now", r"the \w+ was lovely",
 )  # fmt: skip
@@ -49,7 +71,9 @@ NOT_MEANT = (
 
 def plain(words: str) -> str:
     """Words in lower case, with digits for numbers."""
-    text = re.sub(r"\b(\w+ty)[- ](one|two|three|four|five|six|seven|eight|nine)\b", _sum, words.lower().replace("’", "'"))
+    text = re.sub(
+        r"\b(\w+ty)[- ](one|two|three|four|five|six|seven|eight|nine)\b", _sum, words.lower().replace("\u2019", "'")
+    )
     text = re.sub(r"\bone\b(?! unit| per| a round| robot|/)", "a single", text)
     text = re.sub(r"\b[a-z]+\b", lambda word: str(NUMBERS.get(word[0], word[0])), text)
     text = re.sub(r"(\d+) and a half", r"\1.5", text)
@@ -75,7 +99,8 @@ def _way(found: re.Match[str], first: int) -> tuple[float, float]:
 
 
 LETTERS = (
-    r"\b(?:[Ww]rite|WRITE|[Ss]pell|[Ll]etters?|[Ww]ord|[Nn]umber)[: ]+(?:out )?(?:the )?(?:letters? |word |number )*[\"']?([A-Z0-9]{1,12})\b"
+    r"\b(?:[Ww]rite|WRITE|[Ss]pell|[Ll]etters?|[Ww]ord|[Nn]umber)[: ]+(?:out )?(?:the )?(?:letters? |"
+    r"word |number )*[\"']?([A-Z0-9]{1,12})\b"
 )
 
 
@@ -92,19 +117,31 @@ def shapes_of(text: str, letters: list[str]) -> Iterator[tuple[int, str]]:
 def center_of(text: str, flown: dict[str, Any] | None) -> list[float] | None:
     """The place that a text names."""
     here = flown["center"] if flown else None
-    if m := re.search(rf"(?:halfway|middle of the line) between (?:the corner at )?{PAIR} and (?:the corner at )?{PAIR}", text):
+    if m := re.search(
+        rf"(?:halfway|middle of the line) between (?:the corner at )?{PAIR} and (?:the corner at )?{PAIR}", text
+    ):
         a, b, c, d = _floats(m, 1, 2, 3, 4)
         return [(a + c) / 2, (b + d) / 2]
     if m := re.search(r"(middle|centre) of the (north|south)-?(east|west)", text):
         return [75.0 if m[3] == "east" else 25.0, 75.0 if m[2] == "north" else 25.0]
-    off = [(float(m[1]), _way(m, 2)) for m in re.finditer(rf"{NUMBER}(?: units)?(?: to the)? {DIRECTION}(?! wall)(?! side)", text)]
+    off = [
+        (float(m[1]), _way(m, 2))
+        for m in re.finditer(rf"{NUMBER}(?: units)?(?: to the)? {DIRECTION}(?! wall)(?! side)", text)
+    ]
     middle = re.search(r"arena'?s? cent|cent\w+ of the arena|middle of the arena|the cent", text)
-    if off and (middle or (here and re.search(r"shift|scoot|move|of here|go\b|same", text))) and not re.search(r"a round|per round|/rd", text):
+    if (
+        off
+        and (middle or (here and re.search(r"shift|scoot|move|of here|go\b|same", text)))
+        and not re.search(r"a round|per round|/rd", text)
+    ):
         base = here if here and not middle else [50.0, 50.0]
         return [round(base[k] + sum(d * way[k] for d, way in off), 2) for k in (0, 1)]
     if m := re.search(rf"x ?= ?{NUMBER}.{{1,20}}?y ?= ?{NUMBER}", text):
         return _floats(m, 1, 2)
-    wall = rf"{NUMBER}(?: units)? (?:in |off |short of |away |inside )?(?:from |of )?(?:the )?(?:middle of )?(?:the )?{DIRECTION} wall"
+    wall = (
+        rf"{NUMBER}(?: units)? (?:in |off |short of |away |inside )?(?:from |"
+        rf"of )?(?:the )?(?:middle of )?(?:the )?{DIRECTION} wall"
+    )
     at: list[float | None] = [None, None]
     for m in re.finditer(wall, text):
         x, y = COMPASS[m[2][0]]
@@ -139,16 +176,29 @@ def part_of(text: str, letters: list[str], flown: dict[str, Any] | None) -> dict
         part["velocity"] = [round(float(speed[1]) * one, 2) for one in _way(m, 1)]
     if (center := center_of(text[: speed.start()] + text[speed.end() :] if speed else text, flown)) is not None:
         part["center"] = center
-    gap = rf"(?:\bsp|spacing|\bs)(?: of| is| now)? ?[=:]? ?{NUMBER}|{NUMBER}(?: units)? (?:apart|between|from one|away from each)"
-    if m := re.search(rf"{gap}|distance between neighbours to {NUMBER}|stand {NUMBER} units|neighbour exactly {NUMBER} away", text):
+    gap = (
+        rf"(?:\bsp|spacing|\bs)(?: of| is| now)? ?[=:]? ?{NUMBER}|{NUMBER}(?: units)? (?:apart|between|"
+        rf"from one|away from each)"
+    )
+    if m := re.search(
+        rf"{gap}|distance between neighbours to {NUMBER}|stand {NUMBER} units|neighbour exactly {NUMBER} away", text
+    ):
         part["spacing"] = float(next(filter(None, m.groups())))
     if m := re.search(rf"radius (?:of )?{NUMBER}|\br ?=? ?{NUMBER}", text):
         part["size"] = 2 * float(m[1] or m[2])
-    elif m := re.search(rf"{NUMBER}(?: units)? (?:wide|across|long|in diameter|in width)|(?:width|diameter) of {NUMBER}", text):
+    elif m := re.search(
+        rf"{NUMBER}(?: units)? (?:wide|across|long|in diameter|in width)|(?:width|diameter) of {NUMBER}", text
+    ):
         part["size"] = float(m[1] or m[2])
-    if m := re.search(rf"(?:\btip|point\w*|facing|aimed?|directed)(?: \w+)?(?: at| to| towards)?(?: the)? {DIRECTION}", text):
+    if m := re.search(
+        rf"(?:\btip|point\w*|facing|aimed?|directed)(?: \w+)?(?: at| to| towards)?(?: the)? {DIRECTION}", text
+    ):
         x, y = _way(m, 1)
-        part |= {"turn": round(math.degrees(math.atan2(-x, y)))} if x and y else {"point": m[1] if len(m[1]) > 1 else "north"}
+        part |= (
+            {"turn": round(math.degrees(math.atan2(-x, y)))}
+            if x and y
+            else {"point": m[1] if len(m[1]) > 1 else "north"}
+        )
     elif m := re.search(rf"{NUMBER} ?deg\w*( clockwise| cw)?", text):
         part["turn"] = -float(m[1]) if m[2] else float(m[1])
     return part
@@ -173,18 +223,29 @@ def read(words: str, team: int, flown: dict[str, Any] | None = None) -> dict[str
     signs = iter(range(len(letters)))
     text = plain(re.sub(LETTERS, lambda _: f"§{next(signs)}§", words))
     many = sum(map(int, re.findall(r"\b(\d+) (?:robots|others|bots)\b", text)))
-    if re.search(CANNOT, text) or many > team or any(int(k) >= team for k in re.findall(r"bots? \d+ to (\d+)|bot (\d+)", text) for k in k if k):
+    if (
+        re.search(CANNOT, text)
+        or many > team
+        or any(int(k) >= team for k in re.findall(r"bots? \d+ to (\d+)|bot (\d+)", text) for k in k if k)
+    ):
         return {"answer": "refuse"}
     for about, pattern in UNCLEAR.items():
         if re.search(pattern, text):
             return {"answer": "ask", "about": about}
     mission: dict[str, Any] = {"answer": "mission"}
     text = _zones(text, mission)
-    if re.search(r"replan|new plan|fill in the hole|close (?:the|up|any) gap|close up", text) and "no replan" not in text:
+    if (
+        re.search(r"replan|new plan|fill in the hole|close (?:the|up|any) gap|close up", text)
+        and "no replan" not in text
+    ):
         mission["gaps"] = "replan"
-    elif re.search(r"no replan|leave (?:the |a )?(?:gap|hole)|hole stays|don't shuffle|just (?:tell|log|report)|gap stays", text):
+    elif re.search(
+        r"no replan|leave (?:the |a )?(?:gap|hole)|hole stays|don't shuffle|just (?:tell|log|report)|gap stays", text
+    ):
         mission["gaps"] = "report"
-    text = re.sub(r"[^.;,]*(?:replan|fill in the hole|new plan|leave (?:the |a )?gap|hole stays|don't shuffle)[^.;,]*", " ", text)
+    text = re.sub(
+        r"[^.;,]*(?:replan|fill in the hole|new plan|leave (?:the |a )?gap|hole stays|don't shuffle)[^.;,]*", " ", text
+    )
     text = _wishes(text, mission)
     if m := re.search(r"(?:team of|there are|all) (\d+)\b|(\d+) (?:robots|of you) (?:in all|strong)", text):
         mission["robots"] = int(m[1] or m[2])
@@ -194,7 +255,11 @@ def read(words: str, team: int, flown: dict[str, Any] | None = None) -> dict[str
         center = center_of(piece, flown)
         if stage is not None and stages and re.search(r"after (\d+) rounds", piece):
             stages[-1]["hold"] = stage.pop("hold")
-        elif stage is None and stages and (m := re.search(r"(?:hold|stay|wait|keep)\w*[^.;>]*?(\d+) (?:rds?|rounds)", piece)):
+        elif (
+            stage is None
+            and stages
+            and (m := re.search(r"(?:hold|stay|wait|keep)\w*[^.;>]*?(\d+) (?:rds?|rounds)", piece))
+        ):
             stages[-1]["hold"] = int(m[1])
         elif stage is None and stages and center and len(stages[-1]["parts"]) == 1:
             stage = {"parts": [stages[-1]["parts"][0] | {"center": center}]}
@@ -206,7 +271,10 @@ def read(words: str, team: int, flown: dict[str, Any] | None = None) -> dict[str
 
 
 def _pieces(text: str) -> list[str]:
-    cut = r"\s>\s|[,;.] (?:and |only )?then\b|afterwards|(?=\bafter \d+ rounds)|(?=\b(?:at )?(?:rd|round) \d+\b(?! rounds))|(?=\bon (?:my word|order)\b)|continue with"
+    cut = (
+        r"\s>\s|[,;.] (?:and |only )?then\b|afterwards|(?=\bafter \d+ rounds)|(?=\b(?:at )?(?:rd|"
+        r"round) \d+\b(?! rounds))|(?=\bon (?:my word|order)\b)|continue with"
+    )
     return [piece for piece in re.split(cut, text) if piece.strip()]
 
 
@@ -218,7 +286,11 @@ def _stage(piece: str, letters: list[str], team: int, flown: dict[str, Any] | No
         stage["when"], piece = {"round": int(m[1])}, piece[: m.start()] + piece[m.end() :]
     elif re.search(r"on (?:my word|order)", piece):
         stage["when"] = "order"
-    halves = re.split(r"[;.?,:] (?=(?:and |all )?(?:the |every)?(?:others?|rest|remaining|rear|right|everyone|everybody|ones left)\b|right half|would you others|other \w+:)", piece)
+    halves = re.split(
+        r"[;.?,:] (?=(?:and |all )?(?:the |every)?(?:others?|rest|remaining|rear|right|everyone|"
+        r"everybody|ones left)\b|right half|would you others|other \w+:)",
+        piece,
+    )
     parts = [part for half in halves if (part := part_of(half, letters, flown))]
     if len(parts) == 1 and "the same" in halves[-1] and len(halves) > 1 and (center := center_of(halves[-1], flown)):
         parts.append(parts[0] | {"center": center})
@@ -228,20 +300,30 @@ def _stage(piece: str, letters: list[str], team: int, flown: dict[str, Any] | No
                 continue
             if who := who_of(half, team):
                 part["who"] = who
-            if m := re.search(r"(?:as|=|be|act as|you're)(?: the| my| our)? (?:\d+ )?(\w+s|vanguard|rearguard)\b", half):
+            if m := re.search(
+                r"(?:as|=|be|act as|you're)(?: the| my| our)? (?:\d+ )?(\w+s|vanguard|rearguard)\b", half
+            ):
                 part["role"] = m[1]
     return {"parts": parts, **stage} if parts else None
 
 
 def _zones(text: str, mission: dict[str, Any]) -> str:
     """Take zones that nobody may enter out of a text."""
-    no = r"(?:no-go|keep[- ]out|keep (?:off|away|clear)|stay (?:off|out)|off limits|out of bounds|closed|under repair|forbidden|avoid|nobody|must remain empty|no robot may|no entry|prohibited|restricted|not enter)"
+    no = (
+        r"(?:no-go|keep[- ]out|keep (?:off|away|clear)|stay (?:off|out)|off limits|out of bounds|closed|"
+        r"under repair|forbidden|avoid|nobody|must remain empty|no robot may|no entry|prohibited|"
+        r"restricted|not enter)"
+    )
     zones: list[dict[str, Any]] = []
     for sentence in re.split(r"(?<=[.;!?]) ", text):
         if not re.search(no, sentence):
             continue
         start = re.search(rf"(?:,? )?{no}", sentence)
-        piece = sentence if re.search(r"closed|repair|bounds|remain|limits", sentence) or start is None else sentence[start.start() :]
+        piece = (
+            sentence
+            if re.search(r"closed|repair|bounds|remain|limits", sentence) or start is None
+            else sentence[start.start() :]
+        )
         if start is not None and not re.search(PAIR, piece):
             piece = text[text.index(sentence) :][:90].partition(". ")[0]
         pairs = [_floats(m, 1, 2) for m in re.finditer(PAIR, piece)]
@@ -269,9 +351,15 @@ def _zones(text: str, mission: dict[str, Any]) -> str:
 
 def _wishes(text: str, mission: dict[str, Any]) -> str:
     """Take what is said about single robots out of a text."""
-    ways = {"shortest": r"batt|charge|juice|cell|short", "center": r"inside|middle of the|interior", "edge": r"edge|rim|outside"}
+    ways = {
+        "shortest": r"batt|charge|juice|cell|short",
+        "center": r"inside|middle of the|interior",
+        "edge": r"edge|rim|outside",
+    }
     found: list[dict[str, Any]] = []
-    for m in re.finditer(r"(?:robots?|bots?|number) (\d+)(?:(?: \+| and|,) (\d+))?(?! (?:and )?\d)((?:(?!bots? \d)[^.;:])*)", text):
+    for m in re.finditer(
+        r"(?:robots?|bots?|number) (\d+)(?:(?: \+| and|,) (\d+))?(?! (?:and )?\d)((?:(?!bots? \d)[^.;:])*)", text
+    ):
         if way := next((way for way, pattern in ways.items() if re.search(pattern, m[3])), None):
             found += [{"robot": int(one), "way": way} for one in (m[1], m[2]) if one]
             text = text.replace(m[0].partition(",")[0], " ")
@@ -296,7 +384,9 @@ def _flies(mission: dict[str, Any], team: int) -> bool:
         reach = part.get("size", 0) / 2 + (part.get("spacing", 0) / 2 if name == "circle" else 0)
         inside = all(reach <= x <= 100 - reach for x in part.get("center", (50, 50)))
         for zone in mission.get("keep_out", []):
-            inside = inside and ("radius" not in zone or math.dist(zone["center"], part.get("center", (50, 50))) > zone["radius"] - reach)
+            inside = inside and (
+                "radius" not in zone or math.dist(zone["center"], part.get("center", (50, 50))) > zone["radius"] - reach
+            )
         if name == "line" and "size" in part and "spacing" in part:
             fits = fits and abs(part["size"] - part["spacing"] * (n - 1)) < 1
         slow = math.hypot(*part.get("velocity", (0, 0))) <= 3
@@ -304,3 +394,42 @@ def _flies(mission: dict[str, Any], team: int) -> bool:
         if not (fits and inside and slow and wide and part.get("spacing", 3) >= 3 and max(who.get("ids", [0])) < team):
             return False
     return True
+
+
+def score() -> list[dict[str, object]]:
+    """Right answers to the exam's sentences, by half of them, style and kind."""
+    from llm_flock_lab._exam.score import word_marks
+    from llm_flock_lab._exam.splits import paper
+
+    asked = paper(sections="mission")
+    right: dict[str, bool] = {}
+    for question in asked:
+        assert question.words is not None and question.mission is not None
+        flown = dict(question.mission) if question.flying else None
+        try:
+            answer = json.dumps(read(question.words, question.n, flown))
+        except (ValueError, LookupError, ArithmeticError):
+            answer = ""  # it met what it was not written for
+        right[question.id] = word_marks(question, answer).reason is None
+    rows: list[dict[str, object]] = []
+    for kind in ("all", "plain", "chatty", "terse", "mission", "ask", "refuse"):
+        row: dict[str, object] = {"Sentences": kind}
+        for half, title in (("open", "Known half"), ("closed", "Other half")):
+            found = [right[one.id] for one in asked if half in one.tags and (kind == "all" or kind in one.tags)]
+            row[title] = f"{sum(found)} of {len(found)} ({100 * sum(found) / len(found):.0f} %)"
+        rows.append(row)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help="write docs/data/patterns.csv")
+    rows = score()
+    for row in rows:
+        print(row)
+    if parser.parse_args().write:
+        figures.write("patterns.csv", [list(rows[0]), *(list(row.values()) for row in rows)])
+
+
+if __name__ == "__main__":
+    main()

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from llm_flock.errors import ModelError
 from llm_flock.llm import (
@@ -27,7 +27,15 @@ from llm_flock.llm import (
     place_text,
 )
 from llm_flock.mission import Mission
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.protocol import GeometryPlanner, Verdict
 from llm_flock.protocol import judge as judge_step
 from llm_flock_lab._exam.questions import Question
@@ -44,6 +52,10 @@ SCRIPT = "exam:script"
 """Name of the model of answers that are put into a model's mouth."""
 
 SAID = "I have worked it out."
+
+
+Usable: TypeAlias = PlanAnswer | StepAnswer | JudgementAnswer
+Asked: TypeAlias = PlanQuestion | StepQuestion | JudgementQuestion
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,9 +86,9 @@ class Outcome:
 class _Asked:
     """The result of one robot: its accepted answer, its calls without scripted ones, and its first answer."""
 
-    answer: PlanAnswer | StepAnswer | NoAnswer
+    answer: Usable | NoAnswer
     attempts: Sequence[Attempt] = ()
-    first: PlanAnswer | StepAnswer | None = None
+    first: Usable | None = None
 
 
 class Scripted:
@@ -115,7 +127,10 @@ class Examiner:
             return
         mission = question.build_mission()
         for robot in question.robots:
-            if question.asks_plan:
+            if question.options:
+                system = self._prompts.system(mission)
+                user = self._wishing(question).judgement(question.judgement_question(mission, 0))
+            elif question.asks_plan:
                 plan = frame_plan(question.plan_question(mission, robot, 0), self._frame).framed
                 system, user = self._prompts.system(plan.mission), self._prompts.plan(plan)
             else:
@@ -146,8 +161,10 @@ class Examiner:
         attempts: list[Attempt] = []
         seen: list[PlanAnswer | StepAnswer] = []
         first: PlanAnswer | StepAnswer | None = None
-        asked: PlanQuestion | StepQuestion
-        if question.asks_plan:
+        asked: Asked
+        if question.options:
+            asked = question.judgement_question(mission, round_)
+        elif question.asks_plan:
             asked = question.plan_question(mission, robot, round_)
         else:
             asked = question.step_question(mission, round_)
@@ -179,7 +196,7 @@ class Examiner:
         planner = LanguagePlanner(
             robot,
             Scripted(model, self._script(question, mission, robot, round_)),
-            self._prompts,
+            self._wishing(question),
             max_retries=self._retries + (question.first is not None),
             history=None if with_history else 0,
             on_attempt=note,
@@ -189,8 +206,15 @@ class Examiner:
         )
         if with_history:
             await planner.plan(question.plan_question(mission, robot, round_))
+        if isinstance(asked, JudgementQuestion):
+            answer = await planner.judge(asked)
+            chosen = None if isinstance(answer, NoAnswer) or len(attempts) > 1 else answer
+            return _Asked(answer=answer, attempts=attempts, first=chosen)
         answer = await (planner.plan(asked) if isinstance(asked, PlanQuestion) else planner.step(asked))
         return _Asked(answer=answer, attempts=attempts, first=first)
+
+    def _wishing(self, question: Question) -> PromptSet:
+        return self._prompts if question.wish is None else replace(self._prompts, wish=question.wish)
 
     def _script(self, question: Question, mission: Mission, robot: int, round_: int) -> tuple[str, ...]:
         """The answers to put into the model's mouth, in the frame and the form of the prompts."""
@@ -249,13 +273,15 @@ def _call_of(question: Question) -> Call:
 
 
 async def _by_geometry(
-    asked: PlanQuestion | StepQuestion,
+    asked: Asked,
     check_plan: Callable[[PlanQuestion, PlanAnswer], str | None],
     judge: Callable[[StepQuestion, StepAnswer], Verdict],
 ) -> _Asked:
     """The answer of geometry, after the checks that a model's answer goes through."""
     reason: str | None = None
-    if isinstance(asked, PlanQuestion):
+    if isinstance(asked, JudgementQuestion):  # it has no opinion: the team does the first
+        answer = JudgementAnswer(choice=asked.options[0].choice)
+    elif isinstance(asked, PlanQuestion):
         answer = await GeometryPlanner().plan(asked)
         reason = check_plan(asked, answer) if isinstance(answer, PlanAnswer) else None
     else:
@@ -281,6 +307,9 @@ def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repe
     first = next((one.first for one in asked if one.first is not None), None)
     if isinstance(first, PlanAnswer):
         marks = plan_marks(question, mission, first)
+    elif isinstance(first, JudgementAnswer):
+        chosen = next(option for option in question.options if option["choice"] == first.choice)
+        marks = Marks(flyable=chosen["lost"] == 0)
     elif first is not None:
         marks = step_marks(question, mission, first)
     attempts = [attempt for one in asked for attempt in one.attempts]

@@ -59,7 +59,7 @@ def retry_questions(rng: np.random.Generator) -> Iterator[Question]:
 
 
 def agreement_questions(rng: np.random.Generator) -> Iterator[Question]:
-    """Steps to the team's place, by a robot that has proposed another orientation; another stands on the straight way."""
+    """Steps to the team's place by a robot that has proposed another orientation, with another on the straight way."""
     made = 0
     while made < 20:
         question = draw_step(rng, "ahead", STEP_TEAMS[made % len(STEP_TEAMS)], float(rng.uniform(0.6, 5.0)))

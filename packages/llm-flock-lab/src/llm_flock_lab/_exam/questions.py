@@ -15,7 +15,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.planner import PlanQuestion, StepQuestion
+from llm_flock.planner import JudgementOption, JudgementQuestion, PlanQuestion, StepQuestion
 
 SECTIONS: Mapping[str, str] = {
     "plan": "a plan of the whole formation: every shape, in the plane and in space, 3 to 30 places",
@@ -28,11 +28,12 @@ SECTIONS: Mapping[str, str] = {
     "mission": "a mission in words as a typed answer: what is flown, a question back, or a refusal",
     "distraction": "a plan of a shape in words with irrelevant, contradictory or hostile text in it",
     "edit": "a formation program changed as words say",
+    "judgement": "what to do after a death or with a weak battery: one of some options, by a wish",
 }
 """The sections, in the order in which they are asked, and what each asks for."""
 
-WRITTEN = {"mission", "edit"}
-"""The sections whose questions were written, and not generated."""
+WRITTEN = {"mission", "edit", "judgement"}
+"""The sections whose questions were written or flown, and not generated: there are no private ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,12 +59,15 @@ class Question:
     meant: str | None = None  # shape that a text describes (`distraction`)
     words: str | None = None
     flying: bool = False  # whether the team flies `mission` when it gets the words
-    wanted: tuple[Mapping[str, Any], ...] = ()  # right answers to the words
+    event: str | None = None  # what has come up (`judgement`)
+    options: tuple[Mapping[str, Any], ...] = ()
+    wish: str | None = None  # what counts
+    wanted: tuple[Mapping[str, Any], ...] = ()  # right answers to words, or the right option
 
     @property
     def asks_plan(self) -> bool:
-        """Whether the question is for a plan, and not for a step or a mission."""
-        return self.words is None and not self.plan
+        """Whether the question is for a plan, and not for a step, a mission or a judgement."""
+        return self.words is None and not self.plan and not self.options
 
     def build_mission(self) -> Mission:
         assert self.mission is not None, "every question has a mission"
@@ -92,6 +96,11 @@ class Question:
             corner=self.corner,
             horizon=self.horizon,
         )
+
+    def judgement_question(self, mission: Mission, round_: int) -> JudgementQuestion:
+        assert self.event is not None, "a question for a judgement has an event"
+        options = tuple(JudgementOption(**option) for option in self.options)
+        return JudgementQuestion(mission=mission, robot=self.robots[0], round=round_, event=self.event, options=options)
 
 
 def to_lines(questions: Iterable[Question]) -> str:

@@ -20,7 +20,7 @@ from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import parse_program
 from llm_flock.llm import answer_of, draft_of
 from llm_flock.mission import Mission
-from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer
+from llm_flock.planner import JudgementAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol import ROUNDING, check_plan, check_proposal, judge, straight_path
 from llm_flock_lab._exam.questions import Question
 from llm_flock_lab._exam.words import drawing_differs, mission_differs
@@ -63,7 +63,9 @@ def meant(question: Question, mission: Mission) -> Mission:
     return mission if question.meant is None else mission.change(shape=question.meant)
 
 
-def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
+def shortfall(
+    question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer | JudgementAnswer]
+) -> str | None:
     """The further demand of a question that accepted answers fail, as a sentence; None if they meet all."""
     if question.section == "place":
         plans = [answer for answer in answers if isinstance(answer, PlanAnswer)]
@@ -73,6 +75,9 @@ def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer
             return wrong
         return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."
     (answer,) = answers
+    if isinstance(answer, JudgementAnswer):
+        right = question.wanted[0]["choice"]
+        return None if answer.choice == right else f"{answer.choice} is chosen, and {right} is right."
     if isinstance(answer, PlanAnswer):
         return check_plan(meant(question, mission), answer.plan) if question.meant is not None else None
     assert question.position is not None

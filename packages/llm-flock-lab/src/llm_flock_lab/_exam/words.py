@@ -11,7 +11,7 @@ import scipy
 import shapely
 
 from llm_flock.arrays import Points
-from llm_flock.formation import Program, program_points
+from llm_flock.formation import Program, parse_program, program_points
 from llm_flock.mission import Mission
 
 NEAR = 0.011
@@ -34,11 +34,7 @@ ALIKE = 0.25
 
 def mission_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:
     """The first part of a mission that would fly otherwise, as a sentence; what is not said stays as in `base`."""
-    arena = shapely.box(*base.arena[0], *base.arena[1])
-    here, there = (
-        shapely.union_all([_zone(zone) for zone in answer.get("keep_out", ())]).intersection(arena)
-        for answer in (wanted, found)
-    )
+    here, there = _closed(wanted, base), _closed(found, base)
     if here.symmetric_difference(there).area > NEAR * max(here.area, there.area):
         return f"keep_out is {found.get('keep_out')}, and the words say {wanted.get('keep_out')}."
     left, right = _mission(wanted, base), _mission(found, base)
@@ -46,10 +42,16 @@ def mission_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: M
     return None if wrong is None else f"{wrong}: {found.get(wrong)}, and the words say {wanted.get(wrong)}."
 
 
-def _zone(zone: Mapping[str, Any]) -> Any:
-    if zone.get("polygon"):
-        return shapely.Polygon(zone["polygon"]).buffer(0)
-    return shapely.Point(zone["center"]).buffer(zone["radius"])
+def _closed(answer: Mapping[str, Any], base: Mission) -> Any:
+    """The area that no robot may enter, as far as it is in the arena."""
+    zones: list[Any] = [
+        shapely.Polygon(zone["polygon"]).buffer(0)
+        if zone.get("polygon")
+        else shapely.Point(zone["center"]).buffer(zone["radius"])
+        for zone in answer.get("keep_out", ())
+    ]
+    low, high = base.arena
+    return shapely.intersection(shapely.box(low[0], low[1], high[0], high[1]), shapely.union_all(zones))
 
 
 def _mission(answer: Mapping[str, Any], base: Mission) -> dict[str, Any]:
@@ -83,8 +85,8 @@ def _part(part: Mapping[str, Any], keeps: Mapping[str, Any]) -> dict[str, Any]:
         turn = ANGLES[part["point"]] + 90.0 * (name == "line")
     if turn is not None:
         turn = None if name in ROUND else turn % (360 / (int(argument) if name == "polygon" else FOLDS.get(name, 1)))
-    who, role, velocity = part.get("who") or {}, (part.get("role") or "").casefold().split(), part.get("velocity")
-    side = who.get("side")
+    who: dict[str, Any] = part.get("who") or {}
+    side, role, velocity = who.get("side"), (part.get("role") or "").casefold().split(), part.get("velocity")
     return {
         "who": {"count": who.get("count"), "side": SIDES.get(side or "", side), "ids": sorted(who.get("ids") or ())},
         "role": role[-1].removesuffix("s") if role else None,
@@ -140,7 +142,7 @@ def drawing_differs(wanted: Program, found: Program) -> str | None:
         return f"the groups are {right}, and the words say {left}."
     if not _same(wanted.size, found.size):
         return f"size is {found.size}, and the words say {wanted.size}."
-    one, other = _drawn(wanted), _drawn(found)
+    one, other = _drawn(wanted.text), _drawn(found.text)
     if one.shape != other.shape:
         return "it is drawn in another number of dimensions."
     away = scipy.spatial.distance.cdist(one, other)
@@ -151,8 +153,9 @@ def drawing_differs(wanted: Program, found: Program) -> str | None:
 
 
 @lru_cache(maxsize=256)
-def _drawn(program: Program) -> Points:
+def _drawn(text: str) -> Points:
     """Where robots stand, around a mean of zero, at a mean square radius of 1: as large as they make it."""
+    program = parse_program(text)
     counts = [group.count for group in program.groups or ()]
     n = sum(count or 0 for count in counts) if counts and None not in counts else ROBOTS
     rows = program_points(program.model_copy(update={"size": None}), n, 3 if program.in_space else 2, 1.0)
