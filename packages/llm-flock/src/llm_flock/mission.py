@@ -44,11 +44,16 @@ MAX_STAGES = 20  #: Most stages of a mission: each is checked with all that foll
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
 
-class Preference(BaseModel):
-    """Which robots should take which places: one of the three forms of `Mission.prefer`.
+def wish(name: str, description: str) -> Any:
+    """A field that is left out of JSON where it has its value of `WISHES`."""
+    return Field(default=WISHES[name], exclude_if=lambda value: value == WISHES[name], description=description)
 
-    `robot` and `group`: it belongs to that group of the program. `side` and `group`: the group gets the robots farthest
-    to that side. `robot` and `way`: it gets a short way, or a place near the centre or far from it.
+
+class Preference(BaseModel):
+    """Which robots should take which places.
+
+    With `group`, a group of the program gets this robot, or those farthest to the `side`. With `way`, a robot gets a
+    short way, or a place near the centre or far from it.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
@@ -121,31 +126,17 @@ class Mission(BaseModel):
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots must avoid"
     )
-    turn: float | None = Field(
-        default=None,
-        ge=-360,
-        le=360,
-        exclude_if=lambda turn: turn is None,
-        description="Orientation of the formation, anticlockwise from that of the shape [degrees]; any if unset",
+    turn: Annotated[float, Field(ge=-360, le=360)] | None = wish(
+        "turn", "Orientation of the formation, anticlockwise from that of the shape [degrees]; any if unset"
     )
-    hold: int = Field(
-        default=0,
-        ge=0,
-        le=100_000,
-        exclude_if=lambda hold: hold == 0,
-        description="Rounds for which the team stays formed, before the next stage or the end",
+    hold: Annotated[int, Field(ge=0, le=100_000)] = wish(
+        "hold", "Rounds for which the team stays formed, before the next stage or the end"
     )
-    prefer: tuple[Preference, ...] = Field(
-        default=(),
-        max_length=100,
-        exclude_if=lambda prefer: not prefer,
-        description="Who takes which place: {robot, group}, {side, group} or {robot, way: shortest, center or edge}",
+    prefer: Annotated[tuple[Preference, ...], Field(max_length=100)] = wish(
+        "prefer", "Who takes which place: {robot, group}, {side, group} or {robot, way: shortest, center or edge}"
     )
-    then: tuple[Stage, ...] = Field(
-        default=(),
-        max_length=MAX_STAGES,
-        exclude_if=lambda then: not then,
-        description="Stages that follow: {set: {field: value, ...}, when: formed, order or a round}",
+    then: Annotated[tuple[Stage, ...], Field(max_length=MAX_STAGES)] = wish(
+        "then", "Stages that follow: {set: {field: value, ...}, when: formed, order or a round}"
     )
 
     @model_validator(mode="before")
@@ -207,7 +198,9 @@ class Mission(BaseModel):
     def _check_wishes(self) -> None:
         """Check orientation and preferences, and build all later stages."""
         if self.turn is not None and self.ideal is None:
-            raise InputError("turn", self.turn, says="has no effect on a shape in words: say in the words where it points")
+            raise InputError(
+                "turn", self.turn, says="has no effect on a shape in words: say in the words where it points"
+            )
         groups = 1
         if self.prefer and formations.is_drawn(self.shape):
             from llm_flock.formation import program_of
@@ -232,6 +225,13 @@ class Mission(BaseModel):
             raise InputError("then", unknown, f"only {', '.join(sorted(MISSION_FIELDS - {'since', 'then'}))}")
         travels = given.get("velocity", self.velocity) is not None  # else all robots that go on give the same order
         return self.at(round_).change(**given, since=round_ if travels else 0, then=tuple(rest))
+
+    def proceeding(self) -> dict[str, Any]:
+        """The fields of an order to go on to the next stage now; InputError if none is left."""
+        if not self.then:
+            raise InputError("then", None, says="no stage of the mission is left")
+        stage, *rest = self.then
+        return {"hold": 0, **stage.set, "then": [one.model_dump(mode="json") for one in rest]}
 
     def _check_room(self) -> None:
         """Check that messages have room for the mission, and the arena for random starts `safe_distance` apart."""
@@ -275,10 +275,13 @@ class Mission(BaseModel):
             says = f"at least {gap:.4g}, so that all robots of '{shape_title(self.shape)}' hear each other"
             raise InputError("comm_range", self.comm_range, f"{says}; more robots or less spacing would do, too")
         low, high = self.arena
+        least, most = self._extent
         if self.turn is not None:
-            if out := [p for p in self.ideal if any(not a - 1e-9 <= x <= b + 1e-9 for a, x, b in zip(low, p, high, strict=True))]:
-                place = [round(x, 2) for x in out[0]]
-                raise InputError("arena", [list(low), list(high)], f"a larger one: a place would be at {place}")
+            if not all(a <= x + 1e-9 and y <= b + 1e-9 for a, b, x, y in zip(low, high, least, most, strict=True)):
+                spans = (
+                    f"one that holds {[round(x, 2) for x in least]} .. {[round(x, 2) for x in most]}, all its places"
+                )
+                raise InputError("arena", [list(low), list(high)], spans)
             return
         reach = formations.circumradius(self.ideal, self.center)
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
@@ -408,16 +411,20 @@ class Mission(BaseModel):
         """16 hexadecimal digits that identify the content of this mission."""
         return hashlib.blake2b(self.model_dump_json().encode(), digest_size=8).hexdigest()
 
+    @property
+    def _extent(self) -> tuple[Point, Point]:
+        """The lowest and highest coordinates of places, in every orientation that the formation may have."""
+        if self.turn is not None and self.ideal is not None:
+            return tuple(map(min, *self.ideal, self.ideal[0])), tuple(map(max, *self.ideal, self.ideal[0]))
+        reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
+        return tuple(c - reach for c in self.center), tuple(c + reach for c in self.center)
+
     @cached_property
     def travel_rounds(self) -> float:
         """Rounds after `since` at which the formation stops at a wall; infinite for a formation that stands still."""
         if self.velocity is None:
             return math.inf
-        reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
-        low, high = self.arena
-        least, most = [c - reach for c in self.center], [c + reach for c in self.center]
-        if self.turn is not None and self.ideal is not None:
-            least, most = map(min, zip(*self.ideal, strict=True)), map(max, zip(*self.ideal, strict=True))
+        (low, high), (least, most) = self.arena, self._extent
         room = [
             (b - y) / v if v > 0 else (x - a) / -v
             for a, b, x, y, v in zip(low, high, least, most, self.velocity, strict=True)

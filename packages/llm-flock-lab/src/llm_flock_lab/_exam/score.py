@@ -18,7 +18,7 @@ from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import parse_program
-from llm_flock.llm import answer_of, draft_of
+from llm_flock.llm import answer_of, draft_of, refusal
 from llm_flock.mission import Mission
 from llm_flock.planner import JudgementAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol import ROUNDING, check_plan, check_proposal, judge, straight_path
@@ -141,10 +141,9 @@ def _answer_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: M
 
 def _edited(text: str) -> Mapping[str, Any]:
     """A program or a refusal as an object; InputError for anything else."""
-    said = text[text.find("{") : text.rfind("}") + 1]
-    if '"refuse"' in said[:12]:
+    if refusal(text) is not None:
         return {"refuse": True}
-    return {"program": parse_program(said)}
+    return {"program": parse_program(text[text.find("{") : text.rfind("}") + 1])}
 
 
 def _edit_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:

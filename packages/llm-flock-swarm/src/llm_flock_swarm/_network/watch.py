@@ -10,6 +10,7 @@ from pathlib import Path
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
 from llm_flock.message import MissionStamp, OperatorClock
+from llm_flock.mission import Mission
 from llm_flock.record import Guarded, NullWriter, RecordSink, RecordWriter, SummaryMessage, Tee
 from llm_flock.runtime import TrialProgress, finite, run_info
 from llm_flock_swarm._network.accusations import Judge
@@ -24,6 +25,7 @@ from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
 CHECK_S = 0.1  # time between two checks whether the team has formed [s]
 MEET_S = 5.0  # longest search of an operator for a robot that takes a mission [s]
 HEAR_S = 0.5  # time for which an operator listens to the robots' reports before it gives an order [s]: a few of each
+TELL_S = 20.0  # longest wait for the mission of a swarm: robots spell it out now and then [s]
 SEND_S = 0.3  # time for a message to leave before its session is closed [s]
 FREE_PORT = "tcp/127.0.0.1:0"  # where processes listen that are no part of the swarm
 
@@ -91,6 +93,17 @@ async def run_watch(
             "tokens": observer.said.tokens,
         }
         writer.write(SummaryMessage(result=result))
+
+
+async def present_mission(config: SwarmConfig) -> Mission | None:
+    """The mission that a running swarm flies; None if no robot tells it within `TELL_S`."""
+    with observing(config, NullWriter()) as observer:
+        for _ in range(round(TELL_S / CHECK_S)):
+            await asyncio.sleep(CHECK_S)
+            told = [tuple(report.mission) for report in observer.reports.values()]
+            if told and max(told)[1] == observer.mission.digest:
+                return observer.mission
+    return None
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:

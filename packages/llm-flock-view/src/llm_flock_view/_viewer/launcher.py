@@ -16,7 +16,7 @@ from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.paths import RECORD_NAME
 
 if TYPE_CHECKING:
-    from llm_flock.llm import MissionReader
+    from llm_flock.llm import MissionDraft, MissionReader
     from llm_flock.runtime import RunConfig
     from llm_flock_view._viewer.steered_run import SteeredRun
 
@@ -62,12 +62,22 @@ class Launcher:
         # No daemon: one that is loading a library while the interpreter ends takes the process down.
         threading.Timer(WARM_AFTER_S, fly_nothing).start()
 
-    def start(self, fields: dict[str, Any], *, pace: float, protocols: Sequence[str] | None = None) -> list[SteeredRun]:
-        """Start a run of the form's fields, or one with each of several protocols; all of them start, or none."""
+    def start(
+        self,
+        fields: dict[str, Any],
+        *,
+        pace: float,
+        protocols: Sequence[str] | None = None,
+        draft: MissionDraft | None = None,
+    ) -> list[SteeredRun]:
+        """Start a run of the form's fields, or one with each of several protocols; all of them start, or none.
+
+        The mission of a `draft` replaces that of the form.
+        """
         from llm_flock_view._viewer.steered_run import config_of
 
         chosen = [fields] if protocols is None else [{**fields, "protocol": name} for name in protocols]
-        configs = [config_of(each, self.models, self.base_url) for each in chosen]
+        configs = [config_of(each, self.models, self.base_url, draft) for each in chosen]
         flying = sum(not run.over for run in self.runs.values())
         if flying + len(configs) > MAX_RUNS:
             asked = f"{len(configs)} more than {flying}"

@@ -10,7 +10,8 @@ from typing import Any
 
 from llm_flock.errors import FieldError, FlockError, InputError, unknown
 from llm_flock.events import Note
-from llm_flock.llm import habits_of
+from llm_flock.llm import MissionDraft, habits_of
+from llm_flock.mission import Mission
 from llm_flock.record import DEAD
 from llm_flock.runtime import (
     RunConfig,
@@ -52,9 +53,19 @@ FIELDS: tuple[str, ...] = (
 """Fields that a page may set. Fields that name files, modules, addresses or folders belong to the command line."""
 
 
-def config_of(fields: Mapping[str, Any], models: Collection[str] = (), base_url: str | None = None) -> RunConfig:
-    """The configuration of a run that a page asks for, checked as the command's; the operator typed the rest."""
+def config_of(
+    fields: Mapping[str, Any],
+    models: Collection[str] = (),
+    base_url: str | None = None,
+    draft: MissionDraft | None = None,
+) -> RunConfig:
+    """The configuration of a run that a page asks for, checked as the command's; the operator typed the rest.
+
+    The mission is that of the `draft`, if there is one.
+    """
     given = {name: value for name, value in fields.items() if value not in (None, "")}
+    if draft is not None:
+        given = {name: value for name, value in given.items() if name not in Mission.model_fields}
     for name in given:
         if name not in FIELDS:
             raise FieldError(name, given[name], says=unknown(f"field {name!r}", name, FIELDS))
@@ -66,6 +77,7 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = (), base_url:
         allowed = "simulated:PROFILE, geometry or a packaged model, or a model that `llm-flock view --model` named"
         raise InputError("model", model, allowed)
     config = build_config({}, **given, base_url=base_url if model in models else None)
+    config = config if draft is None else config.flying(draft.mission, draft.gaps)
     if _free(config.model.model):
         # These raise now what would otherwise only be raised when the run begins.
         TeamPlanners(config)
@@ -178,6 +190,11 @@ class SteeredRun:
         """Give one robot another mission, and return that robot; see `RunOrders.change`."""
         self._check("change")
         return self.orders.change(fields)
+
+    def proceed(self) -> int:
+        """Order the next stage of the mission; see `RunOrders.proceed`."""
+        self._check("proceed")
+        return self.orders.proceed()
 
     def lose(self, share: float) -> None:
         self._check("lose")

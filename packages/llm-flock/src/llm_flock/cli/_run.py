@@ -68,7 +68,7 @@ def run(
         raise InputError("pace", pace, "a number from 0.01 to 1000")
     settings = RunConfig.load(config, **flags)
     if words is not None or edit is not None:
-        draft = confirmed_draft(settings, settings.mission, words, edit, reader, yes=yes)
+        draft = confirmed_draft(settings, words, edit, reader, yes=yes)
         settings = settings.flying(draft.mission, draft.gaps)
     elif reader is not None or yes:
         raise InputError("reader" if reader else "yes", reader, says="has no effect without --words or --edit")

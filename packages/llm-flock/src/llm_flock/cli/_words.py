@@ -13,48 +13,34 @@ from llm_flock.errors import InputError
 
 if TYPE_CHECKING:
     from llm_flock.llm import MissionDraft
-    from llm_flock.mission import Mission
     from llm_flock.runtime._config import RunConfig
 
 Words = Annotated[str | None, typer.Option(help="Mission in words, which --reader reads", show_default=False)]
 Edit = Annotated[str | None, typer.Option(help="Change of the drawing in words, such as 'wider'", show_default=False)]
-ReaderModel = Annotated[
-    str | None,
-    typer.Option(
-        "--reader",
-        help="Model that reads words, or simulated:reader:FILE, which knows the sentences of a JSON file [--model]",
-        show_default=False,
-    ),
-]
+READS = "Model that reads words, or simulated:reader:FILE, which knows the sentences of a JSON file [--model]"
+ReaderModel = Annotated[str | None, typer.Option("--reader", help=READS, show_default=False)]
 Yes = Annotated[bool, typer.Option("--yes", help="Fly what the reader made of the words, without asking")]
 
 
 def confirmed_draft(
-    settings: RunConfig,
-    base: Mission,
-    words: str | None,
-    edit: str | None,
-    reader: str | None,
-    *,
-    yes: bool,
-    flying: bool = False,
+    now: RunConfig, words: str | None, edit: str | None, reader: str | None, *, yes: bool, flying: bool = False
 ) -> MissionDraft:
-    """What a reader made of words or of an edit, shown and confirmed; `base` is what is flown, or set up.
+    """What a reader made of words or of an edit of the mission `now`, shown and confirmed.
 
     Raises:
-        InputError: both or neither were given, the words cannot be flown, or nobody can be asked.
-        typer.Exit: it was not confirmed.
+        InputError: not one of words and edit, the reader refuses, or nobody can be asked.
+        typer.Abort: it was not confirmed.
     """
-    if (words is None) == (edit is None):
-        raise InputError("words", words, says="either --words or --edit")
+    if words is not None and edit is not None:
+        raise InputError("edit", edit, says="either --words or --edit")
     from llm_flock.llm import MissionReader
 
-    reads = MissionReader(reader or settings.model.model, settings.model.typed_url)
-    work = reads.read(words, base, flying=flying) if words is not None else reads.edit(edit or "", base, flying=flying)
+    asked = MissionReader(reader or now.model.model, now.model.typed_url)
+    work = asked.edit(edit or "", now.mission) if words is None else asked.read(words, now.mission, flying=flying)
     draft = asyncio.run(work)
     say(draft.in_words, error=True)
+    if not yes and not sys.stdin.isatty():
+        raise InputError("yes", None, says="nobody can be asked here: add --yes to fly this")
     if not yes:
-        if not sys.stdin.isatty():
-            raise InputError("yes", None, says="nobody can be asked here: add --yes to fly this")
         typer.confirm("Fly this?", abort=True, err=True)
     return draft

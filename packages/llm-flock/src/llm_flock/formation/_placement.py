@@ -79,7 +79,9 @@ def _sized(points: Points, size: float | None, spacing: float) -> Points:
     if size is None or not width:
         return points
     if size < width * (1 - 1e-9):
-        raise InputError("size", size, f"at least {width:.4g}, the width that {len(points)} robots need at spacing {spacing:g}")
+        raise InputError(
+            "size", size, f"at least {width:.4g}, the width that {len(points)} robots need at spacing {spacing:g}"
+        )
     return points * (size / width)
 
 

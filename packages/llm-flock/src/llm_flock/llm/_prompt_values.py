@@ -97,7 +97,9 @@ def shape_text(mission: Mission) -> str:
     ]
     places = positions_text(offsets, position_decimals(mission.spacing))
     name = "a given shape" if mission.points else formations.describe(mission.shape)
-    return f"{name}, {IN_PLACE if oriented else 'turned in any direction'}; relative to its centre its places are {places}"
+    return (
+        f"{name}, {IN_PLACE if oriented else 'turned in any direction'}; relative to its centre its places are {places}"
+    )
 
 
 def obstacles_text(mission: Mission) -> str:

@@ -1,9 +1,9 @@
 """When a team goes on to the next stage of its mission: each robot decides by its own view, and the first one leads.
 
 A robot that has stood at its place writes the highest bid of all into its slot of the bid table, which merging carries
-to the others. One whose table shows that for every robot that is not silent sees a formed team. It goes on as if an
-operator had ordered the next stage, with the time that follows that of the last order; the others hear of it from there.
-Robots that go on at the same moment give the same order, and none is needed for it: any one may die.
+to the others. A robot whose table shows that for all robots that are not silent sees a formed team. It goes on as if an
+operator had ordered the next stage, with the time that follows that of the last order; the others hear of it from
+there. Robots that go on at the same moment give the same order, and any of them may die.
 """
 
 from __future__ import annotations

@@ -239,7 +239,9 @@ class RunConfig(ConfigSection):
             allowed = "auction, by which robots tell each other who stands where, for a mission with then or prefer"
             raise InputError("assignment", self.protocol.assignment, allowed)
         if self.trial.changes and any(mission.then for mission in staged):
-            raise InputError("changes", len(self.trial.changes), "none beside `then`, whose stages may begin in a round")
+            raise InputError(
+                "changes", len(self.trial.changes), "none beside `then`, whose stages may begin in a round"
+            )
         if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
             says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
             raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
@@ -283,16 +285,11 @@ class RunConfig(ConfigSection):
         if self.trial.rounds is not None:
             return self.trial.rounds
         across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
-        rounds, stage = self.schedule().last, self.mission
-        while stage.then:
-            when = stage.then[0].when
-            rounds = max(rounds, when) if isinstance(when, int) else rounds
-            rounds, stage = rounds + self._most_of(stage, across), stage.following()
-        return rounds + self._most_of(stage, across)
-
-    def _most_of(self, stage: Mission, across: int) -> int:
-        """Most rounds of a stage whose robots have `across` rounds to fly."""
-        return deadline(across * (1 + self.sight.rests)) + stage.hold + (stage.n_robots if stage.then else 0)
+        then = self.mission.then
+        begun = max([self.schedule().last, *(stage.when for stage in then if isinstance(stage.when, int))])
+        held = sum([self.mission.hold, *(stage.set.get("hold", 0) for stage in then)])
+        flown = deadline(across * (1 + self.sight.rests)) + (self.mission.n_robots if then else 0)
+        return begun + held + flown * (1 + len(then))
 
     @classmethod
     def section_of(cls, field: str) -> str:

@@ -86,7 +86,9 @@ class Episode:
                 ideal = self.mission.resized(count).ideal if count else None
             except InputError:  # the shape does not exist for this number of robots
                 ideal = None
-            self._targets[count] = None if ideal is None else metrics.ShapeTarget(np.array(ideal), turns=self.mission.turn is None)
+            self._targets[count] = (
+                None if ideal is None else metrics.ShapeTarget(np.array(ideal), turns=self.mission.turn is None)
+            )
         return self._targets[count]
 
     def plan(self, agents: Sequence[Agent]) -> Plan | None:

@@ -37,12 +37,12 @@ export function cockpit(options, place) {
   const said = h("div", { class: "flock-error", role: "alert" });
   const waits = h("span", { class: "flock-hint", role: "status" });
   const starts = [];
-  const launch = async (protocols) => {
+  const launch = async (protocols, draft = null) => {
     for (const one of Object.values(fields)) one.say("");
     said.textContent = "";
     waits.textContent = "Starting …";
     for (const one of starts) one.disabled = true;
-    const answer = await order({ order: "start", protocols, pace: paceOf(pace), fields: values(fields, on) });
+    const answer = await order({ order: "start", protocols, draft, pace: paceOf(pace), fields: values(fields, on) });
     if (answer.address) {
       location.href = answer.address;
       return;
@@ -70,12 +70,7 @@ export function cockpit(options, place) {
     })),
     h("label", { class: "flock-check" }, on, "Keep flying after it has formed"), said,
     h("div", { class: "flock-row" }, ...starts, waits));
-  const spoken = words(options, (found) => {
-    for (const [name, value] of Object.entries(found)) {
-      fields[name].control.value = Array.isArray(value) ? value.join(", ") : value;
-    }
-    pictures.mark();
-  });
+  const spoken = words(options, (draft) => launch(null, draft));
   listenToKeys({ "?": showKeys });
   // Without a model the words cannot be read: then the form comes first.
   place.replaceChildren(header("Cockpit", [["Runs", "/runs"]], [], showKeys),
@@ -116,12 +111,9 @@ function words(options, take) {
       note.textContent = `error: ${said.error}`;
       return;
     }
-    note.textContent = "This is what the model made of it. Nothing flies before you say so.";
+    note.textContent = "This is what the model made of it. Protocol, model and faults are those of the form. Nothing flies before you say so.";
     offer.append(h("div", { class: "flock-call" }, h("div", { class: "flock-said", text: said.in_words }),
-      button("Take it over into the form", () => {
-        take(said.fields);
-        note.textContent = "Taken over: look at the form, then start.";
-      })));
+      button("Fly it", () => take(said.draft))));
   });
   read.disabled = box.control.disabled = !options.reads;
   return h("section", { class: "flock-card", "aria-label": "Say it in words" }, h("h2", { class: "flock-subtitle", text: "Say it in words" }),

@@ -202,6 +202,7 @@ class Agreement(Situation):
             wishes=self.mission if self.mission.prefer else None,
             weights=self.weights,
             retired=self.retired,
+            exchanges=not self.mission.prefer,
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:

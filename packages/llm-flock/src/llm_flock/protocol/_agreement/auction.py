@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import compress
 
-import numpy as np
 from msgspec.structs import replace
 
 from llm_flock.arrays import Point
 from llm_flock.message import BLOCKED, NO_OWNER, UNSAID, BidEntry, BidTable, Offer
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.assignment import AssignmentInput, Claim
-from llm_flock.protocol._agreement.wishes import exchange_gain, wished_bids
 from llm_flock.protocol._membership.joint import flown_straight, optimal_assignment
 from llm_flock.protocol._membership.occupancy import Occupancy
 from llm_flock.protocol._path_length import path_lengths, ways, ways_to
@@ -102,8 +100,6 @@ class AuctionAssignment:
     def take(self, now: AssignmentInput) -> Claim:
         """Fix the bids for this plan and claim the best slot that can be won."""
         distances = ways(now.position, now.plan.array, now.roadmap)
-        if now.wishes is not None:
-            distances = -wished_bids(now.wishes, now.plan, now.robot, now.position, distances)
         bids = tuple((0.0 - distances.round(BID_DECIMALS)).tolist())  # never -0.0, which is signed as another number
         empty: BidTable = (UNSAID,) * len(now.plan)
         return self.update(Claim(slot=None, table=empty, bids=bids), now)
@@ -246,10 +242,6 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    if now.wishes is not None and not now.weights:
-        slots = claim.slot, slot
-        apart = np.array([ways_to(here, now.plan, slots, now.roadmap) for here in (now.position, there)])
-        return exchange_gain(now.wishes, now.plan, (now.robot, peer), slots, apart)
     straight = now.straight or flown_straight(claim.table, claim.slot)
     return gain(now, there, claim.slot, slot, straight=straight, peer=peer)
 

@@ -20,8 +20,8 @@ from llm_flock.arrays import Point, between
 from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._membership.rendezvous import landing
 from llm_flock.protocol._agreement.wishes import costs
+from llm_flock.protocol._membership.rendezvous import landing
 from llm_flock.protocol._membership.search import MANY
 from llm_flock.protocol._path_length import ways
 from llm_flock.roadmap import Roadmap

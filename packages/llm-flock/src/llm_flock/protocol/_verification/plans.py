@@ -51,8 +51,8 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
     mean at the centre; all half the safe distance away from obstacles, and in one region, so that robots can get from
     each to each; no pair nearer than the safe distance; every place about as far from its nearest one as in the shape;
-    and, if the ideal is known, close to it after the best correspondence, and the best rotation unless `turn` fixes it. A formation that travels passes
-    obstacles: where they are does not matter for its plan.
+    and, if the ideal is known, close to it after the best rotation, unless `turn` fixes it, and correspondence. A
+    formation that travels passes obstacles: where they are does not matter for its plan.
     """
     return _fault_of_size(mission, plan) or _verdict(mission, plan)[1]
 
