@@ -31,7 +31,9 @@ from llm_flock.metrics import AT_GOAL, ROUNDING, ShapeTarget
 from llm_flock.planner import AIMS
 from llm_flock.runtime import Stream, stream
 
-SHARES = (0, 10, 20, 30, 40, 50, 60, 70)
+SHARES = {"unlike": (0, 20, 40, 50, 60, 70), "alike": (40, 50, 60)}
+"""Shares of models that judge wrongly [%], each on its own or all alike."""
+
 SHAPES = ("circle", "line", "wedge")
 AFTER = 50
 """Rounds that are flown after an event."""
@@ -65,9 +67,14 @@ class Flown:
     first: str | None
     offered: tuple[str, ...]
 
-    def worth(self, aim: str) -> tuple[float, ...]:
-        """Figures in the order in which they count; the lower the better."""
-        return (self.lost, *(round(float(getattr(self, name))) for name in AIMS[aim]))
+    def beats(self, other: Flown, aim: str) -> bool:
+        """Whether this flight is clearly better: by the first figure in which the two differ by more than noise."""
+        for name in ("lost", *AIMS[aim]):
+            mine, theirs = float(getattr(self, name)), float(getattr(other, name))
+            noise = {"rounds": 1.0, "distance": 0.05 * max(mine, theirs)}.get(name, 0.0)
+            if abs(mine - theirs) > noise:
+                return mine < theirs
+        return False
 
 
 class Fixed:
@@ -146,3 +153,71 @@ def fly(world: World, model: Any, **other: Any) -> Flown:
         first=max(votes, key=lambda one: one.robot).detail["choice"] if votes else None,
         offered=tuple(dict.fromkeys(x for one in seen if one.kind == "incident" for x in one.detail["options"])),
     )
+
+
+def models(world: World, seed: int, share: int, *, alike: bool) -> str:
+    """The models of a team of which a share judges wrongly: each on its own, or all alike."""
+    n = world.mission["n_robots"]
+    wrong = {*np.random.default_rng([5, seed]).permutation(n)[: round(share * n / 100)].tolist()}
+    name = "simulated:alike,misjudge" if alike else "simulated:misjudge"
+    return ",".join(f"{j}={name if j in wrong else 'simulated:ideal'}" for j in range(n))
+
+
+def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any]] | None:
+    """One world: by case and share, the flight of the option that was chosen, and what is to be counted."""
+    world = world_of(kind, seed)
+    n, aim = world.mission["n_robots"], world.options["wish"]
+    asked = fly(world, "simulated:ideal")
+    flown = {choice: fly(world, [Fixed(choice, seed, j) for j in range(n)]) for choice in asked.offered}
+    right = {one for one in flown if not any(flown[other].beats(flown[one], aim) for other in flown)}
+    if len(flown) < 2 or right == {*flown}:
+        return None  # there is nothing to choose
+    usual = "leave" if kind == "death" else "continue"
+    found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
+    for case, shares in SHARES.items():
+        for share in shares:
+            rounds = world.event + (24 if kind == "death" else 10)
+            team = fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
+            choice = team.choice or usual
+            found[case, share] = (
+                flown.get(choice),
+                choice in right,
+                team.first in right,
+                team.one_choice,
+                team.near,
+            )
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--worlds", type=int, default=40, help="worlds of each kind, as seeds; some leave no choice")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--write", action="store_true", help="write docs/data/judgement.csv")
+    given = parser.parse_args(arguments)
+    titles = ["Event", "Wrong models", "Wrong ones", "Worlds", "Right %", "One robot: right %", "One choice %"]
+    rows = [[*titles, "Robots lost per world", "Rounds", "Flights below the safe distance"]]
+    with ProcessPoolExecutor(given.jobs) as pool:
+        for kind in ("death", "battery"):
+            worlds = [one for one in pool.map(partial(study, kind), range(given.worlds)) if one is not None]
+            for case, share in worlds[0]:
+                seen = [one[case, share] for one in worlds]
+                flights = [flown for flown, *_ in seen if flown is not None]
+
+                def percent(place: int, seen: Sequence[Any] = seen) -> str:
+                    return f"{100 * sum(bool(one[place]) for one in seen) / len(seen):.0f}"
+
+                near = sum(bool(one[4]) or (one[0] is not None and one[0].near) for one in seen)
+                lost = f"{sum(flown.lost for flown in flights) / len(seen):.2f}"
+                rounds = f"{np.median([flown.rounds for flown in flights]):.0f}"
+                name = "no model is asked" if case == "rule" else f"{share} %"
+                one = "" if case == "rule" else percent(2)
+                wrong = "" if case == "rule" else case
+                rows.append([kind, name, wrong, str(len(seen)), percent(1), one, percent(3), lost, rounds, str(near)])
+                print(*rows[-1], sep=" | ", flush=True)
+    if given.write:
+        figures.write("judgement.csv", rows)
+
+
+if __name__ == "__main__":
+    main()

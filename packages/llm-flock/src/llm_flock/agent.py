@@ -82,7 +82,9 @@ class Agent:
 
     def _new_judgement(self, parts: Parts) -> Judgement:
         from llm_flock.protocol._agreement.judgement import Judgement
+        from llm_flock.protocol._membership.team import TeamMembership
 
+        assert isinstance(parts.membership, TeamMembership), "only teams that count heartbeats judge"
         return Judgement(self.robot, self._agreement, parts.membership)
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias, runtime_checkable
+from typing import Literal, Protocol, TypeAlias
 
 from llm_flock.arrays import Point
 from llm_flock.message import Choice
@@ -149,13 +149,4 @@ class Planner(Protocol):
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Propose a waypoint, or up to `question.horizon` of them."""
-        ...
-
-
-@runtime_checkable
-class Judge(Protocol):
-    """A planner that also answers questions for a judgement."""
-
-    async def judge(self, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
-        """Choose one of the options."""
         ...

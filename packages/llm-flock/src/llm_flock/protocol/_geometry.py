@@ -11,17 +11,7 @@ import numpy as np
 from llm_flock import shapes as formations
 from llm_flock.arrays import Points
 from llm_flock.plan import Plan
-from llm_flock.planner import (
-    Judge,
-    JudgementAnswer,
-    JudgementQuestion,
-    NoAnswer,
-    PlanAnswer,
-    Planner,
-    PlanQuestion,
-    StepAnswer,
-    StepQuestion,
-)
+from llm_flock.planner import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
 from llm_flock.protocol._verification.steps import towards
 
@@ -95,8 +85,3 @@ class KnownPlans:
 
     async def step(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         return await self._asking.step(question)
-
-    async def judge(self, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
-        if isinstance(self._asking, Judge):
-            return await self._asking.judge(question)
-        return NoAnswer(cause="answer", reason="this planner gives no judgements")

@@ -86,23 +86,10 @@ class Situation:
 class Membership:
     """A robot's knowledge of its team beyond the last messages of its neighbours. This part has none."""
 
-    deliberates: bool = False  #: Whether the team has yet to choose what to do about a death: until then, no searches.
-    gaps: Gaps = "report"  #: What to do about slots that no living robot can take.
-
     @property
     def beats(self) -> tuple[int, ...]:
         """The highest known heartbeat of each robot, by id; empty if none are counted."""
         return ()
-
-    @property
-    def silent(self) -> frozenset[int]:
-        """Robots whose heartbeats have stopped."""
-        return frozenset()
-
-    @property
-    def present(self) -> frozenset[int]:
-        """Robots that count as alive, this one included; empty if nobody is counted."""
-        return frozenset()
 
     @property
     def lost(self) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from llm_flock.bounds import MAX_LENGTH, MAX_OBSTACLES
+from llm_flock.bounds import MAX_OBSTACLES
 from llm_flock.errors import InputError
 from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
 from llm_flock.obstacles import MovingObstacle
@@ -191,29 +192,16 @@ def _weak(
     mission: Mission, text: str | None, awake: Callable[[int, int], bool], rounds: int
 ) -> dict[int, tuple[tuple[int, float], ...]]:
     """By round, the robots whose batteries get weak then, each with the length that it can still fly [units]."""
-    given, lengths = list[str](), list[float]()
-    for part in (text or "").split(",") if text else ():
-        turn, colon, length = part.partition(":")
-        lengths.append(_length(length) if colon else math.nan)
-        given.append(turn)
-    if not all(length >= 0 for length in lengths):
+    parts = [part.partition(":") for part in (text or "").split(",") if part.strip()]
+    if not all(re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,9})?", length.strip()) for _, _, length in parts):
         raise InputError("battery", text, "ID@ROUND:LENGTH with commas between them, such as 3@12:40,5@20:8.5")
+    turns = _turns("battery", ",".join(turn for turn, _, _ in parts), mission.n_robots, rounds)
     weak = dict[int, tuple[tuple[int, float], ...]]()
-    for (robot, when), length in zip(
-        _turns("battery", ",".join(given), mission.n_robots, rounds), lengths, strict=True
-    ):
+    for (robot, when), (_, _, length) in zip(turns, parts, strict=True):
         if not awake(robot, when):
             raise InputError("battery", text, f"a robot that is awake in round {when}")
-        weak[when] = (*weak.get(when, ()), (robot, length))
+        weak[when] = (*weak.get(when, ()), (robot, float(length)))
     return weak
-
-
-def _length(text: str) -> float:
-    try:
-        length = float(text)
-    except ValueError:
-        return math.nan
-    return length if length <= MAX_LENGTH else math.nan
 
 
 def _crossed(mission: Mission, moving: Sequence[MovingObstacle]) -> int:

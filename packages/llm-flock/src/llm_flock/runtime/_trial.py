@@ -23,12 +23,10 @@ from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
 from llm_flock.mission import Mission
 from llm_flock.planner import (
-    Judge,
     JudgementAnswer,
     JudgementQuestion,
     NoAnswer,
     PlanAnswer,
-    Planner,
     PlanQuestion,
     StepAnswer,
     StepQuestion,
@@ -143,7 +141,6 @@ class Trial:
         self._moves: dict[int, MoveTo] = {}
         self._judging: dict[int, JudgementQuestion] = {}
         self._left: dict[int, float] = {}  # how far robots with weak batteries can fly [units]
-        self._emptied = 0  # the round in which the last battery was empty
         self._check = collision_check(config.protocol.collision_check or "none")
         self.began = time.perf_counter()
 
@@ -153,12 +150,12 @@ class Trial:
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
         after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
-        if self._deaths and (self.config.protocol.gaps == "replan" or self.config.protocol.judge == "models"):
+        if self.schedule.kills and (self.config.protocol.gaps == "replan" or self.config.protocol.judge == "models"):
             # No robot plans for fewer before the search for the others has ended, and its turn has come.
             from llm_flock.protocol._membership.search import longest_search
             from llm_flock.protocol._membership.team import MAX_WAIT, REPLAN_PATIENCE
 
-            missing = sum(map(len, self.schedule.kills.values())) + len(self._left)
+            missing = sum(map(len, self.schedule.kills.values()))
             after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
         awake, pace = self.roster.awake, 1 + self.config.sight.rests
         due, mission = self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace), self.mission
@@ -229,14 +226,9 @@ class Trial:
         return True
 
     @property
-    def _deaths(self) -> list[int]:
-        """Rounds in which robots die by the schedule, or have died because their batteries were empty."""
-        return [*self.schedule.kills, *([self._emptied] if self._emptied else [])]
-
-    @property
     def _notice_round(self) -> int:
         """The round by which others have noticed the last death, and looked for the dead robot."""
-        kills = self._deaths
+        kills = self.schedule.kills
         if not kills:
             return 0
         from llm_flock.protocol._membership.liveness import patience
@@ -258,9 +250,7 @@ class Trial:
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""
         journal, roster, schedule = self.journal, self.roster, self.schedule
-        empty = [robot for robot in roster.awake if self._left.get(robot, 0.0) < 0.0]
-        killed, joined = (*schedule.kills.get(number, ()), *empty), schedule.joins.get(number, ())
-        self._emptied = number if empty else self._emptied
+        killed, joined = schedule.kills.get(number, ()), schedule.joins.get(number, ())
         for robot in killed:
             roster.kill(robot)
             journal.note(number, None, robot, Note("killed", {}))
@@ -296,7 +286,7 @@ class Trial:
         questions = self.plan_questions(number)
         asked = {robot: self.planners[robot].plan(question) for robot, question in questions.items()}
         plans = await _all(asked, self._report)
-        judging = {robot: _judge(self.planners[robot], question) for robot, question in self._judging.items()}
+        judging = {robot: self._judge(robot, question) for robot, question in self._judging.items()}
         for robot, answer in (await _all(judging, self._report)).items():
             self._send(robot, events.Judged(answer))
         self.journal.flush_attempts()
@@ -337,6 +327,10 @@ class Trial:
                     self._judging[robot] = effect.question
             self._follow(self.roster.agents[robot])
         return asking
+
+    async def _judge(self, robot: int, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
+        judge = getattr(self.planners[robot], "judge", None)
+        return NoAnswer(cause="answer", reason="no model is asked") if judge is None else await judge(question)
 
     def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:
         """Give the robots that asked their answers; then all robots exchange messages."""
@@ -397,11 +391,14 @@ class Trial:
         over = lengths > longest * (1 + STEP_TOLERANCE)
         displacements[over] *= longest / lengths[over, None]
         self.journal.steps_over_limit += int(over.sum())
-        for robot in self._left.keys() & moves.keys():
-            left, way = self._left[robot], float(min(np.linalg.norm(displacements[robot]), longest))
+        for robot in sorted(self._left.keys() & moves.keys()):
+            left, way = self._left[robot], float(np.linalg.norm(displacements[robot]))
             self._left[robot] = left - way
             if way > left:  # its body stops there, and the robot is dead from the next round on
                 displacements[robot] *= left / way
+                del self._left[robot]
+                kills, number = self.schedule.kills, self.round + 2
+                self.schedule = replace(self.schedule, kills={**kills, number: (*kills.get(number, ()), robot)})
         return displacements
 
     def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:
@@ -436,12 +433,6 @@ def commonest(reasons: Sequence[str]) -> tuple[int, str]:
     kinds = [re.sub(r"[0-9.]+", "0", reason) for reason in reasons]
     kind, count = Counter(kinds).most_common(1)[0]
     return count, reasons[kinds.index(kind)]
-
-
-async def _judge(planner: Planner, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
-    if isinstance(planner, Judge):
-        return await planner.judge(question)
-    return NoAnswer(cause="answer", reason="this planner gives no judgements")
 
 
 async def _all(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -31,8 +32,8 @@ TURNS = 8
 """Orientations of a new plan over which the flight to it is averaged: the model that proposes it may turn it."""
 
 
-def death_options(now: Situation) -> tuple[JudgementOption, ...]:
-    """What can be done about places that dead robots left empty; the first leaves them."""
+def death_options(now: Situation, first: Choice = "leave") -> tuple[JudgementOption, ...]:
+    """What can be done about places that dead robots left empty; `first` is what happens without a choice."""
     mission, plan, table = now.mission, now.plan, now.claim.table
     assert plan is not None and table is not None, "an incident is about the places of a plan"
     owned = tuple(a for a, entry in enumerate(table) if entry[2] >= 0)
@@ -55,7 +56,7 @@ def death_options(now: Situation) -> tuple[JudgementOption, ...]:
         rounds = REPLAN_PATIENCE + 2 + round(float(np.mean([math.ceil(way.max() / mission.max_step) for way in ways])))
         flown = float(np.mean([way.sum() for way in ways]))
         options.append(JudgementOption(choice="replan", does=does, rounds=rounds, distance=flown, gaps=0))
-    return tuple(options)
+    return tuple(sorted(options, key=lambda option: option.choice != first))
 
 
 def _search(mission: Mission, plan: Plan, owned: Sequence[int], vacant: Sequence[int]) -> tuple[int, float]:
@@ -90,7 +91,7 @@ def _closing(mission: Mission, plan: Plan, owned: tuple[int, ...], vacant: tuple
 
 @lru_cache(maxsize=1024)
 def _holes(mission: Mission, plan: Plan, owned: tuple[int, ...]) -> bool:
-    """Whether robots on these places do not form the whole shape of as many robots, by all distances, wherever it is."""
+    """Whether robots on these places do not form the whole shape of as many robots, by their distances."""
     smaller = resized(mission, len(owned)) if owned else None
     if smaller is None or smaller.ideal is None:
         return True

@@ -8,24 +8,31 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from typing import TypeAlias
 
 from llm_flock.message import MAX_VOTES, Choice, Incident, Vote
+
+Key: TypeAlias = tuple[str, int]
+
+
+def key_of(incident: Incident) -> Key:
+    """What makes two incidents of a mission the same: kind and robot."""
+    return incident.kind, incident.robot
 
 
 class Votes:
     """The votes of a team as one robot knows them: the first of each voter about each incident."""
 
     def __init__(self) -> None:
-        self.incidents: dict[tuple[str, int], Incident] = {}
-        """The incidents of which votes are known, by kind and robot."""
-        self._known: dict[tuple[str, int], dict[int, Vote]] = {}
+        self.incidents: dict[Key, Incident] = {}  #: Those of which votes are known.
+        self._known: dict[Key, dict[int, Vote]] = {}
         self._new: list[Vote] = []
         self._turn = 0
 
     def take(self, *votes: Vote) -> None:
         """Take note of votes, the own one or those of a message."""
         for vote in votes:
-            key = vote.incident.kind, vote.incident.robot
+            key = key_of(vote.incident)
             self.incidents.setdefault(key, vote.incident)
             known = self._known.setdefault(key, {})
             if vote.voter not in known:
@@ -34,7 +41,7 @@ class Votes:
 
     def voters(self, incident: Incident) -> frozenset[int]:
         """Robots whose votes about an incident are known, also those without a usable answer."""
-        return frozenset(self._known.get((incident.kind, incident.robot), ()))
+        return frozenset(self._known.get(key_of(incident), ()))
 
     def count(self, incident: Incident) -> Mapping[Choice, int]:
         """The number of votes for each choice."""
@@ -45,21 +52,18 @@ class Votes:
 
         None without any usable vote.
         """
-        count = self.count(incident)
-        usable = [vote for vote in self._cast(incident) if vote.choice is not None]
+        count, usable = self.count(incident), [vote for vote in self._cast(incident) if vote.choice is not None]
         best = max(usable, key=lambda vote: (count[vote.choice or "leave"], vote.degree, vote.voter), default=None)
         return None if best is None else best.choice
 
     def pass_on(self) -> tuple[Vote, ...] | None:
-        """The votes for the next broadcast: all if they fit into one message, else new ones first, then in turn."""
-        known = [self._known[key][voter] for key in sorted(self._known) for voter in sorted(self._known[key])]
+        """The votes for the next broadcast: all that fit into a message, else in turn, beginning with new ones."""
         due, self._new = self._new[:MAX_VOTES], self._new[MAX_VOTES:]
+        known = [vote for key in sorted(self._known) for _, vote in sorted(self._known[key].items())]
         if len(known) <= MAX_VOTES:
             return tuple(known) or None
-        room = MAX_VOTES - len(due)
-        again = [known[(self._turn + k) % len(known)] for k in range(room)]
-        self._turn += room
-        return (*due, *(vote for vote in again if vote not in due))
+        self._turn += MAX_VOTES - len(due)
+        return (*due, *(known[(self._turn - k) % len(known)] for k in range(MAX_VOTES - len(due))))
 
     def _cast(self, incident: Incident) -> list[Vote]:
-        return [*self._known.get((incident.kind, incident.robot), {}).values()]
+        return [*self._known.get(key_of(incident), {}).values()]

@@ -28,6 +28,7 @@ class ConnectivityRecovery:
         self._liveness, self._joint, self._search = liveness, joint, Search()
         self._liars, self._apart_for, self._searches = liars, 0, searches
         self._gathering = Gathering()
+        self.waits = False  # until the team has chosen what to do about a death, it does not search
         self._standing: tuple[str, dict[int, int]] = "", {}
 
     @property
@@ -35,12 +36,10 @@ class ConnectivityRecovery:
         """Whether the search for missing robots has ended without success."""
         return self._search.given_up
 
-    def route(
-        self, now: Situation, *, placed: bool, searches: bool = True
-    ) -> tuple[Point | None, tuple[int, ...], list[Note]]:
+    def route(self, now: Situation, *, placed: bool) -> tuple[Point | None, tuple[int, ...], list[Note]]:
         """The next target (None: fly straight), slots just visited in vain, and notes. Call once a round.
 
-        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round; `searches`, whether it may look for missing robots now.
+        `placed` says whether a joint assignment gave slots to this robot and all others heard in this round.
         """
         mission, plan, slot, table, here = now.mission, now.plan, now.claim.slot, now.claim.table, now.position
         assert plan is not None and slot is not None, "a robot without a place has no way to it"
@@ -59,9 +58,7 @@ class ConnectivityRecovery:
             if point is not None:
                 return point, (), []
         notes = (
-            []
-            if table is None or not (self._searches and searches)
-            else self._look_for_others(now, places, slot, table)
+            [] if table is None or self.waits or not self._searches else self._look_for_others(now, places, slot, table)
         )
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing

@@ -47,7 +47,7 @@ class TeamMembership(Membership):
         searches: bool = True,  # whether robots look for others that are missing
     ) -> None:
         n_robots = mission.n_robots
-        self.gaps = gaps
+        self.gaps: Gaps = gaps
         self._made_of = robot, mission, time_out, searches
         self.liveness = Liveness(robot, n_robots, time_out)
         self._robot, self._misfit = robot, 0  # rounds for which the plan has not fitted the team
@@ -64,14 +64,6 @@ class TeamMembership(Membership):
     @property
     def beats(self) -> tuple[int, ...]:
         return self.liveness.beats
-
-    @property
-    def silent(self) -> frozenset[int]:
-        return self.liveness.silent
-
-    @property
-    def present(self) -> frozenset[int]:
-        return self.liveness.present
 
     @property
     def lost(self) -> bool:
@@ -92,6 +84,10 @@ class TeamMembership(Membership):
     @property
     def known(self) -> object:
         return self._joint.known
+
+    def deliberate(self, *, open_: bool) -> None:
+        """Search for no missing robots while the choice what to do about a death is `open_`."""
+        self._connectivity.waits = open_
 
     def begin_mission(self) -> None:
         self._misfit = 0
@@ -170,7 +166,7 @@ class TeamMembership(Membership):
     def route(self, now: Situation) -> tuple[Point | None, Claim, list[Note]]:
         """The next intermediate target. The claim counts visits to vacant slots at which no robot was met."""
         placed = given_jointly(now.claim.table, now.claim.slot) and not self._unplaced
-        target, visited, notes = self._connectivity.route(now, placed=placed, searches=not self.deliberates)
+        target, visited, notes = self._connectivity.route(now, placed=placed)
         return target, with_visits(now.claim, visited), notes
 
     def seek(self, now: Situation) -> Point | None:
