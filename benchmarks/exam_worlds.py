@@ -71,11 +71,12 @@ def question_of(world: World, kind: str, seed: int) -> dict[str, Any] | None:
     found = Heard.asked.get("options", [])
     rows: list[dict[str, Any]] = [{name: of(cell) for name, of, cell in zip(names, kinds, row, strict=True)} for row in found]
     options = [JudgementOption(**row) for row in rows]
-    if len(options) < 2:
+    if len(options) < 2 or ("battery" in Heard.asked["event"]) != (kind == "battery"):
         return None
-    flown = {
-        one.choice: fly(world, [Fixed(one.choice, seed, robot) for robot in range(n)]).worth(aim) for one in options
-    }
+    flown: dict[str, tuple[float, ...]] = {}
+    for one in options:
+        done = fly(world, [Fixed(one.choice, seed, robot) for robot in range(n)])
+        flown[one.choice] = (done.lost, *(round(float(getattr(done, name))) for name in AIMS[aim]))
     best = [choice for choice, worth in flown.items() if worth == min(flown.values())]
     if best != [best_option(options, aim)]:
         return None

@@ -51,8 +51,9 @@ Results of [the exam](../how-to/exam.md): questions of the kinds that robots ask
 and checks of a run, scored by code. A share is of the questions that were right at first ask; in brackets, a 95 %
 interval by drawing questions again. The total is the mean over all sections, and a row that lacks one has none. Its
 interval is made from those of the sections. Rows with fewer questions have wider ones, and say how many they had.
-Tokens are a call's, in and out; seconds are the median of a question. Each row was reduced from a log of Inspect, and stands with the command that made it in a file beside this page. A
-command with `replay:` scores answers that the model gave before, from the recording beside this page.
+Tokens are a call's, in and out; seconds are the median of a question. Each row was reduced from a log of Inspect, and
+stands with the command that made it in a file beside this page. A command with `replay:` scores answers that the model
+gave before, from the recording beside this page.
 
 ## Models
 """
