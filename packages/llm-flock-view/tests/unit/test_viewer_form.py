@@ -99,6 +99,21 @@ def test_fields_of_the_page_are_fields_of_the_configuration() -> None:
     assert set(FIELDS) <= known
 
 
+def test_starts_are_shown_before_a_run_and_can_be_moved(tmp_path: Path) -> None:
+    library = Library()
+    orders = PageOrders(library, Launcher(library, tmp_path))
+    fields = {"shape": "square", "n_robots": 4, "center": [40, 60], "model": "geometry", "rounds": 1}
+    shown = asyncio.run(orders.carry_out({"order": "preview", "fields": fields}))
+    assert shown["center"] == (40.0, 60.0) and len(shown["starts"]) == len(shown["places"]) == 4
+    moved = [[10.0, 10.0], *shown["starts"][1:]]
+    again = asyncio.run(orders.carry_out({"order": "preview", "fields": {**fields, "start_positions": moved}}))
+    assert again["starts"] == moved and not library.runs, "nothing flies"
+    for wrong in ([[500.0, 0.0], *moved[1:]], moved[:3]):
+        order = {"order": "start", "pace": 1.0, "fields": {**fields, "start_positions": wrong}}
+        said = asyncio.run(orders.carry_out(order))
+        assert said["field"] == "start_positions" and not library.runs
+
+
 def test_what_a_reader_made_of_words_flies_once_confirmed(tmp_path: Path) -> None:
     part = {"shape": "square", "center": [40, 60], "spacing": 8}
     table = {"a square": {"answer": "mission", "robots": 8, "stages": [{"parts": [part]}]}, "again": 3}

@@ -92,6 +92,14 @@ def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
     return f"formed in round {number}" if number is not None else "formed" if ending(result) == "formed" else ""
 
 
+def help_text(result: Mapping[str, Any]) -> str:
+    """Whether the models of a run that formed had help; older records do not say."""
+    if result.get("formed_by_models", True):
+        return ""
+    without = {*cast("Sequence[str]", result.get("models") or ())} == {"geometry"}
+    return ", by geometry without models" if without else ", with help for the models"
+
+
 def verdict(entry: LlmEntry) -> str:
     """Whether an answer was used, rejected, or never came, and why."""
     if entry.error is not None:
@@ -149,8 +157,13 @@ def answers_of_others(asked: Sequence[str], answered: Sequence[str]) -> list[str
 
 def robots_text(robots: Sequence[int]) -> str:
     """Some robots by their ids, twelve at most."""
-    some = ", ".join(map(str, robots[:MAX_PLACES])) + (", …" if len(robots) > MAX_PLACES else "")
-    return f"robot{'s' if len(robots) > 1 else ''} {some}"
+    return listed("robot", robots)
+
+
+def listed(what: str, numbers: Sequence[int]) -> str:
+    """Some things by their numbers, twelve at most."""
+    some = ", ".join(map(str, numbers[:MAX_PLACES])) + (", …" if len(numbers) > MAX_PLACES else "")
+    return f"{what}{'s' if len(numbers) > 1 else ''} {some}"
 
 
 def letters(number: int) -> str:
