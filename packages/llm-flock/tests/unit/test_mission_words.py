@@ -195,8 +195,8 @@ def test_a_weak_robot_flies_to_its_nearest_place() -> None:
     assert max(ways(prefer=({"robot": 3, "way": "shortest"},))) < 0.5 < max(ways())
 
 
-EDGE = {"robot": 1, "way": "edge"}
-STAGES = ({"set": {"shape": "line", "turn": 90, "hold": 4}}, {"set": {"shape": "wedge"}})
+EDGE: Any = {"robot": 1, "way": "edge"}
+STAGES: Any = ({"set": {"shape": "line", "turn": 90, "hold": 4}}, {"set": {"shape": "wedge"}})
 
 
 @pytest.mark.parametrize("more", [{}, {"loss": 0.3}, {"kill": "0@3", "gaps": "replan"}, {"noise": 0.2}])
@@ -211,9 +211,11 @@ def test_a_team_goes_on_by_its_own_view_when_it_has_formed(more: dict[str, Any])
 
 
 def test_a_stage_waits_for_its_round_or_an_order() -> None:
-    flown = llm_flock.run(Mission(n_robots=4, then=({"set": {"shape": "line"}, "when": 30},)), trace=False)
+    by_round: Any = ({"set": {"shape": "line"}, "when": 30},)
+    flown = llm_flock.run(Mission(n_robots=4, then=by_round), trace=False)
     assert flown.formed and flown.summary.missions[-1].round == 30
-    waits = Mission(n_robots=4, then=({"set": {"shape": "line"}, "when": "order"},))
+    by_order: Any = ({"set": {"shape": "line"}, "when": "order"},)
+    waits = Mission(n_robots=4, then=by_order)
     with pytest.raises(InputError, match="nobody can give"):
         llm_flock.run(waits)
     orders = RunOrders(build_config({"mission": waits.model_dump()}))
@@ -229,7 +231,8 @@ def test_a_stage_waits_for_its_round_or_an_order() -> None:
 
 
 def test_an_order_in_flight_replaces_the_stages_that_are_left() -> None:
-    mission = Mission(n_robots=4, center=(40, 50), then=({"set": {"shape": "line", "center": [60, 50]}}, *STAGES[1:]))
+    line: Any = {"set": {"shape": "line", "center": [60, 50]}}
+    mission = Mission(n_robots=4, center=(40, 50), then=(line, *STAGES[1:]))
     orders = RunOrders(build_config({"mission": mission.model_dump()}))
     given: list[int] = []
 
