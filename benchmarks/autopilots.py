@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 from benchmarks.flight import addressed, flight_config, yes
+from numpy.typing import NDArray
 
 from llm_flock.robots import Position
 from llm_flock_flight._flight import monitors
@@ -48,7 +49,8 @@ DRONES = {
 NONE: Position = (math.nan, math.nan, math.nan)  # no set-point
 FRESH_S = 0.2  # a set-point older than this is not followed any more [s]
 LOOK_S = 0.025  # time between two looks at the bodies [s]
-DELAYS = 41  # delays that are tried, of `LOOK_S` each
+DELAYS, WINDOW = 41, 60  # delays that are tried, of `LOOK_S` each, and looks that have one delay
+MOVES_M = 0.2  # set-points that move farther than this in a window tell its delay [m]
 
 
 def example(uris: Sequence[str], **fields: Any) -> FlightConfig:
@@ -77,6 +79,7 @@ def led(vehicle: AutopilotStandIn | StandIn, home: Position) -> tuple[bool, Posi
 class Bodies:
     """Positions and set-points of all bodies, again and again: (looks, drones, 3) [m]; and their smallest distance."""
 
+    times: list[float] = field(default_factory=list)
     places: list[list[Position]] = field(default_factory=list)
     points: list[list[Position]] = field(default_factory=list)
     nearest_m: float = math.inf
@@ -89,20 +92,37 @@ class Bodies:
             for (up, here, _), (other_up, there, _) in itertools.combinations(looks, 2):
                 if up and other_up:
                     self.nearest_m = min(self.nearest_m, math.dist(here, there))
+            self.times.append(time.monotonic())
             self.places.append([place for _, place, _ in looks])
             self.points.append([point if up else NONE for up, _, point in looks])
             due = max(due + LOOK_S, time.monotonic())
             await asyncio.sleep(due - time.monotonic())
 
     def tracking(self) -> tuple[float, float, float]:
-        """The delay of the whole flight for which distances are least [s], their rms and the largest [m]."""
-        places, points = np.array(self.places), np.array(self.points)
-        best = (math.inf, 0.0, 0.0)
-        for late in range(DELAYS):
-            off = np.linalg.norm(places[late:] - points[: len(points) - late], axis=2)
-            off = off[np.isfinite(off)]
-            best = min(best, (float(np.sqrt((off**2).mean())), late * LOOK_S, float(off.max())))
-        return best[1], best[0], best[2]
+        """The longest delay of a window in which the set-points move [s], and the distances then: rms and largest [m].
+
+        The delay of a window is that for which the team's distances from its set-points of then are least.
+        """
+        grid = np.arange(self.times[0], self.times[-1], LOOK_S)
+        places, points = self._at(grid, self.places), self._at(grid, self.points)
+        delays, squares = [0.0], np.empty(0)
+        for first in range(DELAYS, len(places) - WINDOW, WINDOW):
+            here, there = places[first : first + WINDOW], points[first : first + WINDOW]
+            tries = [
+                np.linalg.norm(here - points[first - late : first - late + WINDOW], axis=2) for late in range(DELAYS)
+            ]
+            sums = [float(np.sum(off[np.isfinite(off)] ** 2)) if np.isfinite(off).any() else math.inf for off in tries]
+            late = int(np.argmin(sums))
+            squares = np.append(squares, tries[late][np.isfinite(tries[late])] ** 2)
+            if np.nanmax(np.append(np.linalg.norm(there[-1] - there[0], axis=1), 0.0)) > MOVES_M:
+                delays.append(late * LOOK_S)
+        return max(delays), float(np.sqrt(squares.mean())), float(np.sqrt(squares.max()))
+
+    def _at(self, grid: NDArray[np.float64], looks: list[list[Position]]) -> NDArray[np.float64]:
+        """The same at these times."""
+        found = np.array(looks).reshape(len(looks), -1)
+        columns = [np.interp(grid, self.times, column) for column in found.T]
+        return np.array(columns).T.reshape(len(grid), -1, 3)
 
 
 async def fly_one(drones: str, shape: str, n: int, seed: int) -> dict[str, Any]:

@@ -300,14 +300,36 @@ def test_two_protocols_fly_side_by_side(tmp_path: Path, browser: Browser) -> Non
     with viewer(tmp_path) as url, page_at(browser, url) as page:
         page.get_by_label("Rounds at most").fill("6")
         page.get_by_label("Rounds a second").fill("11")  # the twelfth pace
+        ground = page.locator(".flock-ground canvas")
+        expect(ground).to_have_attribute("data-starts", re.compile("^[0-9.]+,"))
+        x, y = (float(part) for part in (ground.get_attribute("data-starts") or "").split()[0].split(","))
+        ground.scroll_into_view_if_needed()
+        box = ground.bounding_box()
+        assert box is not None
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 - 11  # the ruler's room is below
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] + 8, middle[1], steps=2)
+        page.mouse.up()
+        expect(page.get_by_label("Centre", exact=True)).not_to_have_value("50, 50")
+        page.get_by_role("button", name="Undo").click()
+        expect(page.get_by_label("Centre", exact=True)).to_have_value("50, 50")
+        ground.focus()
+        for key in ("]", "ArrowRight", "ArrowRight"):  # from the centre to robot 0
+            page.keyboard.press(key)
+        page.get_by_role("button", name="Undo").click()
+        started = [round(x + 1, 1), y]
+        expect(ground).to_have_attribute("data-starts", re.compile(f"^{started[0]:.1f},{started[1]:.1f} "))
         page.get_by_role("button", name="Paper against flock").click()
         ready(page)
         expect(page.locator("main .flock-arena")).to_have_count(2)
         expect(page.locator(".flock-state").first).to_contain_text("formed", timeout=20_000)
         page.keyboard.press("End")
         until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {6}, "both end")
-        starts = [page.evaluate(f"globalThis.flockClock('main').runs[{k}].frames.get(6) && 1 || 0") for k in (0, 1)]
-        assert starts == [1, 1]
+        page.keyboard.press("Home")
+        until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {0}, "both are at their starts")
+        starts = [page.evaluate(f"globalThis.flockClock('main').runs[{k}].frames.get(0).x[0]") for k in (0, 1)]
+        assert starts == [started, started], "where the robot was moved to"
 
 
 def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, browser: Browser) -> None:

@@ -35,6 +35,7 @@ LABELS: Mapping[str, str] = {
     "gaps": "Places of the dead",
     "loss": "Messages lost",
     "start": "Starts",
+    "start_positions": "Starts",
     "pace": "Rounds a second",
     "words": "Mission in words",
 }
@@ -79,6 +80,8 @@ class PageOrders:
         order = asked.get("order")
         if order == "start":
             return await asyncio.to_thread(self._start, asked)
+        if order == "preview":
+            return await asyncio.to_thread(self._preview, asked.get("fields"))
         if order == "read":
             return await self._read(asked)
         if order == "delete":
@@ -105,6 +108,23 @@ class PageOrders:
         started = self.launcher.start(cast("dict[str, Any]", fields), pace=pace, protocols=names, draft=draft)
         where = "run" if len(started) == 1 else "pair"
         return {"address": "/".join(["", where, *(one.recording.key for one in started)])}
+
+    def _preview(self, fields: object) -> dict[str, Any]:
+        """Arena, starts and places of a run of the form's fields, which does not fly yet [units]."""
+        from llm_flock_view._viewer.steered_run import config_of, starts_of
+
+        if not isinstance(fields, dict):
+            raise FieldError("fields", None, says="a picture needs the fields of a run")
+        config = config_of(cast("dict[str, Any]", fields), self.launcher.models, self.launcher.base_url)
+        mission = config.mission
+        places = [] if mission.ideal is None else mission.ideal
+        return {
+            "arena": mission.arena,
+            "center": mission.center,
+            "safe": mission.safe_distance,
+            "starts": starts_of(config).round(1).tolist(),
+            "places": places,
+        }
 
     async def _read(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What a model makes of words, for a new run, or for one in flight; it is kept until it is confirmed."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Sequence
 from functools import partial
@@ -113,7 +114,10 @@ class Routes:
             asked: Any = json.loads(body)
         except (ValueError, RecursionError):
             return Response("an order is JSON", status_code=400)
-        reply = await self.orders.carry_out(asked)
+        try:
+            reply = await self.orders.carry_out(asked)
+        except asyncio.CancelledError:  # the viewer ends while a slow order waits
+            return Response("the viewer ends", status_code=503)
         content = await run_in_threadpool(partial(to_json, reply))
         return Response(content, headers=UNCACHED, media_type="application/json")
 

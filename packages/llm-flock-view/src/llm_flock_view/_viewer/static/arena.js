@@ -38,13 +38,12 @@ export class Arena {
     this.hovered = -1;
     this.drawn = 0;
     this.at = [];
-    this.forget = clock.listen(() => this.draw());
+    clock.listen(() => this.draw());
     this.view.listen((event) => this.picked(event), (event) => this.hover(event));
     this.surface.canvas.addEventListener("pointerleave", () => {
       this.surface.tip(null);
       this.point(-1);
     });
-    this.surface.fit();
   }
 
   next(by) {
@@ -228,7 +227,8 @@ export class Arena {
     if (this.deep) {
       pen.fillStyle = theme().grid;
       pen.globalAlpha = 0.35;
-      this.surface.polygon(this.walled(about));
+      const [[left, bottom], [right, top]] = about.arena;
+      this.surface.polygon([[left, bottom], [right, bottom], [right, top], [left, top]].map((corner) => this.pixel([...corner, this.foot])));
       pen.fill();
       pen.globalAlpha = 1;
     }
@@ -466,11 +466,6 @@ export class Arena {
     return { rings, lines: lines.concat(this.ways) };
   }
 
-  walled(about) {
-    const [[left, bottom], [right, top]] = about.arena;
-    return [[left, bottom], [right, bottom], [right, top], [left, top]].map((corner) => this.pixel([...corner, this.foot]));
-  }
-
   /** A length to compare with. */
   ruler() {
     const { pen, height } = this.surface;
@@ -488,10 +483,5 @@ export class Arena {
     pen.lineWidth = 4;
     pen.strokeText(text, 14, height - 15);
     pen.fillText(text, 14, height - 15);
-  }
-
-  close() {
-    this.forget();
-    this.surface.close();
   }
 }

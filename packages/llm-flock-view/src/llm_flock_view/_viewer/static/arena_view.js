@@ -136,10 +136,7 @@ export class View {
     const at = this.point(x, y);
     const { own } = this;
     this.scale = own.scale = Math.max(0.02, Math.min(400, this.scale * factor));
-    this.center = own.center = [
-      at[0] - (x - this.surface.width / 2) / own.scale,
-      at[1] + (y - this.surface.height / 2) / own.scale,
-    ];
+    this.center = own.center = [at[0] - (x - this.surface.width / 2) / own.scale, at[1] + (y - this.surface.height / 2) / own.scale];
     this.redraw();
   }
 

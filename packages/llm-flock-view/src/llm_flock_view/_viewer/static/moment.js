@@ -28,8 +28,7 @@ export class Moment {
   }
 
   follow() {
-    const { clock, wanted } = this;
-    const { runs } = clock;
+    const { clock, clock: { runs }, wanted } = this;
     if (wanted.round !== null && (clock.last >= wanted.round || !runs.some((run) => run.open))) {
       clock.playing = false;
       clock.seek(wanted.round);

@@ -3,7 +3,7 @@ import { h, header } from "llm-flock-viewer/dom.js";
 import { cockpit } from "llm-flock-viewer/cockpit.js";
 import { runs } from "llm-flock-viewer/runs.js";
 
-/** The page of an address at which no run is. */
+/** At an address without a run. */
 function lost(options, place) {
   place.replaceChildren(header(options.title, [["Runs", "/runs"], ["Cockpit", "/cockpit"]], []),
     h("main", { class: "flock-page" }, h("section", { class: "flock-card" }, h("h2", { class: "flock-subtitle", text: options.title }),

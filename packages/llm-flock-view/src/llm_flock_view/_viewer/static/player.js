@@ -76,20 +76,19 @@ export function player(options, place, held = null) {
       if (minds) choose(k)(robot, second);
     }));
   });
-  const time = new Timeline(line, runs, clock, { tracks: options.tracks, names });
-  const charts = new Plots(plots, runs, clock, { charts: options.charts, names, note });
+  new Timeline(line, runs, clock, { tracks: options.tracks, names });
+  new Plots(plots, runs, clock, { charts: options.charts, names, note });
   clock.listen(() => {
     const space = runs.some((run) => run.about && run.about.space);
     help.show("space", space);
     if (space) field.inSpace();
     help.show("crowd", runs.some((run) => run.about && run.about.robots > CROWD));
+    help.show("repeated", runs.some((run) => run.plans.some((plan) => plan.rim !== "-")));
   });
-  clock.listen(() => help.show("repeated", runs.some((run) => run.plans.some((plan) => plan.rim !== "-"))));
   if (steer) clock.listen(() => steered(steer, tabs));
   link.replaceWith(moment().act);
   keys(clock, arenas, help);
   for (const run of runs) clock.attach(run);
-  return { clock, arenas, time, charts };
 }
 
 /** The arenas with their banners, layers and legend. In narrow windows what came of the run is first. */

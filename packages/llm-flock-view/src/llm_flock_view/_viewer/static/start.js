@@ -20,10 +20,8 @@ function answers(run) {
     const words = (asked.get("find") || "").toLowerCase().split(/\s+/).filter(Boolean);
     if (what === "events" && words.length) {
       const lines = run.events.flatMap(({ round, lines: all }) => all.map((line) => [...line, round]))
-        .filter(([who, said]) => words.every((word) => { // a number is meant as a whole
-          const text = `${who} ${said}`.toLowerCase();
-          return (/^\d+$/.test(word) ? text.split(/[\s,()]+/) : text).includes(word);
-        }));
+        .map((line) => [line, `${line[0]} ${line[1]}`.toLowerCase()]) // a number is meant as a whole
+        .filter(([, text]) => words.every((word) => (/^\d+$/.test(word) ? text.split(/[\s,()]+/) : text).includes(word))).map(([line]) => line);
       return { round: null, more: lines.length > 100, lines: lines.slice(0, 100) };
     }
     if (what === "events") return run.events[Number(asked.get("round"))] || null;
