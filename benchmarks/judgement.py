@@ -179,7 +179,7 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
     for case, shares in SHARES.items():
         for share in shares:
-            rounds = world.event + (13 if kind == "death" else 5)
+            rounds = world.event + (20 if kind == "death" else 9)
             team = asked if share == 0 else fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
             choice = team.choice or usual
             found[case, share] = (
