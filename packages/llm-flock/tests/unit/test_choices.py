@@ -173,8 +173,9 @@ class Events:
 
 def fly(shape: str, n: int, **options: Any) -> tuple[llm_flock.Result, Events]:
     events = Events()
-    mission = {"shape": shape, "n_robots": n, "comm_range": 60.0} | options.pop("mission", {})
-    flown = llm_flock.run(llm_flock.Mission(**mission), sink=events, **{"judge": "models", **options})
+    mission: dict[str, Any] = {"shape": shape, "n_robots": n, "comm_range": 60.0} | options.pop("mission", {})
+    options.setdefault("judge", "models")
+    flown = llm_flock.run(llm_flock.Mission(**mission), sink=events, **options)
     return flown, events
 
 

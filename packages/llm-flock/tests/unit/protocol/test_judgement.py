@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Choice, Incident, Vote
 from llm_flock.mission import Mission
@@ -21,7 +22,7 @@ from llm_flock.protocol._membership.team import TeamMembership
 from llm_flock.protocol._parts import Gaps, Parts, Situation
 
 FIVE = Mission(shape="line", n_robots=5, comm_range=60)
-SPOTS = FIVE.ideal or ()
+SPOTS: tuple[Point, ...] = FIVE.ideal or ()
 
 
 def table_of(*owners: int, visits: float = 0.0) -> BidTable:
