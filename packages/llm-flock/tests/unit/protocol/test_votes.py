@@ -61,7 +61,7 @@ casts = st.lists(st.tuples(choices, st.integers(0, 3)), min_size=1, max_size=10)
 def test_robots_that_know_the_same_votes_choose_alike(cast: list[tuple[Choice | None, int]], rng: object) -> None:
     given_votes = [vote(j, choice, degree=degree) for j, (choice, degree) in enumerate(cast)]
     shuffled = list(given_votes)
-    rng.shuffle(shuffled)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+    rng.shuffle(shuffled)  # pyright: ignore[reportAttributeAccessIssue]
     one, other = Votes(), Votes()
     one.take(*given_votes)
     other.take(*shuffled, *shuffled[:3])
@@ -89,7 +89,8 @@ def test_votes_reach_every_robot_of_a_connected_team(cast: list[tuple[Choice | N
 def test_the_right_choice_wins_over_smaller_groups(right: int, silent: int, wrong: list[Choice]) -> None:
     """Theorem 18: more right votes than wrong ones alike, and the right choice is made."""
     votes = Votes()
-    cast: list[Choice | None] = [*["replan"] * right, *[None] * silent, *wrong]
+    good: list[Choice | None] = ["replan"] * right
+    cast = [*good, *[None] * silent, *wrong]
     votes.take(*(vote(j, choice, degree=j % 5) for j, choice in enumerate(cast)))
     if right > max(wrong.count("leave"), wrong.count("close")):
         assert votes.choice(DEATH) == "replan"
