@@ -23,7 +23,7 @@ import tempfile
 import time
 import zlib
 from base64 import b64decode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
@@ -164,6 +164,11 @@ def read(path: Path, printed: str) -> dict[str, str]:
     }
 
 
+def verdicts(told: Mapping[str, str]) -> set[str]:
+    """What the readers of a run call it; one that agrees with itself has one element."""
+    return {says(text) or ("formed" if text == "formed" else "not formed") for text in told.values() if text}
+
+
 def reported(record: RunRecord) -> str:
     """What a report says of a trial with this result."""
     about = {"trial": "1", "n_robots": 1, "shape": "", "model": "", "seed": 0, "error": None}
@@ -181,10 +186,10 @@ def main(arguments: Sequence[str] = ()) -> None:
     agreed, flown = 0, fly(folder)
     for name, path, printed in flown:
         told = read(path, printed)
-        verdicts = {says(text) or ("formed" if text == "formed" else "not formed") for text in told.values() if text}
-        agreed += len(verdicts) == 1
-        if len(verdicts) > 1 or chosen.all:
-            print(f"{'DIFFER' if len(verdicts) > 1 else 'agree'}  {name}")
+        differ = len(verdicts(told)) > 1
+        agreed += not differ
+        if differ or chosen.all:
+            print(f"{'DIFFER' if differ else 'agree'}  {name}")
             for reader, text in told.items():
                 print(f"    {reader:9} {text}")
     print(f"{agreed} of {len(flown)} records: all readers agree", flush=True)

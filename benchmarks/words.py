@@ -18,7 +18,7 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -46,6 +46,7 @@ ROBOTS = 10
 MISSION = llm_flock.Mission(shape="text:the word", n_robots=ROBOTS, spacing=6.0, comm_range=30.0)
 SHARES = (20, 40, 60, 80)  # wrong models of ten robots [per cent]
 RULES = ("medoid", "provenance", "influence")
+BLOCK = 5  # seeds after which the table is shown
 MOST_CORNERS = 150  # of a drawing, so that its program is short enough
 CASES: dict[str, dict[str, Any]] = {
     "": {},
@@ -144,48 +145,59 @@ def readers(seed: int, wrong: int, *, alike: bool) -> tuple[list[str], list[bool
     return [programs[k] for k in order], [bool(k < right) for k in order]
 
 
-def fly(rule: str, wrong: int, alike: bool, options: dict[str, Any], seed: int) -> Flown:
+def fly(wrong: int, alike: bool, options: dict[str, Any], seed: int) -> list[Flown]:
+    """One team by each rule."""
     programs, right = readers(seed, wrong, alike=alike)
-    flown = llm_flock.run(
-        MISSION,
-        consensus=rule,
-        prompts="program",
-        start="separated",
-        model=[Reader(program, 100 * seed + j) for j, program in enumerate(programs)],
-        seed=seed,
-        rounds=60,
-        trace=False,
-        **options,
-    )
-    followed = {plan.program for plan in flown.plans if plan is not None}
-    written = [good for program, good in zip(programs, right, strict=True) if program in followed]
-    summary = flown.summary
-    return Flown(formed=summary.formed, right=summary.formed and all(written), rounds=summary.rounds_to_formed)
+    found: list[Flown] = []
+    for rule in RULES:
+        flown = llm_flock.run(
+            MISSION,
+            consensus=rule,
+            prompts="program",
+            start="separated",
+            model=[Reader(program, 100 * seed + j) for j, program in enumerate(programs)],
+            seed=seed,
+            rounds=60,
+            trace=False,
+            **options,
+        )
+        followed = {plan.program for plan in flown.plans if plan is not None}
+        written = [good for program, good in zip(programs, right, strict=True) if program in followed]
+        formed, rounds = flown.summary.formed, flown.summary.rounds_to_formed
+        found.append(Flown(formed=formed, right=formed and all(written), rounds=rounds))
+    return found
+
+
+def table(seen: Mapping[tuple[int, bool, str], list[list[Flown]]]) -> list[list[str]]:
+    rows = [["Wrong models", "Wrong ones", "Case", *(f"{rule}: right %" for rule in RULES), "medoid: rounds", "Seeds"]]
+    for (share, alike, case), flights in seen.items():
+        right = [sum(one[k].right for one in flights) for k in range(len(RULES))]
+        rounds = sorted(one[0].rounds for one in flights if one[0].rounds is not None)
+        row = [f"{share} %", "alike" if alike else "unlike", case, *(f"{100 * k / len(flights):.0f}" for k in right)]
+        rows.append([*row, str(rounds[len(rounds) // 2]) if rounds else "never", str(len(flights))])
+    return rows
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=200)
+    parser.add_argument("--first", type=int, default=0, help="number of the first seed")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--write", action="store_true", help="write docs/data/words.csv")
+    parser.add_argument("--write", action="store_true", help="write docs/data/words.csv as it grows")
     given = parser.parse_args(arguments)
-    rows = [["Wrong models", "Wrong ones", "Case", *(f"{rule}: right %" for rule in RULES), "medoid: rounds"]]
+    kinds = [(share, alike, "") for alike in (False, True) for share in SHARES]
+    kinds += [(share, False, case) for case in CASES if case for share in (60, 80)]
+    seen: dict[tuple[int, bool, str], list[list[Flown]]] = {kind: [] for kind in kinds}
     with ProcessPoolExecutor(given.jobs) as pool:
-        for case, options in CASES.items():
-            for alike in (False, True) if not case else (False,):
-                for share in SHARES if not case else (60, 80):
-                    row = [f"{share} %", "alike" if alike else "unlike", case]
-                    rounds: list[int] = []
-                    for rule in RULES:
-                        job = partial(fly, rule, share * ROBOTS // 100, alike, options)
-                        seen = list(pool.map(job, range(given.seeds)))
-                        row.append(f"{100 * sum(one.right for one in seen) / len(seen):.0f}")
-                        if rule == "medoid":
-                            rounds = sorted(one.rounds for one in seen if one.rounds is not None)
-                    rows.append([*row, str(rounds[len(rounds) // 2]) if rounds else "never"])
-                    print(*rows[-1], sep=" | ", flush=True)
-    if given.write:
-        figures.write("words.csv", rows)
+        for first in range(given.first, given.first + given.seeds, BLOCK):
+            for share, alike, case in kinds:
+                job = partial(fly, share * ROBOTS // 100, alike, CASES[case])
+                seeds = range(first, min(first + BLOCK, given.first + given.seeds))
+                seen[share, alike, case] += pool.map(job, seeds)
+            rows = table(seen)
+            print(*(" | ".join(row) for row in rows), sep="\n", end="\n\n", flush=True)
+            if given.write:
+                figures.write("words.csv", rows)
 
 
 if __name__ == "__main__":

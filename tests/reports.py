@@ -33,6 +33,7 @@ def told(robot: int, **changes: Any) -> RobotReport:
         "plan": PLAN,
         "proposer": 0,
         "slot": robot,
+        "replans": False,
         "blocked": (),
         "waypoint": PLACES[robot],
         "origin": "model",

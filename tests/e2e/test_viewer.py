@@ -212,6 +212,30 @@ ORDER = """async (order) => {
 }"""
 
 
+def test_no_banner_is_green_over_a_hole(tmp_path: Path, browser: Browser) -> None:
+    with viewer(tmp_path) as url, page_at(browser, url) as page:
+        page.get_by_label("Robots", exact=True).fill("5")
+        page.get_by_label("Model", exact=True).fill("simulated:ideal")
+        gaps = page.get_by_label("Places of the dead")
+        expect(page.locator(".flock-labelled", has=gaps)).to_contain_text("stay empty")
+        gaps.select_option("replan")
+        expect(page.locator(".flock-labelled", has=gaps)).to_contain_text("a smaller formation")
+        page.get_by_role("button", name="Start", exact=True).click()
+        ready(page)
+        (key,) = keys_of(url)
+        banner, said = page.locator(".flock-banner"), page.locator(".flock-headline")
+        expect(banner).to_have_attribute("data-tone", "good")
+        expect(said).to_have_text(re.compile(r"Formed in round \d+"))
+        page.evaluate(ORDER, {"order": "kill", "runs": [key], "robot": 3})
+        was = r"Formed in rounds \d+ to \d+, then robot 3 died; place \d is empty"
+        expect(said).to_have_text(re.compile(was))
+        expect(banner).to_have_attribute("data-tone", "open")
+        expect(page.locator(".flock-state")).to_contain_text("not now")
+        # A smaller formation is whole again.
+        expect(banner).to_have_attribute("data-tone", "good")
+        expect(said).to_have_text(re.compile(r"Formed in round \d+"))
+
+
 def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) -> None:
     with viewer(tmp_path) as url, page_at(browser, url) as page:
         expect(page.get_by_text("This needs a language model")).to_be_visible()

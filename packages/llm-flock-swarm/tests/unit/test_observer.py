@@ -18,6 +18,7 @@ from llm_flock.errors import MessageError
 from llm_flock.message import MissionStamp
 from llm_flock.plan import Drawing, Plan
 from llm_flock.record._schema import Entry, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent
+from llm_flock_swarm._network import observer as observers
 from llm_flock_swarm._network import swarm
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.self_reports import MAX_LATENCIES, MAX_PLANS
@@ -107,6 +108,37 @@ def test_place_is_blocked_once_two_robots_report_it() -> None:
         seen = observer()
         seen.comes_or_goes(2, False)
         assert formed(seen, told(0, blocked=word), spare) is expected
+
+
+def test_a_team_that_will_replan_has_not_formed() -> None:
+    seen = observer()
+    assert not formed(seen, told(0, replans=True), *map(told, range(1, N)))
+    assert formed(seen, *map(told, range(N)))
+    # What has formed ends as soon as a robot is about to leave the plan.
+    seen.report(1, told(1, replans=True))
+    check_at(seen, 60.0)
+    assert seen.formed_s is None and not seen.in_order
+
+
+@pytest.mark.parametrize(("gaps", "has"), [("report", True), ("replan", False)])
+def test_a_plan_for_more_robots_than_live_is_no_end(gaps: str, has: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observers, "fits", lambda _, places, robots: places == robots)  # no triangle has two corners
+    seen = observer()
+    protocol = CONFIG.protocol.model_copy(update={"gaps": gaps})
+    seen._config = CONFIG.model_copy(update={"protocol": protocol})
+    seen.alive.discard(N - 1)
+    assert formed(seen, *map(told, range(N - 1))) is has
+
+
+def test_rows_say_since_which_row_the_team_is_in_order() -> None:
+    seen = observer()
+    assert formed(seen, *map(told, range(N)))
+    rows = [entry for entry in written(seen) if isinstance(entry, MetricsRow)]
+    assert [row.in_order_since for row in rows] == [0] * len(rows) and len(rows) > 3
+    seen.report(1, told(1, slot=0))
+    check_at(seen, 70.0)
+    last = written(seen)[-2]
+    assert isinstance(last, MetricsRow) and last.in_order_since is None
 
 
 def other_mission(counter: int) -> dict[str, Any]:
@@ -354,6 +386,9 @@ def test_swarm_that_flies_on_does_not_end_once_formed(stops: bool, monkeypatch: 
 
         def result(self, stopped: str) -> str:
             return stopped
+
+        def tell(self, result: str) -> None:
+            assert result in ("formed", "time")
 
     monkeypatch.setattr(swarm, "launch_swarm", lambda *_, **__: Launched())
     config = swarm_config(3, stop_when_formed=stops)

@@ -127,7 +127,7 @@ def test_comparison_shows_the_end_of_every_run_and_all_errors(tmp_path: Path) ->
     ]
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
     assert len(figure.axes[2].lines) == 2
-    assert figures.outcome(replace(good, result=None)) == "not formed: 1 plan, 4 goals"
+    assert figures.outcome(replace(good, result=None)) == "broke off: 1 plan, 4 goals"
 
 
 def test_records_and_labels_must_fit(record: RunRecord) -> None:

@@ -44,29 +44,22 @@ class _FormedClock:
     def __init__(self, spacing: float, held_s: float) -> None:
         self.formed_s: float | None = None
         self.tracker = metrics.FormedTracker(spacing=spacing)
-        self.since_row: int | None = None  # first row of the record in which it was in order, while it is
+        self.since_row = 0  # first row of the record in which it was in order, while it is
         self._held_s = held_s
         self._since_s = math.inf
         self._checks = 0
 
-    def update(self, now: float, **team: Any) -> None:
-        """Add the state of the team at a time, as `FormedTracker.update` takes it."""
+    def update(self, now: float, row: int, **team: Any) -> None:
+        """Add the state of the team at a time, before a row of the record, as `FormedTracker.update` takes it."""
         self._checks += 1
         before = self.tracker.since
         self.tracker.update(self._checks, **team)
         if self.tracker.since != before:
-            self._since_s, self.since_row = now, None
+            self._since_s, self.since_row = now, row
         if self.tracker.left:
             self.formed_s = None
         if self.formed_s is None and self.tracker.in_order and now - self._since_s >= self._held_s:
             self.formed_s = self._since_s
-
-    def first_row(self, row: int) -> int | None:
-        """The first row in order up to this one, which is written now."""
-        if not self.tracker.in_order:
-            return None
-        self.since_row = row if self.since_row is None else self.since_row
-        return self.since_row
 
 
 class Observer:
@@ -355,6 +348,7 @@ class Observer:
         fit = not replans or fits(self.mission, len(places), len(robots))
         self._formed.update(
             now,
+            self._row + 1,
             plan_ids=[r.plan_id if fit and tuple(r.mission) == stamp and not r.replans else None for r in reports],
             slots=[report.slot for report in reports],
             goal_distances=distances,
@@ -380,7 +374,7 @@ class Observer:
             plans_in_use=metrics.plans_in_use(plan_ids),
             distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
             robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
-            in_order_since=self._formed.first_row(self._row),
+            in_order_since=self._formed.since_row if self.in_order else None,
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
             model_calls=self.said.calls,
             tokens=self.said.tokens,

@@ -181,6 +181,11 @@ class Swarm:
             await asyncio.sleep(CHECK_S)
         return "time"
 
+    def tell(self, result: SwarmResult) -> None:
+        """Let the record end with this result: its recorder sees the end from elsewhere, a little earlier or later."""
+        told = result.to_dict() | {"min_separation": finite(result.min_separation)}
+        self.told.write_text(json.dumps(told), encoding="utf-8")
+
     def result(self, stopped: str) -> SwarmResult:
         observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
         seconds = sum(max(0.0, heard - (began or heard)) for heard in observer.heard_s.values())
@@ -307,7 +312,5 @@ async def run_swarm(
         on_start(swarm)
         flies_on = config.ros2.ros_missions or not config.trial.stop_when_formed
         result = swarm.result(await (swarm.run(lambda _: False) if flies_on else swarm.run()))
-        # The recorder has seen the end from elsewhere, a little earlier or later; its record says what is said here.
-        told = result.to_dict() | {"min_separation": finite(result.min_separation)}
-        swarm.told.write_text(json.dumps(told), encoding="utf-8")
+        swarm.tell(result)
         return result

@@ -83,7 +83,7 @@ async def run_watch(
 ) -> None:
     """Watch, and with a path write a record, until the process is stopped; `show` is called with the observer first.
 
-    The record ends with the result that the file `told` has by then, else with what this observer has seen.
+    The record ends with the result in the file `told`, if it is there by then, else with what was seen here.
     """
     with ExitStack() as stack:
         writer = stack.enter_context(recording(config, record, sink))

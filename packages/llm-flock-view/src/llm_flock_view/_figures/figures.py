@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import InputError
 from llm_flock.printable import one_line
-from llm_flock.record import PALETTE, RunRecord, formed_text
+from llm_flock.record import PALETTE, RunRecord, ending, formed_text
 from llm_flock_view._figures.charts import DPI, PAGE, fold, new_figure
 from llm_flock_view._figures.key import Entry, columns_of, key_of
 from llm_flock_view._figures.panel import ABOVE, SIDE, Box, Panel, close_up, view
@@ -259,7 +259,8 @@ def outcome(record: RunRecord) -> str:
         return formed
     plans = "1 plan" if last.plans_in_use == 1 else f"{last.plans_in_use} plans"
     goals = "1 goal" if last.distinct_goals == 1 else f"{last.distinct_goals} goals"
-    return f"not formed: {plans}, {goals}"
+    how = "broke off" if ending(record.result) == "broke off" else "not formed"
+    return f"{how}: {plans}, {goals}"
 
 
 def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]:

@@ -89,7 +89,7 @@ def end_figures(record: RunRecord) -> Sequence[tuple[str, str]]:
     result: Mapping[str, Any] = record.result or {}
     last = record.metrics[-1]
     came, bound = record.outcome(), result.get("lower_bound_rounds")
-    more = f"lower bound {bound}" if came.formed and bound is not None else "" if came.formed else result.get("reason")
+    more = result.get("reason") if came.ending != "formed" else "" if bound is None else f"lower bound {bound}"
     free = record.run.simulated and not result.get("cost_usd")
     cost = "none (simulated)" if free else _number(last.cost_usd, "{:.4f} USD")
     rows = [

@@ -24,14 +24,15 @@ from llm_flock.record import (
 def outcome(run: RunHistory, *, over: bool) -> dict[str, Any]:
     """The banner of a page: see `outcome_of`, `diagnose`; `tone` is good, part (formed, not whole now), bad or open."""
     came = outcome_of(run, over=over)
-    found = diagnose(run) if over and not came.formed else Diagnosis()
+    formed = came.ending == "formed"
+    found = diagnose(run) if over and not formed else Diagnosis()
     return {
-        "tone": "good" if came.whole else "part" if came.formed else "bad" if over else "open",
-        "formed": came.formed,
+        "tone": "good" if came.whole else "part" if formed else "bad" if over else "open",
+        "formed": formed,
         "headline": came.headline,
         "protocol": protocol_name(run),
         "why": found.why,
-        "by": begun(_work(run)) if came.formed else "",
+        "by": begun(_work(run)) if formed else "",
         "robots": list(found.robots),
         "interesting": interesting(run, found),
         "missions": [part._asdict() for part in came.missions],

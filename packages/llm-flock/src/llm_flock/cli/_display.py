@@ -19,7 +19,7 @@ from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.file_lock import is_written
 from llm_flock.printable import one_line, printable, shape_title
-from llm_flock.record._words import begun, caveats, formed_text, rules_text, verdict, work_text
+from llm_flock.record._words import begun, caveats, counted, formed_text, help_text, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord
@@ -121,14 +121,11 @@ def summary_table(result: RunResult) -> Table:
 
 def _formed_text(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
-    if formed := formed_text(summary.to_dict()):
-        without = summary.models == ("geometry",)
-        alone = ", by geometry without models" if without else ", [bold]with help for the models[/]"
-        alone = "" if summary.formed_by_models else alone
+    if formed := formed_text(result := summary.to_dict()):
         # Bounds count from when the last mission was given, as do rounds to the formation.
         several = len(summary.missions) > 1
-        took = f", in {summary.rounds_to_formed} rounds of the last mission" if several else ""
-        return f"[bold green]yes[/], {formed.removeprefix('formed ')}{took}{bound}{alone}"
+        took = f", {counted(summary.rounds_to_formed, 'round')} after the last order" if several else ""
+        return f"[bold green]yes[/], {formed.removeprefix('formed ')}{took}{bound}{help_text(result)}"
     return f"[bold red]no[/]{bound}"
 
 

@@ -108,17 +108,22 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
     start: dict[str, Any] = {} if flying else {"n_robots": n, "places": None, "points": None, **WISHES}
     start |= {"obstacles": [*base.obstacles, *zones]} if zones else {}
     space = not flying and base.dim == 2 and formations.in_space(answer.stages[0].parts[0].shape)
+    now = base.model_copy(update={"n_robots": n, "center": (*base.center, MIDDLE) if space else base.center})
     if space:
         start["arena"] = [(*low, height) for low, height in zip(base.arena, (0.0, 2 * MIDDLE), strict=True)]
+        start["center"] = now.center
     stages: list[dict[str, Any]] = []
-    now = base.model_copy(update={"n_robots": n, "center": (*base.center, MIDDLE) if space else base.center})
     for stage in answer.stages:
         fields = _stage(stage, answer.prefer, now)
-        now = now.model_copy(update={"center": fields["center"], "spacing": fields["spacing"]})
+        now = now.model_copy(update={"center": fields.get("center", now.center), "spacing": fields["spacing"]})
         when = stage.when.round if isinstance(stage.when, InRound) else stage.when
         stages.append({"set": fields, "when": when or "formed"})
     at_once = answer.stages[0].when is None
-    given = {**start, **(stages[0]["set"] if at_once else {}), "then": stages[1:] if at_once else stages}
+    given: dict[str, Any] = {
+        **start,
+        **(stages[0]["set"] if at_once else {}),
+        "then": stages[1:] if at_once else stages,
+    }
     mission = base.change(**given) if flying else build_mission(**{**base.model_dump(), **given})
     words = mission_words(mission, answer.gaps)
     return MissionDraft(plain_fields(mission, given), words, mission, answer.gaps)
@@ -178,7 +183,7 @@ def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dic
 def _alone(part: Part, n: int, base: Mission) -> dict[str, Any]:
     """Shape, place, spacing and orientation of a formation of one part."""
     name, turn, shape = part.shape.partition(":")[0], _turn(part), part.shape
-    fields: dict[str, Any] = {"center": (*(part.center or base.center[:2]), *base.center[2:])}
+    fields: dict[str, Any] = {"center": (*part.center, *base.center[2:])} if part.center else {}
     if name in ("points", "program", "outline") or (name == "text" and part.size is not None):
         raise InputError(
             "shape", shape, "a shape with a name, letters:TEXT, or text:WORDS, which has no size of its own"

@@ -25,7 +25,7 @@ GAPS = {
 def mission_words(mission: Mission, gaps: str | None = None) -> str:
     """All that is flown, for people: the stages with numbers if there are several."""
     zones = [_plain(zone.model_dump(exclude_none=True)) for zone in mission.obstacles]
-    said = [f"{mission.n_robots} robots", *(f"none enters {zone}" for zone in zones), *filter(None, [GAPS[gaps]])]
+    said = [f"{mission.n_robots} robots", *(f"none enters {zone}" for zone in zones), *([GAPS[gaps]] if gaps else [])]
     stages, stage = [_stage_words(mission)], mission
     while stage.then:
         when, stage = stage.then[0].when, stage.following()

@@ -29,10 +29,8 @@ class Stages:
         self._there = self._formed = 0  # rounds at the own place; rounds for which the team has stood formed
 
     def next(self, round_: int) -> Mission | None:
-        """The stage to go on to at the start of a round; None to stay."""
+        """The stage to go on to at the start of a round, if the mission has one; None to stay."""
         mission = self._agreement.mission
-        if not mission.then:
-            return None
         self._look()
         when = mission.then[0].when
         due = round_ >= when if isinstance(when, int) else when == "formed" and self._formed > mission.hold

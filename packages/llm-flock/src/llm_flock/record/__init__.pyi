@@ -4,7 +4,6 @@ from ._diagnosis import deaths_text as deaths_text
 from ._diagnosis import diagnose as diagnose
 from ._history import CallCounts as CallCounts
 from ._history import RunHistory as RunHistory
-from ._outcome import Outcome as Outcome
 from ._outcome import outcome_of as outcome_of
 from ._outcome import shape_text as shape_text
 from ._reader import RunRecord as RunRecord

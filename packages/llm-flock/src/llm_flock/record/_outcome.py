@@ -13,16 +13,7 @@ from llm_flock.printable import shape_title
 from llm_flock.record._diagnosis import AT_GOAL
 from llm_flock.record._history import RunHistory
 from llm_flock.record._schema import DEAD, SILENT
-from llm_flock.record._words import MAX_PLACES, begun, ending, formed_text, robots_text
-
-_STOPPED = {
-    "budget": "the budget was used up",
-    "time": "its time was over",
-    "ended": "no robot was left",
-    "no_plan": "no model proposed an acceptable plan",
-    "no_answers": "no model answered",
-    "interrupted": "the run was ended early",
-}
+from llm_flock.record._words import ENDINGS, begun, ending, formed_text, help_text, listed, robots_text
 
 
 class MissionPart(NamedTuple):
@@ -34,7 +25,7 @@ class MissionPart(NamedTuple):
     formed: int | None
 
 
-class Outcome(NamedTuple):
+class RunOutcome(NamedTuple):
     """The outcome of a run, or of its flight so far."""
 
     ending: str  #: One of `ENDINGS`; empty while the run flies and is not formed.
@@ -42,12 +33,8 @@ class Outcome(NamedTuple):
     whole: bool  #: Whether it is formed, and now every robot and every place that the whole team could fill is there.
     missions: tuple[MissionPart, ...]
 
-    @property
-    def formed(self) -> bool:
-        return self.ending == "formed"
 
-
-def outcome_of(run: RunHistory, *, over: bool = True) -> Outcome:
+def outcome_of(run: RunHistory, *, over: bool = True) -> RunOutcome:
     """The outcome of a run that has a round, up to its last round. A run that is not `over` flies on."""
     parts = mission_parts(run)
     part, last = parts[-1], run.last_round
@@ -62,10 +49,10 @@ def outcome_of(run: RunHistory, *, over: bool = True) -> Outcome:
         given = f" (given in round {part.first})" if len(parts) > 1 else ""
         when = formed_text(run.result or {}, part.formed)
         if broken:
-            when = _until(run, *stood[-1], when)
+            when = _until(run, *stood[-1])
         elif empty and (before := [span for span in stood if span[0] < (part.formed or 0)]):
             when = f"{_until(run, *before[-1])}; formed again {when.removeprefix('formed ')}"
-        words = f"{when}{given}{_help_text(run)}"
+        words = f"{when}{given}{help_text(run.result or {})}"
     else:
         words = "not formed yet" if not over else f"broke off: {_stopped(run)}"
         words = words if end in ("", "broke off") else f"not formed: {_stopped(run)}"
@@ -73,7 +60,7 @@ def outcome_of(run: RunHistory, *, over: bool = True) -> Outcome:
             words = f"{words}; {_until(run, *stood[-1])}" if over else _until(run, *stood[-1])
         now = now if stood else ""
     whole = end == "formed" and not lacks and not broken
-    return Outcome(end, begun("; ".join(filter(None, (f"{name}{words}", now)))), whole, tuple(parts))
+    return RunOutcome(end, begun("; ".join(filter(None, (f"{name}{words}", now)))), whole, tuple(parts))
 
 
 def mission_parts(run: RunHistory) -> list[MissionPart]:
@@ -84,8 +71,7 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
     parts: list[MissionPart] = []
     for k, info in enumerate(given):
         last = given[k + 1].round - 1 if k + 1 < len(given) else None
-        end = run.last_round if last is None else last
-        formed = _formed_in(run, info.round, end)
+        formed = _formed_in(run, info.round, run.last_round if last is None else last)
         if len(entries) == len(given):
             entry = entries[k]
             number = cast("Mapping[str, Any]", entry).get("formed") if isinstance(entry, Mapping) else None
@@ -117,26 +103,21 @@ def shape_text(mission: Mapping[str, Any]) -> str:
     return f"{shape} of {n}" if places in (None, n) else f"{shape} of {places}, {n} robots"
 
 
-def _until(run: RunHistory, first: int, last: int, when: str = "") -> str:
-    """In which rounds the team stood formed, and what ended that; `when` is when it formed, if that is known."""
+def _until(run: RunHistory, first: int, last: int) -> str:
+    """In which rounds the team stood formed, and what ended that."""
     if last >= run.last_round:
         return f"formed since round {first}"
-    rounds = f"in rounds {first} to {last}"
-    if when and when != f"formed in round {first}":
-        return f"{when}, and last {rounds}, then {_change(run, last + 1)}"
-    return f"formed {rounds}, then {_change(run, last + 1)}"
+    return f"formed in rounds {first} to {last}, then {_change(run, last + 1)}"
 
 
 def _change(run: RunHistory, number: int) -> str:
     """What happened in a round that ended a formation."""
     before, state = run.states[number - 1], run.states[number]
-    pairs = list(enumerate(zip(before.phases, state.phases, strict=True)))
-    died = [robot for robot, (was, now) in pairs if now == DEAD != was]
-    joined = [robot for robot, (was, now) in pairs if was in SILENT and now not in SILENT]
+    phases = list(zip(before.phases, state.phases, strict=True))
+    died = [robot for robot, (was, now) in enumerate(phases) if now == DEAD != was]
+    joined = [robot for robot, (was, now) in enumerate(phases) if was in SILENT and now not in SILENT]
     if died or joined:
-        return " and ".join(
-            f"{robots_text(robots)} {what}" for robots, what in ((died, "died"), (joined, "joined")) if robots
-        )
+        return f"{robots_text(died)} died" if died else f"{robots_text(joined)} joined"
     if before.plan_ids != state.plan_ids:
         return "the team took another plan"
     near = AT_GOAL * float(run.mission_at(number).mission["spacing"])
@@ -160,26 +141,16 @@ def _empty_places(run: RunHistory) -> tuple[list[int], bool]:
 
 
 def _empty_text(places: Sequence[int]) -> str:
-    some = ", ".join(map(str, places[:MAX_PLACES])) + (", …" if len(places) > MAX_PLACES else "")
-    return f"place{'s' if len(places) > 1 else ''} {some} {'are' if len(places) > 1 else 'is'} empty" if places else ""
-
-
-def _help_text(run: RunHistory) -> str:
-    """Whether the models did it alone; older records do not say."""
-    if (run.result or {}).get("formed_by_models", True):
-        return ""
-    return ", by geometry without models" if run.without_models else ", with help for the models"
+    return f"{listed('place', places)} {'are' if len(places) > 1 else 'is'} empty" if places else ""
 
 
 def _stopped(run: RunHistory) -> str:
     """Why a run ended."""
     if run.result is None:
         return "the record ends early"
-    stopped = str(run.result.get("stopped", "ended early"))
-    if stopped == "failed":
-        return "an error ended the run"
-    if stopped == "rounds" and run.last_round < 2:
-        return "the only round was used up" if run.last_round else "no round was flown"
-    if stopped == "rounds":
-        return f"all {run.last_round} rounds were used up"
-    return _STOPPED.get(stopped, stopped)
+    stopped, flown, end = str(run.result.get("stopped", "ended early")), run.last_round, ending(run.result)
+    if stopped == "rounds" and flown < 2:
+        return "the only round was used up" if flown else "no round was flown"
+    rounds = f"all {flown} rounds were used up"
+    other = {"rounds": rounds, "time": "its time was over", "ended": "no robot was left"}
+    return other.get(stopped, stopped if end == "not formed" else ENDINGS[end])

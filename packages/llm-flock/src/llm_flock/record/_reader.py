@@ -18,7 +18,7 @@ from llm_flock.extras import ExtraMissing, require
 from llm_flock.record import RECORD_NAME
 from llm_flock.record._diagnosis import Diagnosis, diagnose
 from llm_flock.record._history import RunHistory
-from llm_flock.record._outcome import Outcome, outcome_of
+from llm_flock.record._outcome import RunOutcome, outcome_of
 from llm_flock.record._schema import (
     BodySample,
     Entry,
@@ -92,7 +92,7 @@ class RunRecord:
         """Why the team did not form its last mission; empty for a run that formed, or has no round."""
         return Diagnosis() if ending(self.result) == "formed" else diagnose(self._history())
 
-    def outcome(self) -> Outcome:
+    def outcome(self) -> RunOutcome:
         """What came of the run: whether, when and until when its last mission was formed, or how it ended."""
         return outcome_of(self._history())
 

@@ -65,13 +65,18 @@ def ending(result: Mapping[str, Any] | None) -> str:
     return stopped if stopped in ENDINGS.keys() - {"formed"} else "not formed"
 
 
+def _last_mission(result: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The outcome of a run's last mission; empty where the result, which may come from anywhere, has none."""
+    missions = result.get("missions")
+    last = cast("Sequence[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
+    return cast("Mapping[str, Any]", last) if isinstance(last, Mapping) else {}
+
+
 def formed_in(result: Mapping[str, Any]) -> int | None:
     """The round of the run in which its last mission was formed, by its result; None if it was not."""
     if ending(result) != "formed":
         return None
-    missions = result.get("missions")
-    last = cast("list[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
-    formed = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
+    formed = _last_mission(result).get("formed")
     number = formed if isinstance(formed, int) else result.get("rounds_to_formed")
     return number if isinstance(number, int) else None
 
@@ -85,6 +90,14 @@ def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
     if isinstance(time_s, int | float):
         return f"formed after {time_s:.1f} s"
     return f"formed in round {number}" if number is not None else "formed" if ending(result) == "formed" else ""
+
+
+def help_text(result: Mapping[str, Any]) -> str:
+    """Whether the models of a run that formed had help; older records do not say."""
+    if result.get("formed_by_models", True):
+        return ""
+    without = {*cast("Sequence[str]", result.get("models") or ())} == {"geometry"}
+    return ", by geometry without models" if without else ", with help for the models"
 
 
 def verdict(entry: LlmEntry) -> str:
@@ -126,9 +139,8 @@ def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
         found.append(f"{counted(over, 'step')} over the limit ended there")
     if off is not None and off > mission["spacing"] / 10:
         found.append(f"the team is {off:.2f} beside the centre of its mission")
-    given = cast("Sequence[Mapping[str, Any]]", result.get("missions") or [mission])
-    kind, _, drawn = str(given[-1].get("shape")).partition(":")
-    if kind == "text" and result.get("formed"):
+    kind, _, drawn = str((_last_mission(result) or mission).get("shape")).partition(":")
+    if kind == "text" and ending(result) == "formed":
         found.append(f"it formed the agreed program; nobody checked that it is {one_line(drawn, 200)}")
     return found + answers_of_others(result.get("models") or (), result.get("answered_by") or ())
 
@@ -145,8 +157,13 @@ def answers_of_others(asked: Sequence[str], answered: Sequence[str]) -> list[str
 
 def robots_text(robots: Sequence[int]) -> str:
     """Some robots by their ids, twelve at most."""
-    some = ", ".join(map(str, robots[:MAX_PLACES])) + (", …" if len(robots) > MAX_PLACES else "")
-    return f"robot{'s' if len(robots) > 1 else ''} {some}"
+    return listed("robot", robots)
+
+
+def listed(what: str, numbers: Sequence[int]) -> str:
+    """Some things by their numbers, twelve at most."""
+    some = ", ".join(map(str, numbers[:MAX_PLACES])) + (", …" if len(numbers) > MAX_PLACES else "")
+    return f"{what}{'s' if len(numbers) > 1 else ''} {some}"
 
 
 def letters(number: int) -> str:

@@ -64,7 +64,7 @@ class RunOrders:
         with self._lock:
             self.round = trial.round + 1
             self._awake = list(trial.roster.awake)
-            self.mission, self._staged = trial.mission, trial.staged
+            self.mission, self._staged = trial.mission.at(trial.round), trial.staged
             plan = trial.roster.agents[self._awake[0]].plan
             self.drawn = "" if plan is None else plan.program
             trial.schedule = self._schedule

@@ -83,18 +83,22 @@ def test_encoded_message_is_decoded_unchanged(message: Message) -> None:
     assert decode(encode(message), 2, 2) == message
 
 
-@pytest.mark.parametrize("shape", ['program:{"draw":[{"shape":"square","fill":true}]}', "sphere"])
-def test_the_plan_of_a_program_costs_no_bytes_for_places(shape: str) -> None:
-    sizes = list[int]()
+@pytest.mark.parametrize(("shape", "dim", "size"), [("letters:H", 2, 111), ("sphere", 3, 126)])
+def test_the_plan_of_a_program_costs_no_bytes_for_places(shape: str, dim: int, size: int) -> None:
+    """The sizes that docs/reference/wire.md names."""
+    sizes, as_points = list[int](), list[int]()
+    arena = ((0.0,) * dim, (1000.0,) * dim)
     for n in (10, 30, 100):
-        mission = Mission(shape=shape, n_robots=n, spacing=5.0, comm_range=30.0)
+        mission = Mission(shape=shape, n_robots=n, spacing=5.0, comm_range=60.0, center=(500.0,) * dim, arena=arena)
         plan = mission.plan(0.3, (0.1, -0.1))
-        said = Message(sender=0, sequence=0, degree=0, plan=plan, provenance=ORIGIN)
+        said = Message(sender=0, sequence=0, degree=0, plan=plan, provenance=ORIGIN, slot=1)
         read = decode(encode(said), n, mission.dim)
         assert read.plan == plan and read.plan.points == plan.points and read.places == len(plan.points) == n
         assert np.allclose(plan.array, Plan.of(turned(np.array(mission.ideal), mission.center, 0.3)).array, atol=0.2)
         sizes.append(len(encode(said)))
-    assert max(sizes) < 200 and max(sizes) - min(sizes) <= 2
+        as_points.append(len(encode(replace(said, plan=Plan(plan.points)))))
+    assert sizes == [size] * 3
+    assert dim == 3 or as_points == [230, 612, 1942]
 
 
 @pytest.mark.parametrize(
