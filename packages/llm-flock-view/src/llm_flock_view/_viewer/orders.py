@@ -97,6 +97,7 @@ class PageOrders:
         if not isinstance(fields, dict):
             raise FieldError("fields", None, says="a start needs the fields of its run")
         pace = _number("pace", asked.get("pace"))
+        self.launcher.loaded()
         from llm_flock_view._viewer.steered_run import check_pace
 
         check_pace(pace)
@@ -111,6 +112,7 @@ class PageOrders:
 
     def _preview(self, fields: object) -> dict[str, Any]:
         """Arena, starts and places of a run of the form's fields, which does not fly yet [units]."""
+        self.launcher.loaded()
         from llm_flock_view._viewer.steered_run import config_of, starts_of
 
         if not isinstance(fields, dict):
