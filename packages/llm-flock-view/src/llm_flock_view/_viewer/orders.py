@@ -119,13 +119,12 @@ class PageOrders:
             raise FieldError("fields", None, says="a picture needs the fields of a run")
         config = config_of(cast("dict[str, Any]", fields), self.launcher.models, self.launcher.base_url)
         mission = config.mission
-        places = [] if mission.ideal is None else mission.ideal
         return {
             "arena": mission.arena,
             "center": mission.center,
             "safe": mission.safe_distance,
             "starts": starts_of(config).round(1).tolist(),
-            "places": places,
+            "places": mission.ideal or (),
         }
 
     async def _read(self, asked: Mapping[str, Any]) -> dict[str, Any]:
