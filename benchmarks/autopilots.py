@@ -179,7 +179,8 @@ def row_of(drones: str, shape: str, n: int, halved: bool, flights: Sequence[dict
     good = [flight for flight in flown if flight["formed"] and flight["landed"]]
 
     def most(name: str, digits: int, pick: Callable[..., float] = max) -> object:
-        return round(pick(flight[name] for flight in flown), digits) if flown else ""
+        values = [flight[name] for flight in flown if flight[name] is not None and flight[name] < math.inf]
+        return round(pick(values), digits) if values else ""
 
     return {
         "Drones": DRONES[drones],
