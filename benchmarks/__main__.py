@@ -23,6 +23,7 @@
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
 `drawn`     letters placed on 30 robots and read by a stranger, and bodies in space flown; see benchmarks/drawn.py
+`missions`  missions in words of the kinds that others publish, judged by code; see benchmarks/missions.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
@@ -58,6 +59,8 @@ from benchmarks import (
     lies,
     links,
     local,
+    missions,
+    outcomes,
     physics,
     radio,
     ros2,
@@ -198,6 +201,7 @@ LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swa
 if __name__ == "__main__":
     commands = {
         "same": same.main,
+        "outcomes": outcomes.main,
         "flight": flight.main,
         "flight-cases": flight_cases.main,
         "autopilots": autopilots.main,
@@ -206,6 +210,7 @@ if __name__ == "__main__":
         "scale": scale.main,
         "arrivals": arrivals.main,
         "drawn": drawn.main,
+        "missions": missions.main,
         "containment": containment.main,
         "lies": lies.main,
         "lies-curve": lies.curve,

@@ -29,15 +29,18 @@ class Key:
 
     async def ask(self, call: Call) -> str:
         question = self._known[call.round]
+        if question.options:
+            return f"Choice: {question.wanted[0]['choice']}"
         if question.words is not None:
-            return json.dumps(question.wanted)
+            right = question.wanted[0]
+            return json.dumps({**right, "about": right["about"][0]} if "about" in right else right)
         mission = question.build_mission()
         if question.asks_plan:
             plan = question.plan_question(meant(question, mission), call.robot, call.round)
             answer = await GeometryPlanner().plan(plan)
             assert isinstance(answer, PlanAnswer), answer
             return f"Plan: {[list(point) for point in answer.plan.points]}\nmy plan: {answer.slot}"
-        if question.section == "others":
+        if question.section in ("others", "agreement"):
             step = sidestep(question, mission)
         else:
             found = await GeometryPlanner().step(question.step_question(mission, call.round))
@@ -58,7 +61,10 @@ class Guesser:
         await asyncio.sleep(0)
         if call.form is None:
             shape = str(self._rng.choice(["line", "circle", "grid", "star"]))
-            return json.dumps({"shape": shape, "n_robots": int(self._rng.integers(1, 31))})
+            center = self._rng.integers(0, 100, 2).tolist()
+            return json.dumps({"answer": "mission", "stages": [{"parts": [{"shape": shape, "center": center}]}]})
+        if call.form.choices:
+            return f"Choice: {self._rng.choice(call.form.choices)}"
         rows = self._rng.uniform(-60, 140, (call.form.n, call.form.dim)).round(2).tolist()
         if call.kind == "plan":
             return f"Plan: {rows}\nmy plan: {int(self._rng.integers(call.form.n))}"
@@ -76,8 +82,9 @@ def hashed(conversation: Sequence[tuple[str, str]]) -> str:
     """The answer of `Hashed` to a conversation of roles and texts."""
     seed = hashlib.blake2b(json.dumps(list(conversation)).encode(), digest_size=8).digest()
     rng = np.random.default_rng(int.from_bytes(seed))
-    if conversation[0][1].startswith("You turn a request"):
-        return json.dumps({"shape": "circle", "n_robots": int(rng.integers(3, 13))})
+    if conversation[0][1].startswith(("You turn a request", "You change the drawing")):
+        shape = str(rng.choice(["line", "circle", "grid", "star"]))
+        return json.dumps({"answer": "mission", "stages": [{"parts": [{"shape": shape}]}]})
     try:
         return SimulatedModel(parse_profile("malformed@0.3,overshoot@0.3,distorted@0.3"), rng).answer(conversation)
     except ModelError as error:  # a stand-in cannot read a shape in words

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,12 +17,13 @@ from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock_lab._exam.ask import Examiner, Outcome, round_of
-from llm_flock_lab._exam.questions import SECTIONS, WORDS, Question
+from llm_flock_lab._exam.questions import SECTIONS, Question
 from llm_flock_lab._exam.rows import summary
-from llm_flock_lab._exam.score import word_marks
 from llm_flock_lab._exam.splits import paper, public_split
 
-UNREAD = {"mission", "distraction"}  # sections in words, which a stand-in cannot read: the second is asked, in vain
+WORDS = {"mission", "edit"}  # a stand-in is not asked these here
+UNREAD = {*WORDS, "distraction", "judgement"}  # all or some questions are in words, which a stand-in cannot read
+AHEAD = {"others", "agreement"}  # a robot stands in the way
 EXAMINER = Examiner(PromptSet.load("full"), "world")
 
 
@@ -40,7 +40,7 @@ def ask_simulated(profile: str, questions: Sequence[Question], repeats: int = 1)
         return await EXAMINER.ask(question, SimulatedModel(parse_profile(profile), rng), repeat)
 
     async def all_() -> list[Outcome]:
-        return [await one(q, repeat) for repeat in range(repeats) for q in questions if q.section != WORDS]
+        return [await one(q, repeat) for repeat in range(repeats) for q in questions if q.words is None]
 
     return asyncio.run(all_())
 
@@ -63,41 +63,46 @@ def test_right_answers_are_right_in_every_section() -> None:
 
 def test_the_ideal_stand_in_is_right_where_straight_steps_are() -> None:
     found = dict(shares("ideal", 1000))
-    others = found.pop("others")
-    assert found == dict.fromkeys(set(SECTIONS) - {"others"} - UNREAD, 1.0) | {"distraction": 0.0}
-    assert others < 0.5, "it walks straight, and turns shapes by chance: robots in the way are beyond it"
+    ahead, judged = [found.pop(name) for name in sorted(AHEAD)], found.pop("judgement")
+    assert found == dict.fromkeys(set(SECTIONS) - AHEAD - UNREAD, 1.0) | {"distraction": 0.0}
+    assert max(ahead) < 0.5, "it walks straight, and turns shapes by chance: robots in the way are beyond it"
+    assert 0.2 < judged < 0.8, "it reads figures, but no wishes in words of their own"
 
 
 @pytest.mark.parametrize(("limit", "seed"), [(1000, None), (30, 7)], ids=["public", "private"])
 def test_the_careful_stand_in_is_always_right(limit: int, seed: int | None) -> None:
-    assert shares("careful", limit, seed) == dict.fromkeys(set(SECTIONS) - UNREAD, 1.0) | {"distraction": 0.0}
+    found = {name: share for name, share in shares("careful", limit, seed).items() if name != "judgement"}
+    assert found == dict.fromkeys(set(SECTIONS) - UNREAD, 1.0) | {"distraction": 0.0}
 
 
 def test_the_random_stand_in_is_wrong_in_every_section() -> None:
-    found = shares("random", 1000)
-    assert set(found) == set(SECTIONS) - {"mission"} and max(found.values()) <= 0.05
-    asked = ask_simulated("random", paper(limit=20))
+    found = dict(shares("random", 1000))
+    assert found.pop("judgement") < 0.5
+    assert set(found) == set(SECTIONS) - WORDS - {"judgement"} and max(found.values()) <= 0.05
+    asked = [outcome for outcome in ask_simulated("random", paper(limit=20)) if outcome.section != "judgement"]
     assert all(outcome.readable != (outcome.section in UNREAD) for outcome in asked)
 
 
 def test_answers_by_chance_are_wrong() -> None:
     outcomes = ask(OwnModel(Guesser()), paper(limit=40))
-    found = summary(outcomes)
-    assert found["total"].value < 0.02
-    assert all(section.first.value <= 0.05 for section in found["sections"].values() if section.questions > 10)
+    found = summary(outcomes)["sections"]
+    assert found.pop("judgement").first.value < 0.6
+    assert all(section.first.value <= 0.05 for section in found.values() if section.questions > 10)
     assert all(o.readable for o in outcomes if o.section == "plan")
 
 
-PLANS, STEPS = {"plan", "others", "retry"}, {"step", "path", "retry", "agreement"}
+PLANS, STEPS = {"plan", "place", "others", "retry"}, {"step", "path", "retry"}
 FAULTS = {"distorted": PLANS, "overshoot": STEPS, "overlong": STEPS, "collapse": STEPS}
 
 
 @pytest.mark.parametrize(
-    ("fault", "sections"), [*FAULTS.items(), ("malformed", set(SECTIONS) - UNREAD)], ids=[*FAULTS, "malformed"]
+    ("fault", "sections"),
+    [*FAULTS.items(), ("malformed", set(SECTIONS) - UNREAD - {"agreement"})],
+    ids=[*FAULTS, "malformed"],
 )
 def test_a_fault_lowers_exactly_its_sections(fault: str, sections: set[str]) -> None:
     ideal, faulty = shares("ideal", 20), shares(fault, 20)
-    assert {name for name in ideal if faulty[name] < ideal[name]} == sections
+    assert {name for name in ideal if faulty[name] < ideal[name]} - {"agreement", "judgement"} == sections
 
 
 @pytest.mark.parametrize(
@@ -106,7 +111,12 @@ def test_a_fault_lowers_exactly_its_sections(fault: str, sections: set[str]) -> 
 def test_a_fault_of_a_careful_model_lowers_its_sections(fault: str, sections: set[str]) -> None:
     """Steps among other robots count here too, which an ideal model, walking straight, gets wrong anyway."""
     faulty = shares(f"careful,{fault}", 20)
-    assert {name for name, share in faulty.items() if share < 1.0} == sections | {"others", "distraction"}
+    steps = {"agreement"} if "step" in sections else set[str]()
+    assert {name for name, share in faulty.items() if share < 1.0} == sections | steps | {
+        "others",
+        "distraction",
+        "judgement",
+    }
 
 
 def test_a_private_split_ranks_models_as_the_public_one() -> None:
@@ -167,23 +177,3 @@ def test_answers_without_sense_are_wrong_answers() -> None:
     assert {o.tries for o in outcomes} == {None}
     assert all(o.reason and len(o.reason) <= 300 for o in outcomes)
     assert sum(o.cause == "garbage" for o in outcomes) > 3
-
-
-@pytest.mark.parametrize(
-    ("possible", "answer", "right", "read", "safe"),
-    [
-        (True, '{"shape": "square", "n_robots": 8}', True, True, True),
-        (True, 'Sure! {"shape": "square", "n_robots": 8, "spacing": 10}', True, True, True),
-        (True, '{"shape": "square", "n_robots": 8, "spacing": 9}', False, True, False),
-        (True, '{"shape": "circle", "n_robots": 8}', False, True, False),
-        (True, "I cannot do that.", False, False, True),
-        (False, '{"shape": "square", "n_robots": 7}', True, True, True),
-        (False, '{"shape": "square", "n_robots": 8}', False, True, False),
-        (False, '{"shape": "square", "n_robots": 9}', False, True, True),
-    ],
-)
-def test_words_are_compared_field_by_field(possible: bool, answer: str, right: bool, read: bool, safe: bool) -> None:
-    question = next(q for q in public_split() if q.section == "mission" and q.possible == possible)
-    wanted = {"shape": "square", "n_robots": 8 if possible else 7}
-    marks = word_marks(replace(question, wanted=wanted), answer)
-    assert (marks.reason is None, marks.read, marks.safe) == (right, read, safe)

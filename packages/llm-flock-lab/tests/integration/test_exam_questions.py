@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections import Counter
 from dataclasses import replace
@@ -9,14 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmarks.twenty_lines import Short
 
 from llm_flock.errors import InputError
-from llm_flock.llm._mission_words import draft_of
+from llm_flock.llm._own import OwnModel
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.protocol._verification.steps import step_faults
 from llm_flock_lab._exam.ask import Examiner, round_of
 from llm_flock_lab._exam.generate_steps import sidestep
-from llm_flock_lab._exam.questions import SECTIONS, Question, digest, from_lines, to_lines
+from llm_flock_lab._exam.questions import SECTIONS, WRITTEN, Question, digest, from_lines, to_lines
+from llm_flock_lab._exam.score import word_marks
 from llm_flock_lab._exam.splits import PUBLIC_SEED, generate, paper, private_split, public_split
 
 COUNTS = {
@@ -27,21 +30,24 @@ COUNTS = {
     "path": 24,
     "retry": 40,
     "agreement": 20,
-    "mission": 500,
+    "mission": 310,
     "distraction": 24,
+    "edit": 60,
+    "judgement": 23,
 }
 
 
 def test_the_public_split_is_what_its_seed_generates() -> None:
-    assert to_lines(public_split()) == to_lines(generate(PUBLIC_SEED))
+    made = [question for question in public_split() if question.section not in WRITTEN]
+    assert to_lines(made) == to_lines(generate(PUBLIC_SEED))
     assert Counter(question.section for question in public_split()) == COUNTS
     assert list(COUNTS) == list(SECTIONS)
 
 
 def test_the_public_questions_and_their_prompts_stay() -> None:
-    stand_ins = [question for question in public_split() if question.section != "mission"]
-    assert digest(public_split()) == "6a146e875bea2ba0" and digest(stand_ins) == "8403ccf95154c494"
-    assert Examiner(PromptSet.load("full"), "world").prompts_digest(stand_ins) == "701de61afba7dd55"
+    made = [question for question in public_split() if question.section not in WRITTEN]
+    assert digest(public_split()) == "WHOLE" and digest(made) == "MADE"
+    assert Examiner(PromptSet.load("full"), "world").prompts_digest(made) == "PROMPTS"
 
 
 def test_a_file_gives_back_the_questions() -> None:
@@ -61,7 +67,7 @@ def test_no_private_question_is_public_and_none_is_there_twice() -> None:
     private = private_split(seed)
     assert len(public) == len(public_split()) and len(set(map(content, private))) == len(private)
     assert public.isdisjoint(map(content, private))
-    assert Counter(question.section for question in private) == COUNTS
+    assert Counter(question.section for question in private) == {k: n for k, n in COUNTS.items() if k not in WRITTEN}
     assert private_split(seed) == private and digest(private) != digest(public_split())
 
 
@@ -93,7 +99,7 @@ def test_sizes_and_dimensions_reach_from_small_to_large() -> None:
 
 def test_robot_ahead_spoils_the_straight_step_leaving_another() -> None:
     ahead = [question for question in public_split() if question.tags[0] == "ahead"]
-    assert len(ahead) == 16
+    assert Counter(question.section for question in ahead) == {"others": 16, "agreement": 20}
     for question in ahead:
         mission = question.build_mission()
         asked = question.step_question(mission, 0)
@@ -103,16 +109,76 @@ def test_robot_ahead_spoils_the_straight_step_leaving_another() -> None:
         assert sidestep(question, mission) is not None
 
 
-def test_words_say_a_mission_exactly_where_it_is_possible() -> None:
-    words = [question for question in public_split() if question.section == "mission"]
-    assert sum(not question.possible for question in words) == 100
-    for question in words:
-        try:
-            draft_of(json.dumps(question.wanted))
-            flies = True
-        except InputError:
-            flies = False
-        assert flies == question.possible, question.words
+def test_right_answers_to_words_are_right_and_others_not() -> None:
+    asked = [question for question in public_split() if question.words is not None]
+    kinds = Counter(one.wanted[0]["answer"] for one in asked if one.section == "mission")
+    assert kinds == {"mission": 190, "refuse": 60, "ask": 60}
+    for question in asked[::9]:
+        for right in question.wanted:
+            said = json.dumps({**right, "about": right["about"][-1]} if "about" in right else right)
+            assert word_marks(question, said).reason is None, question.words
+        refusal = '{"refuse": "no"}' if question.section == "edit" else '{"answer": "refuse"}'
+        refuses = "refuse" in (*question.wanted[0], question.wanted[0].get("answer"))
+        assert (word_marks(question, refusal).reason is None) == refuses, question.words
+
+
+MISSION: dict[str, Any] = {
+    "answer": "mission",
+    "keep_out": [{"polygon": [[0, 0], [100, 0], [100, 15], [0, 15]]}],
+    "stages": [{"parts": [
+        {"who": {"count": 3, "side": "left"}, "role": "scouts", "shape": "square", "turn": 45},
+        {"shape": "text:a heart", "velocity": [-0.71, -0.71]},
+    ]}],
+}  # fmt: skip
+ALIKE: tuple[tuple[str, str], ...] = (
+    ("[[0, 0], [100, 0], [100, 15], [0, 15]]", "[[100, 15], [0, 15], [0, -9], [100, -9]]"),
+    ('"side": "left"', '"side": "west"'), ('"turn": 45', '"turn": -45'), ("a heart", "Heart"), ("-0.71", "-0.707"),
+    ('"answer": "mission"', '"answer": "mission", "robots": 12'),
+    ('"shape": "square"', '"shape": "square", "spacing": 10'),
+    ('{"shape": "text', '{"who": {"count": 9, "side": "right"}, "shape": "text'),
+)  # fmt: skip
+OTHER: tuple[tuple[str, str], ...] = (
+    ("[100, 15], [0, 15]", "[100, 25], [0, 15]"), ('"left"', '"right"'), ('"turn": 45', '"turn": 40'), ("heart", "ox"),
+    ("-0.71", "0.71"), ('"answer": "mission"', '"answer": "mission", "robots": 11'), ("scouts", "guards"),
+    ('"shape": "square"', '"shape": "square", "spacing": 9'), ('"count": 3', '"count": 4'), ("square", "circle"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "right"), [*((*pair, True) for pair in ALIKE), *((*pair, False) for pair in OTHER)]
+)
+def test_a_mission_is_right_if_it_flies_alike(old: str, new: str, right: bool) -> None:
+    fields = {"shape": "grid", "n_robots": 12, "comm_range": 150}
+    question = Question(id="", section="mission", n=12, mission=fields, words="...", wanted=(MISSION,))
+    text = json.dumps(MISSION)
+    assert old in text
+    assert (word_marks(question, text.replace(old, new)).reason is None) == right
+
+
+@pytest.mark.parametrize(
+    ("answer", "right"),
+    [
+        ('{"draw": [{"shape": "circle", "scale": [2, 1]}]}', True),
+        ('{"draw": [{"shape": "circle", "scale": [1, 0.5]}]}', True),
+        ('{"draw": [{"shape": "circle", "scale": [1, 2]}]}', False),
+        ('{"draw": [{"shape": "circle"}]}', False),
+        ('{"draw": [{"shape": "circle", "scale": [2, 1]}], "size": 20}', False),
+        ('{"refuse": "it is round"}', False),
+        ("Twice as wide.", False),
+    ],
+)
+def test_an_edit_is_right_by_what_it_draws(answer: str, right: bool) -> None:
+    question = next(one for one in public_split() if one.section == "edit")
+    assert question.words == "Twice as wide, same height."
+    marks = word_marks(question, answer)
+    assert ((marks.reason is None), marks.read) == (right, "{" in answer)
+
+
+def test_the_own_number_and_the_straight_way_are_no_answers() -> None:
+    """What needs no thought is not enough: a right place belongs to a right plan, and another stands in the way."""
+    examiner, asked = Examiner(PromptSet.load("full"), "world"), paper(sections="place,agreement")
+    found = [asyncio.run(examiner.ask(question, OwnModel(Short()))) for question in asked]
+    assert Counter(one.section for one in found if one.tries == 0) == {"place": 1}, "a circle is its only shape"
 
 
 def test_sections_and_a_limit_choose_evenly() -> None:

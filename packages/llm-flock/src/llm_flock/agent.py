@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import assert_never
+from functools import cached_property
+from typing import TYPE_CHECKING, assert_never
 
 from llm_flock import events
 from llm_flock.arrays import Point, moved
@@ -26,6 +27,10 @@ from llm_flock.protocol._motion.pilot import Observation, Pilot
 from llm_flock.protocol._parts import Parts
 from llm_flock.protocol._proposals import Proposals
 
+if TYPE_CHECKING:
+    from llm_flock.protocol._agreement.judgement import Judgement
+    from llm_flock.protocol._stages import Stages
+
 
 class IllegalEvent(AssertionError):
     """The runtime sent an event that is not legal in the present phase."""
@@ -41,6 +46,7 @@ class Agent:
         noise_bound: largest error of a believed position [units].
         on_event: let the planner answer with a path, and ask again only after an unforeseen event.
         fallback: what to do without a usable answer; see `llm_flock.protocol._breaker`.
+        judges: ask the planner for judgements after events; see `llm_flock.protocol._agreement.judgement`.
         own_clock: the runtime counts heartbeats with `HeartbeatDue`; otherwise each round counts as one.
     """
 
@@ -53,6 +59,7 @@ class Agent:
         noise_bound: float = 0.0,
         on_event: bool = False,
         fallback: Fallback = "hold",
+        judges: bool = False,
         own_clock: bool = False,
     ) -> None:
         self.robot = robot
@@ -60,9 +67,11 @@ class Agent:
         self._own_clock, self._period = own_clock, 0
         self._membership = parts.membership
         self._agreement = Agreement(robot, mission, parts)
-        self._messaging = Messaging(robot, self._agreement, parts)
+        self._judgement = self._new_judgement(parts) if judges else None
+        self._messaging = Messaging(robot, self._agreement, parts, self._judgement)
         self._pilot = Pilot(robot, mission, parts, noise_bound=noise_bound, on_event=on_event, fallback=fallback)
         self._proposals = Proposals(robot, self._agreement, parts, fallback)
+        self._noise_bound = noise_bound
         self._breakers: dict[QuestionKind, CircuitBreaker] = {
             "plan": self._proposals.breaker,
             "step": self._pilot.breaker,
@@ -71,6 +80,19 @@ class Agent:
         self._scene: Observation | None = None
         self._last_sensed: tuple[int, events.Sensed] | None = None
         self._asked_about: object = None
+
+    @cached_property
+    def _stages(self) -> Stages:
+        from llm_flock.protocol._stages import Stages  # few missions have stages
+
+        return Stages(self._agreement, self._membership, self._noise_bound)
+
+    def _new_judgement(self, parts: Parts) -> Judgement:
+        from llm_flock.protocol._agreement.judgement import Judgement
+        from llm_flock.protocol._membership.team import TeamMembership
+
+        assert isinstance(parts.membership, TeamMembership), "only teams that count heartbeats judge"
+        return Judgement(self.robot, self._agreement, parts.membership)
 
     @property
     def position(self) -> Point:
@@ -111,6 +133,11 @@ class Agent:
     def plan(self) -> Plan | None:
         """The plan it follows [units; frame of the mission, whose centre is at `center`]."""
         return self._agreement.plan
+
+    @property
+    def replans(self) -> bool:
+        """Whether it will leave that plan, which does not fit the robots that it knows to be alive."""
+        return self._membership.replans
 
     @property
     def provenance(self) -> Provenance | None:
@@ -167,6 +194,10 @@ class Agent:
                 self._begin_period(event.period)
             case events.MissionGiven():
                 effects = self._give_mission(event)
+            case events.BatteryWeak():
+                effects = self._weaken(event.left)
+            case events.Judged():
+                effects = [] if self._judgement is None else [*self._judgement.take(event.answer)]
             case events.RoundBegan():
                 phase, effects = self._begin(event)
             case events.Sensed():
@@ -192,8 +223,14 @@ class Agent:
         self._sense(event.round, event)
         if not self._own_clock:
             self._begin_period(event.round)
+        judgement, effects = self._judgement, list[Effect]()
+        if self.mission.then and (stage := self._stages.next(event.round)) is not None:
+            effects = self._give_mission(events.MissionGiven(mission=stage, ordered_at=self.ordered_at + 1))
+            self._sense(event.round, event)
+        if judgement is not None:
+            effects.extend(judgement.begin_round(event.round, event.position))
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
-        effects: list[Effect] = [] if listening else [*self._proposals.ask(event)]
+        effects.extend([] if listening else self._proposals.ask(event))
         return (Phase.PLANNING if effects and isinstance(effects[-1], events.AskPlan) else Phase.AGREEING), effects
 
     @property
@@ -261,6 +298,11 @@ class Agent:
             self._begin_mission()
         return [note]
 
+    def _weaken(self, left: float) -> list[Effect]:
+        if self._judgement is not None:
+            self._judgement.weaken(left)
+        return [Note("battery", {"left": left})]
+
     def _receive(self, event: events.Received) -> list[Effect]:
         before = self.mission
         notes: list[Effect] = [*self._messaging.receive(event.payload, event.sender)]
@@ -272,6 +314,8 @@ class Agent:
 
     def _begin_mission(self) -> None:
         self._pilot.begin_mission()
+        if self._judgement is not None:
+            self._judgement.begin_mission()
         for breaker in self._breakers.values():
             breaker.begin_mission()
 
@@ -281,6 +325,8 @@ class Agent:
         assert scene is not None, "a round has begun"
         if rest := self._pilot.rest(scene):
             return Phase.MOVING, rest
+        if self._judgement is not None and self._judgement.waits:
+            return Phase.MOVING, self._pilot.hold(scene, "battery", "waiting for the team's choice")
         effects, target, idle = list[Effect](), None, None
         unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
         if unanswered if plan is None else membership.lost if slot is None else membership.deserted:

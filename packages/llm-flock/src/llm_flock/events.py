@@ -15,7 +15,15 @@ from llm_flock.arrays import Point
 from llm_flock.message import Authorization
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Mover
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 
 
 class Phase(StrEnum):
@@ -80,6 +88,18 @@ class MissionGiven(msgspec.Struct, frozen=True, kw_only=True):
     authorization: Authorization | None = None
 
 
+class BatteryWeak(msgspec.Struct, frozen=True):
+    """The robot's body says that it can fly only this far from now on [units]."""
+
+    left: float
+
+
+class Judged(msgspec.Struct, frozen=True):
+    """The planner answered the question for a judgement."""
+
+    answer: JudgementAnswer | NoAnswer
+
+
 class Planned(msgspec.Struct, frozen=True):
     """The planner answered the plan question."""
 
@@ -124,6 +144,8 @@ Event: TypeAlias = (
     | Sensed
     | HeartbeatDue
     | MissionGiven
+    | BatteryWeak
+    | Judged
     | Planned
     | CommRoundBegan
     | Received
@@ -147,6 +169,12 @@ class AskStep(msgspec.Struct, frozen=True):
     """Ask the planner for a waypoint."""
 
     question: StepQuestion
+
+
+class AskJudgement(msgspec.Struct, frozen=True):
+    """Ask the planner for a judgement. The round goes on meanwhile, in whatever phase it is."""
+
+    question: JudgementQuestion
 
 
 class Broadcast(msgspec.Struct, frozen=True):
@@ -186,14 +214,18 @@ NOTES: Mapping[str, frozenset[str]] = {
     "gives_way": frozenset({"to"}),
     "evades": frozenset({"obstacle"}),
     "held": frozenset({"cause", "reason"}),
+    "incident": frozenset({"about", "robot", "options"}),
+    "judged": frozenset({"about", "robot", "choice", "reason"}),
+    "agreed": frozenset({"about", "robot", "choice", "votes"}),
     "dropped_notes": frozenset({"count"}),
     "clock": frozenset({"ahead_s"}),
     "accused": frozenset({"robot", "reason", "proof"}),
+    "battery": frozenset({"left"}),
     "killed": frozenset(),
     "joined": frozenset(),
     "injected": frozenset({"model", "loss"}),
 }
-"""Names in the detail of each kind of note: see docs/reference/record.md. The runtime writes the last four kinds."""
+"""Names in the detail of each kind of note: see docs/reference/record.md. The runtime writes the last five kinds."""
 
 
 class Note(msgspec.Struct, frozen=True):
@@ -215,9 +247,9 @@ class Note(msgspec.Struct, frozen=True):
             raise ValueError(f"no note {self.kind!r} with {sorted(self.detail)}: NOTES names what is allowed")
 
 
-Effect: TypeAlias = AskPlan | AskStep | Broadcast | MoveTo | Note
+Effect: TypeAlias = AskPlan | AskStep | AskJudgement | Broadcast | MoveTo | Note
 
-AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, CommRoundBegan, Received, CommRoundEnded)
+AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, BatteryWeak, Judged, CommRoundBegan, Received, CommRoundEnded)
 """Events that are legal in every phase: robots also communicate and sense while models think and bodies fly."""
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {

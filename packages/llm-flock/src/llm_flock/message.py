@@ -14,15 +14,15 @@ import operator
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, TypeAlias, cast
+from typing import Annotated, Any, Literal, TypeAlias, cast
 
 import msgspec
 from msgspec.structs import astuple, force_setattr, replace
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes
+from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes, max_places
 from llm_flock.errors import InputError, MessageError
-from llm_flock.mission import MISSION_FIELDS, Mission
+from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
 from llm_flock.plan import Coordinate, Plan
 
 LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
@@ -60,7 +60,7 @@ def time_text(time: int) -> str:
     return f"{moment:%Y-%m-%d %H:%M:%S}.{moment.microsecond // 1000:03} UTC" + (f" ({count})" if count else "")
 
 
-WIRE_VERSION = 10
+WIRE_VERSION = 11
 
 MAX_BID = 10 * MAX_COORDINATE  #: Largest distance between two points of the largest arena [units].
 
@@ -72,6 +72,10 @@ MAX_EPOCHS = 32  #: Largest epoch: plans for one mission that follow on each oth
 MAX_LEVEL = 15  #: Highest level of a right of way.
 MAX_STOPS = 4  #: Most points of a course.
 MAX_PROPOSALS = 4  #: Most proposals of others in one message.
+MAX_VOTES = 16  #: Most votes in one message.
+
+Choice: TypeAlias = Literal["leave", "close", "replan", "continue", "swap", "spare"]
+"""What a team can do about a place that a dead robot leaves empty (the first three), and about a weak battery."""
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -182,6 +186,24 @@ class Proposal(_OnWire, frozen=True, kw_only=True):
     plan: Plan
 
 
+class Incident(_OnWire, frozen=True, kw_only=True):
+    """Something that the robots' models judge: a place that a dead robot leaves empty, or a weak battery."""
+
+    kind: Literal["death", "battery"]
+    robot: Id  #: The robot that it has happened to.
+    left: Annotated[float, msgspec.Meta(ge=0, le=MAX_BID)] = 0.0  #: How far that robot can still fly [units].
+    at: Coordinates = ()  #: Where it said so [units; frame of the mission]; empty for a dead one.
+
+
+class Vote(_OnWire, frozen=True, kw_only=True):
+    """The choice of one robot's model, passed on unchanged."""
+
+    incident: Incident
+    voter: Id
+    degree: Id  #: Number of the voter's neighbours when it voted.
+    choice: Choice | None  #: None if its model gave no usable answer.
+
+
 class Message(_OnWire, frozen=True, kw_only=True, dict=True):
     """All public knowledge about one robot, as broadcast. On the wire, an array of the fields before `plan_class`."""
 
@@ -204,6 +226,8 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
     positions: dict[Id, PositionReport] | None = None  #: Position reports of the team, by id; None if not spelled out.
     #: Some of the proposals that the sender knows; None where proposals are not compared.
     proposals: Annotated[tuple[Proposal, ...], msgspec.Meta(max_length=MAX_PROPOSALS)] | None = None
+    #: Some of the votes that the sender knows; None where models are not asked to judge.
+    votes: Annotated[tuple[Vote, ...], msgspec.Meta(max_length=MAX_VOTES)] | None = None
     plan_class: int = 0  #: Class of the plan by the receiver's own check; never sent, 0 where nothing was checked.
     #: Signatures that came with the message (teams with keys only); never part of the message itself.
     proofs: object = None
@@ -214,8 +238,8 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
             force_setattr(self, "stamp", None)
         if plan is not None and self.plan_digest != plan.digest:
             force_setattr(self, "plan_digest", plan.digest)
-        if plan is not None and self.places != len(plan.points):
-            force_setattr(self, "places", len(plan.points))
+        if plan is not None and self.places != len(plan):
+            force_setattr(self, "places", len(plan))
 
     @cached_property
     def mission(self) -> MissionStamp:
@@ -335,6 +359,7 @@ def _check_ids(message: Message, n_robots: int) -> None:
     named += [one.proposer for one in origins]
     named += [] if offer is None else [offer.to]
     named += [] if course is None else [course.of]
+    named += [robot for vote in message.votes or () for robot in (vote.voter, vote.degree, vote.incident.robot)]
     if max(named) >= n_robots:
         raise MessageError("unknown_id", f"robot {max(named)} in a team of {n_robots}")
     if max([message.degree, *(one.degree for one in origins)]) >= n_robots:
@@ -350,15 +375,16 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
     reports = (message.positions or {}).values()
     if not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in reports):
         raise MessageError("wrong_length", f"a position has {dim} coordinates")
+    if any(len(vote.incident.at) not in (0, dim) for vote in message.votes or ()):
+        raise MessageError("wrong_length", f"a robot's place has {dim} coordinates")
     if message.course is not None and set(map(len, message.course.path)) != {dim}:
         raise MessageError("wrong_length", f"a course has points of {dim} coordinates")
     if (message.plan_digest is None) != (message.provenance is None):
         raise MessageError("malformed", "a plan and its provenance go together")
     if (message.claims is None) != (message.table_digest is None):
         raise MessageError("malformed", "claims and their digest go together")
-    plans = [*([] if plan is None else [plan]), *(one.plan for one in message.proposals or ())]
-    if any(len(one.points[0]) != dim for one in plans):
-        raise MessageError("wrong_length", f"a plan has points of {dim} coordinates")
+    for one in [*([] if plan is None else [plan]), *(one.plan for one in message.proposals or ())]:
+        check_plan_sent(one, n_robots, dim)
     if message.plan_digest is None:
         if places or message.slot is not None or message.claims is not None or offer is not None:
             raise MessageError("malformed", "claims without a plan")
@@ -370,6 +396,18 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
     slots += [] if offer is None else [offer.give, offer.take]
     if slots and max(slots) >= places:
         raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {places} places")
+
+
+def check_plan_sent(plan: Plan, n_robots: int, dim: int) -> None:
+    """Check a plan from a stranger, and draw it; `MessageError` with reason `wrong_length` or `malformed`."""
+    if set(map(len, plan.given if plan.drawing is None else [plan.drawing.center])) != {dim}:
+        raise MessageError("wrong_length", f"a plan has points of {dim} coordinates")
+    if len(plan) > max_places(n_robots, dim):
+        raise MessageError("wrong_length", f"a plan of {len(plan)} places for {n_robots} robots")
+    try:
+        _ = plan.points
+    except InputError as error:
+        raise MessageError("malformed", f"a plan that cannot be drawn: {error}") from None
 
 
 def received_mission(message: Message, own: Mission) -> Mission:
@@ -388,7 +426,7 @@ def received_mission(message: Message, own: Mission) -> Mission:
     if not fields.keys() <= MISSION_FIELDS:
         raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
     try:
-        mission = own.change(**fields)
+        mission = own.change(**{**WISHES, **fields})
     except InputError as error:
         raise MessageError("other_mission", str(error)) from None
     if mission.digest != message.mission.digest:

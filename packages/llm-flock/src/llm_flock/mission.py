@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sized
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Self, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -16,6 +16,7 @@ from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
 from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places, mission_room
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
+from llm_flock.plan import Drawing, Plan
 from llm_flock.printable import hidden, shape_title
 from llm_flock.validation import checked
 
@@ -33,10 +34,54 @@ paper's spacing of 10, the largest error of whole-number coordinates. The shape 
 
 SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less than that, if no orientation fits.
 
-MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since"})
+WISHES: Mapping[str, Any] = {"turn": None, "hold": 0, "prefer": (), "then": ()}
+"""Fields that are left out of JSON, and of a digest, where they have these values."""
+
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since", *WISHES})
 """Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
 
+MAX_STAGES = 20  #: Most stages of a mission: each is checked with all that follow.
+
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
+
+
+def wish(name: str, description: str) -> Any:
+    """A field that is left out of JSON where it has its value of `WISHES`."""
+    return Field(default=WISHES[name], exclude_if=lambda value: value == WISHES[name], description=description)
+
+
+class Preference(BaseModel):
+    """Which robots should take which places.
+
+    With `group`, a group of the program gets this robot, or those farthest to the `side`. With `way`, a robot gets a
+    short way, or a place near the centre or far from it.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    robot: int | None = Field(default=None, ge=0, lt=MAX_ROBOTS)
+    side: Literal["west", "east", "north", "south"] | None = None
+    group: int | None = Field(default=None, ge=0)
+    way: Literal["shortest", "center", "edge"] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        given = {name for name, value in self if value is not None}
+        if given not in ({"robot", "group"}, {"side", "group"}, {"robot", "way"}):
+            raise InputError("prefer", sorted(given), "robot and group, side and group, or robot and way")
+        return self
+
+
+class Stage(BaseModel):
+    """A later stage of a mission: the fields that it changes, and when the team goes on to it.
+
+    `formed`: when a robot sees that the team has formed. `order`: on an operator's order. A number: in this round.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
+
+    set: dict[str, Any]
+    when: Literal["formed", "order"] | Annotated[int, Field(ge=1)] = "formed"
 
 
 class Mission(BaseModel):
@@ -82,6 +127,18 @@ class Mission(BaseModel):
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots must avoid"
     )
+    turn: Annotated[float, Field(ge=-360, le=360)] | None = wish(
+        "turn", "Orientation of the formation, anticlockwise from that of the shape [degrees]; any if unset"
+    )
+    hold: Annotated[int, Field(ge=0, le=100_000)] = wish(
+        "hold", "Rounds for which the team stays formed, before the next stage or the end"
+    )
+    prefer: Annotated[tuple[Preference, ...], Field(max_length=100)] = wish(
+        "prefer", "Who takes which place: {robot, group}, {side, group} or {robot, way: shortest, center or edge}"
+    )
+    then: Annotated[tuple[Stage, ...], Field(max_length=MAX_STAGES)] = wish(
+        "then", "Stages that follow: {set: {field: value, ...}, when: formed, order or a round}"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -125,6 +182,7 @@ class Mission(BaseModel):
         self._check_room()
         self.check_shape()
         self._check_obstacles()
+        self._check_wishes()
         return self
 
     def _check_velocity(self) -> None:
@@ -137,6 +195,44 @@ class Mission(BaseModel):
         if speed > most + 1e-9:
             why = f"so that robots can catch up with their places (here {speed:.4g})"
             raise InputError("velocity", list(self.velocity), f"at most max_step / 2 = {most:g} per round, {why}")
+
+    def _check_wishes(self) -> None:
+        """Check orientation and preferences, and build all later stages."""
+        if self.turn is not None and self.ideal is None:
+            raise InputError(
+                "turn", self.turn, says="has no effect on a shape in words: say in the words where it points"
+            )
+        groups = 1
+        if self.prefer and formations.is_drawn(self.shape):
+            from llm_flock.formation import program_of
+
+            groups = len(getattr(program_of(self.shape), "groups", None) or (self.shape,))
+        for wish in self.prefer:
+            if (wish.robot or 0) >= self.n_robots or (wish.group or 0) >= groups:
+                allowed = f"robots from 0 to {self.n_robots - 1}, and groups from 0 to {groups - 1}"
+                raise InputError("prefer", wish.model_dump(exclude_none=True), allowed)
+        if self.then:
+            self.following()
+
+    def following(self, round_: int = 0) -> Mission:
+        """The next stage, if the team goes on to it at the start of a round.
+
+        Raises:
+            InputError: it is no valid mission, or names a field that does not travel by radio.
+        """
+        stage, *rest = self.then
+        given = {"hold": 0} | stage.set
+        if unknown := sorted(given.keys() - MISSION_FIELDS | given.keys() & {"since", "then"}):
+            raise InputError("then", unknown, f"only {', '.join(sorted(MISSION_FIELDS - {'since', 'then'}))}")
+        travels = given.get("velocity", self.velocity) is not None  # else all robots that go on give the same order
+        return self.at(round_).change(**given, since=round_ if travels else 0, then=tuple(rest))
+
+    def proceeding(self) -> dict[str, Any]:
+        """The fields of an order to go on to the next stage now; InputError if none is left."""
+        if not self.then:
+            raise InputError("then", None, says="no stage of the mission is left")
+        stage, *rest = self.then
+        return {"hold": 0, **stage.set, "then": [one.model_dump(mode="json") for one in rest]}
 
     def _check_room(self) -> None:
         """Check that messages have room for the mission, and the arena for random starts `safe_distance` apart."""
@@ -179,8 +275,16 @@ class Mission(BaseModel):
         if formations.is_drawn(self.shape) and (gap := formations.widest_gap(self.ideal)) > self.comm_range + 1e-9:
             says = f"at least {gap:.4g}, so that all robots of '{shape_title(self.shape)}' hear each other"
             raise InputError("comm_range", self.comm_range, f"{says}; more robots or less spacing would do, too")
-        reach = formations.circumradius(self.ideal, self.center)
         low, high = self.arena
+        least, most = self._extent
+        if self.turn is not None:
+            if not all(a <= x + 1e-9 and y <= b + 1e-9 for a, b, x, y in zip(low, high, least, most, strict=True)):
+                spans = (
+                    f"one that holds {[round(x, 2) for x in least]} .. {[round(x, 2) for x in most]}, all its places"
+                )
+                raise InputError("arena", [list(low), list(high)], spans)
+            return
+        reach = formations.circumradius(self.ideal, self.center)
         room = min(min(c - a, b - c) for a, c, b in zip(low, self.center, high, strict=True))
         if reach > room + 1e-9:
             size = f"{self.n_places} {'robots' if self.places is None else 'places'} with spacing {self.spacing:g}"
@@ -208,25 +312,40 @@ class Mission(BaseModel):
                 "obstacles", f"{len(self.obstacles)} obstacles", f"{room}, {clear}, and a way between any two"
             )
 
-    def placements(self, angle_rad: float = 0.0) -> Iterator[Points]:
-        """Placements of the ideal points, shape (n, d) [units], that keep clear of obstacles; none without an ideal.
+    def placements(self, angle_rad: float = 0.0) -> Iterator[Plan]:
+        """Placements of the ideal points that keep clear of obstacles; none without an ideal.
 
         The first is turned about the centre by `angle_rad`. Then come `ORIENTATIONS` evenly spaced steps, then the same
         slightly shifted. Without obstacles, all orientations come.
         """
         if self.ideal is None:
             return
-        points, reach = np.array(self.ideal), 0.9 * CENTER_TOLERANCE * self.spacing
+        reach = 0.9 * CENTER_TOLERANCE * self.spacing
         around = [2 * math.pi * k / SHIFTS for k in range(SHIFTS)] if self.obstacles else []
+        turns, angle_rad = (ORIENTATIONS, angle_rad) if self.turn is None else (1, 0.0)
         for shift in ((0.0, 0.0), *((reach * math.cos(a), reach * math.sin(a)) for a in around)):
-            for k in range(ORIENTATIONS):
-                turned = points.copy()
-                angle = angle_rad + 2 * math.pi * k / ORIENTATIONS
-                turned[:, :2] = formations.rotated(points[:, :2], self.center[:2], angle) + np.array(shift)
-                rows: list[list[float]] = turned.tolist()
-                fits = all(clearance(tuple(row), self.obstacles) >= self.body_radius for row in rows)
-                if fits and len(self.regions_of(map(tuple, rows))) <= 1:
-                    yield turned
+            for k in range(turns):
+                plan = self.plan(angle_rad + 2 * math.pi * k / ORIENTATIONS, shift)
+                fits = all(clearance(point, self.obstacles) >= self.body_radius for point in plan.points)
+                if fits and len(self.regions_of(plan.points)) <= 1:
+                    yield plan
+
+    def plan(self, angle_rad: float, shift: Point = (0.0, 0.0)) -> Plan:
+        """The ideal points turned about the centre (in space, about the third axis), then moved in the plane [units].
+
+        For shapes whose points are known. What a program draws is a plan that consists of that program.
+        """
+        if formations.is_drawn(self.shape):
+            from llm_flock.formation import program_of
+
+            program, (x, y) = program_of(self.shape), self.center[:2]
+            assert program is not None, "all shapes that are drawn are programs"
+            turn = angle_rad + math.radians(self.turn or 0.0)
+            center = (x + shift[0], y + shift[1], *self.center[2:])
+            return Plan(drawing=Drawing(program.text, self.n_places, self.spacing, center, turn_rad=turn))
+        points = np.array(self.ideal)
+        points[:, :2] = formations.rotated(points[:, :2], self.center[:2], angle_rad) + np.array(shift)
+        return Plan.of(points.tolist())
 
     def regions_of(self, points: Iterable[Point]) -> frozenset[int]:
         """Regions of the plane between obstacles and walls in which these points are; robots cannot change regions.
@@ -298,6 +417,8 @@ class Mission(BaseModel):
                 raise
             # Name the field that sets this number.
             raise InputError("places", error.value, says=error.says.replace("robots", "places")) from None
+        if points is not None and self.turn:
+            points[:, :2] = formations.rotated(points[:, :2], self.center[:2], math.radians(self.turn))
         return None if points is None else tuple(tuple(row) for row in points.tolist())
 
     @cached_property
@@ -305,16 +426,23 @@ class Mission(BaseModel):
         """16 hexadecimal digits that identify the content of this mission."""
         return hashlib.blake2b(self.model_dump_json().encode(), digest_size=8).hexdigest()
 
+    @property
+    def _extent(self) -> tuple[Point, Point]:
+        """The lowest and highest coordinates of places, in every orientation that the formation may have."""
+        if self.turn is not None and self.ideal is not None:
+            return tuple(map(min, *self.ideal, self.ideal[0])), tuple(map(max, *self.ideal, self.ideal[0]))
+        reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
+        return tuple(c - reach for c in self.center), tuple(c + reach for c in self.center)
+
     @cached_property
     def travel_rounds(self) -> float:
         """Rounds after `since` at which the formation stops at a wall; infinite for a formation that stands still."""
         if self.velocity is None:
             return math.inf
-        reach = 0.0 if self.ideal is None else formations.circumradius(self.ideal, self.center)
-        low, high = self.arena
+        (low, high), (least, most) = self.arena, self._extent
         room = [
-            (b - reach - c) / v if v > 0 else (c - reach - a) / -v
-            for a, c, b, v in zip(low, self.center, high, self.velocity, strict=True)
+            (b - y) / v if v > 0 else (x - a) / -v
+            for a, b, x, y, v in zip(low, high, least, most, self.velocity, strict=True)
             if v != 0
         ]
         return max(0.0, min(room, default=math.inf))
@@ -350,15 +478,19 @@ class Mission(BaseModel):
     def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
 
+        Stages that were to follow are dropped; a new shape also drops orientation, preferences and `hold`.
+
         Raises:
             InputError: a field is invalid; names the first such field, its value, and what is allowed.
         """
-        changed = {**self.model_dump(), **fields}
+        changed = {**self.model_dump(), "then": (), **fields}
         if fields.get("points") is not None:
             changed["shape"] = fields.get("shape", "points")
             changed["places"] = fields.get("places")
         elif "shape" in fields and fields["shape"] != self.shape:
             changed["points"] = None
+        if {"shape", "points"} & fields.keys() and (changed["shape"], changed["points"]) != (self.shape, self.points):
+            changed |= {name: fields.get(name, default) for name, default in WISHES.items()}
         return build_mission(**changed)
 
     def check_sensing(self) -> None:

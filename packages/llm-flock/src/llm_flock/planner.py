@@ -1,11 +1,13 @@
-"""The two questions of a robot's decision process, and their answers. Any planner may answer them."""
+"""The questions of a robot's decision process, and their answers. Any planner may answer them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
 from llm_flock.arrays import Point
+from llm_flock.message import Choice
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 
@@ -77,6 +79,54 @@ class StepAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class JudgementOption:
+    """Something that the team can do now, with the figures that code expects of it."""
+
+    choice: Choice
+    does: str  #: What would be done, as a sentence.
+    rounds: int  #: Rounds until the robots that it moves have arrived.
+    distance: float  #: What they fly together [units].
+    gaps: int  #: Places of the shape that stay empty.
+    lost: int = 0  #: Robots whose battery would be empty on their way.
+
+
+Aim: TypeAlias = tuple[str, str, str]
+
+AIMS: Mapping[str, Aim] = {
+    "the fewest empty places count, then the fewest rounds, then the least flying.": ("gaps", "rounds", "distance"),
+    "the fewest rounds count, then the fewest empty places, then the least flying.": ("rounds", "gaps", "distance"),
+    "the least flying counts, then the fewest empty places, then the fewest rounds.": ("distance", "gaps", "rounds"),
+}
+"""Wishes by which code can tell the right option, each with its figures in their order; the first is the default."""
+
+
+def best_option(options: Sequence[JudgementOption], aim: str = "") -> Choice:
+    """The right one of some options by their figures: no robot may be lost, then an aim of `AIMS` counts."""
+    order = AIMS[aim or next(iter(AIMS))]
+    return min(options, key=lambda option: (option.lost, *(getattr(option, name) for name in order))).choice
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgementQuestion:
+    """Choose what the team should do after an event; asked once about each event."""
+
+    mission: Mission
+    robot: int
+    round: int
+    event: str  #: What has come up, as a sentence.
+    options: tuple[JudgementOption, ...]  #: At least two; the first is what happens without a choice.
+    probe: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JudgementAnswer:
+    """The choice of one of the options, and the reason for it in the model's words."""
+
+    choice: Choice
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class NoAnswer:
     """The planner could not answer this time."""
 
@@ -86,8 +136,8 @@ class NoAnswer:
     waypoint: Point | None = None
 
 
-Question: TypeAlias = PlanQuestion | StepQuestion
-Answer: TypeAlias = PlanAnswer | StepAnswer | NoAnswer
+Question: TypeAlias = PlanQuestion | StepQuestion | JudgementQuestion
+Answer: TypeAlias = PlanAnswer | StepAnswer | JudgementAnswer | NoAnswer
 
 
 class Planner(Protocol):

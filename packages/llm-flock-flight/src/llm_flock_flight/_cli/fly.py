@@ -58,7 +58,7 @@ SHOWN = (
 """Fields that `fly --help` lists."""
 
 NOT_IN_FLIGHTS = (
-    *("kill", "join", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
+    *("kill", "join", "battery", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
     *("moving_obstacles", "start_positions"),
     *("unit_m", "use_sim_time", "ros_missions", "ros_poses"),
 )

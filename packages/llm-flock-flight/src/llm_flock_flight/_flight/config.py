@@ -17,7 +17,7 @@ from llm_flock_flight._crazyflie.radios import exchanges_of, plan_radios
 from llm_flock_flight._flight.sections import FleetConfig, PositionsConfig, SafetyConfig
 
 NOT_IN_FLIGHT = (
-    *("kill", "join", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
+    *("kill", "join", "battery", "kill_random", "join_random", "noise", "drift", "sensing_delay"),
     *("moving_obstacles", "start_positions"),
 )
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
@@ -54,6 +54,8 @@ class FlightConfig(RunConfig):
                 raise InputError(
                     field, getattr(self.ros2, field), says="cannot be used in a flight, which ROS only watches"
                 )
+        if self.protocol.judge != "rule":
+            raise InputError("judge", self.protocol.judge, "'rule' in a flight")
         if not self.protocol.shield:
             raise InputError("shield", self.protocol.shield, says="has to be on in a flight, whatever the protocol")
         self._check_positions()

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from llm_flock.errors import ModelError
 from llm_flock.llm import (
@@ -19,16 +19,26 @@ from llm_flock.llm import (
     LanguagePlanner,
     PromptSet,
     Reply,
+    drawn_program,
+    edit_call,
     frame_plan,
     frame_step,
     mission_call,
     place_text,
 )
 from llm_flock.mission import Mission
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.protocol import GeometryPlanner, Verdict
 from llm_flock.protocol import judge as judge_step
-from llm_flock_lab._exam.questions import WORDS, Question
+from llm_flock_lab._exam.questions import Question
 from llm_flock_lab._exam.score import (
     Marks,
     objection_to_plan,
@@ -44,6 +54,10 @@ SCRIPT = "exam:script"
 SAID = "I have worked it out."
 
 
+Usable: TypeAlias = PlanAnswer | StepAnswer | JudgementAnswer
+Asked: TypeAlias = PlanQuestion | StepQuestion | JudgementQuestion
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """The result of one question, once; `readable`, `flyable`, `error` and `reason` are those of its first answer."""
@@ -56,7 +70,7 @@ class Outcome:
     repeat: int
     tries: int | None  # reasons given before the answer was right; None if it never was
     readable: bool
-    flyable: bool  # clipped if need be; for words: whether no wrong mission would be shown
+    flyable: bool  # as it is; for words: whether nothing wrong would be shown to people
     error: float | None = None
     calls: int
     tokens_input: int
@@ -72,9 +86,9 @@ class Outcome:
 class _Asked:
     """The result of one robot: its accepted answer, its calls without scripted ones, and its first answer."""
 
-    answer: PlanAnswer | StepAnswer | NoAnswer
+    answer: Usable | NoAnswer
     attempts: Sequence[Attempt] = ()
-    first: PlanAnswer | StepAnswer | None = None
+    first: Usable | None = None
 
 
 class Scripted:
@@ -109,11 +123,14 @@ class Examiner:
     def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
         """The first messages to a model, for each robot that is asked, without scripted answers."""
         if question.words is not None:
-            yield mission_call(question.words).messages
+            yield _call_of(question).messages
             return
         mission = question.build_mission()
         for robot in question.robots:
-            if question.asks_plan:
+            if question.options:
+                system = self._prompts.system(mission)
+                user = self._wishing(question).judgement(question.judgement_question(mission, 0))
+            elif question.asks_plan:
                 plan = frame_plan(question.plan_question(mission, robot, 0), self._frame).framed
                 system, user = self._prompts.system(plan.mission), self._prompts.plan(plan)
             else:
@@ -132,8 +149,7 @@ class Examiner:
     async def ask(self, question: Question, model: LanguageModel | None, repeat: int = 0) -> Outcome:
         """Ask a question for the `repeat`-th time, and score what comes back; without a model, geometry answers."""
         round_ = round_of(question, repeat)
-        if question.section == WORDS:
-            assert model is not None, "geometry cannot read"
+        if question.words is not None:
             return await self._ask_words(question, model, round_, repeat)
         mission = question.build_mission()
         asked = [await self._ask_robot(question, mission, robot, model, round_) for robot in question.robots]
@@ -145,8 +161,10 @@ class Examiner:
         attempts: list[Attempt] = []
         seen: list[PlanAnswer | StepAnswer] = []
         first: PlanAnswer | StepAnswer | None = None
-        asked: PlanQuestion | StepQuestion
-        if question.asks_plan:
+        asked: Asked
+        if question.options:
+            asked = question.judgement_question(mission, round_)
+        elif question.asks_plan:
             asked = question.plan_question(mission, robot, round_)
         else:
             asked = question.step_question(mission, round_)
@@ -178,7 +196,7 @@ class Examiner:
         planner = LanguagePlanner(
             robot,
             Scripted(model, self._script(question, mission, robot, round_)),
-            self._prompts,
+            self._wishing(question),
             max_retries=self._retries + (question.first is not None),
             history=None if with_history else 0,
             on_attempt=note,
@@ -188,8 +206,15 @@ class Examiner:
         )
         if with_history:
             await planner.plan(question.plan_question(mission, robot, round_))
+        if isinstance(asked, JudgementQuestion):
+            answer = await planner.judge(asked)
+            chosen = None if isinstance(answer, NoAnswer) or len(attempts) > 1 else answer
+            return _Asked(answer=answer, attempts=attempts, first=chosen)
         answer = await (planner.plan(asked) if isinstance(asked, PlanQuestion) else planner.step(asked))
         return _Asked(answer=answer, attempts=attempts, first=first)
+
+    def _wishing(self, question: Question) -> PromptSet:
+        return self._prompts if question.wish is None else replace(self._prompts, wish=question.wish)
 
     def _script(self, question: Question, mission: Mission, robot: int, round_: int) -> tuple[str, ...]:
         """The answers to put into the model's mouth, in the frame and the form of the prompts."""
@@ -221,10 +246,11 @@ class Examiner:
             return json.dumps({REASONING: SAID, **fields} if self._prompts.reasons else fields)
         return f"{SAID}\n\n{lines}" if self._prompts.reasons else lines
 
-    async def _ask_words(self, question: Question, model: LanguageModel, round_: int, repeat: int) -> Outcome:
-        """Ask for a mission in plain words: once, as the cockpit does."""
-        assert question.words is not None
-        call = replace(mission_call(question.words), round=round_)
+    async def _ask_words(self, question: Question, model: LanguageModel | None, round_: int, repeat: int) -> Outcome:
+        """Ask once for a mission or an edit in words; geometry reads none."""
+        if model is None:
+            return _score(question, repeat, [], tries=None, marks=None, cause=None, reason="geometry reads no words.")
+        call = replace(_call_of(question), round=round_)
         try:
             reply = await model.ask(call)
         except ModelError as error:
@@ -237,14 +263,25 @@ class Examiner:
         return replace(scored, readable=marks.read, flyable=marks.safe)
 
 
+def _call_of(question: Question) -> Call:
+    """The question in words as people's missions and edits are asked."""
+    assert question.words is not None
+    base = question.build_mission()
+    if question.section == "edit":
+        return edit_call(question.words, drawn_program(base.shape), base)
+    return mission_call(question.words, base, flying=question.flying)
+
+
 async def _by_geometry(
-    asked: PlanQuestion | StepQuestion,
+    asked: Asked,
     check_plan: Callable[[PlanQuestion, PlanAnswer], str | None],
     judge: Callable[[StepQuestion, StepAnswer], Verdict],
 ) -> _Asked:
     """The answer of geometry, after the checks that a model's answer goes through."""
     reason: str | None = None
-    if isinstance(asked, PlanQuestion):
+    if isinstance(asked, JudgementQuestion):  # it has no opinion: the team does the first
+        answer = JudgementAnswer(choice=asked.options[0].choice)
+    elif isinstance(asked, PlanQuestion):
         answer = await GeometryPlanner().plan(asked)
         reason = check_plan(asked, answer) if isinstance(answer, PlanAnswer) else None
     else:
@@ -270,6 +307,9 @@ def _outcome(question: Question, mission: Mission, asked: Sequence[_Asked], repe
     first = next((one.first for one in asked if one.first is not None), None)
     if isinstance(first, PlanAnswer):
         marks = plan_marks(question, mission, first)
+    elif isinstance(first, JudgementAnswer):
+        chosen = next(option for option in question.options if option["choice"] == first.choice)
+        marks = Marks(flyable=chosen["lost"] == 0)
     elif first is not None:
         marks = step_marks(question, mission, first)
     attempts = [attempt for one in asked for attempt in one.attempts]

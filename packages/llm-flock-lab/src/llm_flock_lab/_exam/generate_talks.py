@@ -14,8 +14,9 @@ from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.protocol import check_proposal, step_faults
 from llm_flock_lab._exam.draws import STEP_TEAMS, away, draw_fields, draw_plan, round_point, rounded_rows, unit
-from llm_flock_lab._exam.generate_steps import draw_step
+from llm_flock_lab._exam.generate_steps import draw_step, sidestep
 from llm_flock_lab._exam.questions import Question
+from llm_flock_lab._exam.score import shortfall
 
 RETRIES_EACH = 5
 """Questions for each kind of refused answer."""
@@ -58,19 +59,19 @@ def retry_questions(rng: np.random.Generator) -> Iterator[Question]:
 
 
 def agreement_questions(rng: np.random.Generator) -> Iterator[Question]:
-    """Steps by the plan of the team, by a robot that has proposed another orientation of the same shape."""
+    """Steps to the team's place by a robot that has proposed another orientation, with another on the straight way."""
     made = 0
     while made < 20:
-        distance = float(rng.uniform(0.3, 0.9)) if made % 2 else float(rng.uniform(1.2, 5.0))
-        question = draw_step(rng, "near" if made % 2 else "far", STEP_TEAMS[made % len(STEP_TEAMS)], distance)
+        question = draw_step(rng, "ahead", STEP_TEAMS[made % len(STEP_TEAMS)], float(rng.uniform(0.6, 5.0)))
         mission = question.build_mission()
         own = rounded_rows(draw_plan(rng, mission), mission.spacing)
         slot = int(rng.integers(len(own)))
         found = replace(question, section="agreement", own={"plan": own, "slot": slot})
-        asked = found.step_question(mission, 0)
+        asked, step = found.step_question(mission, 0), sidestep(found, mission)
         objection = check_proposal(mission, Plan.of(own), (), asked.position)
-        # The ways to the own place by the team's plan and by the own one are clearly apart.
-        if objection is None and _angle_deg(asked.position, asked.goal, own[slot]) > 40.0:
+        # The ways to the own place by the team's plan and by the own one are clearly apart, and so is the step aside.
+        apart = _angle_deg(asked.position, asked.goal, own[slot]) > 40.0
+        if objection is None and apart and step is not None and shortfall(found, mission, [step]) is None:
             made += 1
             yield found
 

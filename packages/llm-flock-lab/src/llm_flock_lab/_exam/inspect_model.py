@@ -113,11 +113,6 @@ class FlockModel(ModelAPI):
         return habits_of(self._name.text).simulated or (of_others is not None and of_others.simulated)
 
     @property
-    def reads_words(self) -> bool:
-        """Whether it can be asked for a mission in plain words. Stand-ins and geometry cannot read any."""
-        return self.kind != "geometry" and (not self.simulated or self.kind in ("own", "plugin"))
-
-    @property
     def files(self) -> Mapping[str, str]:
         """Digests of its files by name, if a plug-in provides it; empty for others."""
         return {} if self._source is None else self._source.digests(self._name.model)
@@ -164,11 +159,13 @@ class FlockModel(ModelAPI):
         if asked.answers is None:
             asked.answers = self._for_question(asked.robot, asked.round, config)
         try:
+            if self.kind == "simulated" and asked.call.form is None:
+                raise ModelError("refused", "a simulated model reads no missions in words")
             reply = await asked.answers.ask(asked.call)
         except ModelError as error:
             if error.kind != "refused" or not self.simulated:
                 raise
-            # A stand-in that cannot read a shape in words has not answered the question.
+            # A stand-in that cannot read words has not answered the question.
             reply = Reply(text=str(error), model=self.model_name, usage=Usage(), cost_usd=0.0, latency_s=0.0)
         asked.reply = reply
         output = _model.ModelOutput.from_content(reply.model, reply.text)

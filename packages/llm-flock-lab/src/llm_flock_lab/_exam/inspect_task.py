@@ -15,7 +15,7 @@ from llm_flock.llm import FrameName, PromptSet, habits_of
 from llm_flock.runtime import versions
 from llm_flock_lab._exam.ask import Examiner, Outcome, round_of
 from llm_flock_lab._exam.inspect_model import AskedByInspect, FlockModel
-from llm_flock_lab._exam.questions import WORDS, Question, digest, from_lines, to_lines
+from llm_flock_lab._exam.questions import Question, digest, from_lines, to_lines
 from llm_flock_lab._exam.splits import VERSION, paper
 
 # By name, because the library is not installed where types are checked.
@@ -58,10 +58,6 @@ def exam(
     if api is not None and api.kind == "simulated" and settings["prompts"] != "full":
         raise InputError("prompts", prompts, "full: simulated models understand no others")
     questions = paper(split, seed, sections, limit)
-    if api is not None and not api.reads_words:
-        questions = tuple(question for question in questions if question.section != WORDS)
-        if not questions:
-            raise InputError("sections", sections, f"a section that {name} can be asked")
     # The first question determines how much an engine on board reserves for each.
     ordered = sorted(questions, key=lambda question: (not question.asks_plan, -question.n))
     return _inspect.Task(

@@ -49,10 +49,11 @@ HEAD = f"""\
 
 Results of [the exam](../how-to/exam.md): questions of the kinds that robots ask their models, with the prompts, parsers
 and checks of a run, scored by code. A share is of the questions that were right at first ask; in brackets, a 95 %
-interval by drawing questions again. The total is the mean of the sections that were asked. Rows with fewer questions
-have wider intervals, and say how many they had. Tokens are a call's, in and out; seconds are the median of a question.
-Each row was reduced from a log of Inspect, and stands with the command that made it in a file beside this page. A
-command with `replay:` scores answers that the model gave before, from the recording beside this page.
+interval by drawing questions again. The total is the mean over all sections, and a row that lacks one has none. Its
+interval is made from those of the sections. Rows with fewer questions have wider ones, and say how many they had.
+Tokens are a call's, in and out; seconds are the median of a question. Each row was reduced from a log of Inspect, and
+stands with the command that made it in a file beside this page. A command with `replay:` scores answers that the model
+gave before, from the recording beside this page.
 
 ## Models
 """
@@ -61,19 +62,21 @@ STAND_INS = """\
 ## Stand-ins
 
 These are no language models. *simulated* rows are programs that read the prompts and make the faults that
-[their names say](../reference/simulated.md); geometry plans without any prompt, and knows no points for a shape in
-words. They show what the exam measures: that sections without words can be answered from their prompts alone
+[their names say](../reference/simulated.md); geometry plans without any prompt, and takes the first option of a
+judgement. They show what the exam measures: that what is not in words can be answered from the prompts alone
 (`simulated:careful`), that chance answers hardly any (`simulated:random`), and what each fault costs. They read no
-words: no missions, which they are not asked for, and no shapes (`distraction`). All but `simulated:careful` walk
-straight and leave others to the shield, so that robots in the way (`others`) are beyond them. The command of
-a row gives it again, digit for digit but the seconds.
+words: no missions, no edits, no shapes (`distraction`) and no wishes (half of `judgement`). All but
+`simulated:careful` walk straight, so that robots in the way (`others`, `agreement`) are beyond them.
+`benchmarks.twenty_lines:Short` is a program of twenty lines: its own number, the straight way, always a circle, the
+first shape that a mission names, the first option. The command of a row gives it again, digit for digit but the
+seconds.
 """
 
 Column = tuple[str, Callable[[Row], str]]
 
 
 def page_text(rows: Iterable[Row]) -> str:
-    ordered = sorted(rows, key=lambda row: (-row.total.value, row.model))
+    ordered = sorted(rows, key=lambda row: (row.total is None, 0 if row.total is None else -row.total.value, row.model))
     models = [row for row in ordered if not row.stand_in]
     stand_ins = [row for row in ordered if row.stand_in]
     parts = [HEAD, _table(models, SCORES) if models else "No model has sat the exam yet.\n"]
@@ -109,14 +112,14 @@ def _percent(value: float) -> str:
     return f"{100 * value:.0f} %"
 
 
-def _interval(share: Share) -> str:
-    return f"{_percent(share.value)} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+def _interval(share: Share | None) -> str:
+    return "-" if share is None else f"{_percent(share.value)} [{100 * share.low:.0f}, {100 * share.high:.0f}]"
 
 
 SCORES: Sequence[Column] = (
     ("Model", lambda row: _code(row.model) + (" *simulated*" if row.simulated else "")),
     ("Total", lambda row: _interval(row.total)),
-    ("After two reasons", lambda row: _percent(row.total_two.value)),
+    ("After two reasons", lambda row: "-" if row.total_two is None else _percent(row.total_two.value)),
     *((section, _section_cell(section)) for section in SECTIONS),
     ("Questions", lambda row: str(row.count)),
     ("Tokens a call", lambda row: f"{row.tokens / max(1, row.calls):.0f}"),

@@ -15,7 +15,7 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.planner import PlanQuestion, StepQuestion
+from llm_flock.planner import JudgementOption, JudgementQuestion, PlanQuestion, StepQuestion
 
 SECTIONS: Mapping[str, str] = {
     "plan": "a plan of the whole formation: every shape, in the plane and in space, 3 to 30 places",
@@ -25,13 +25,15 @@ SECTIONS: Mapping[str, str] = {
     "path": "a path of several positions",
     "retry": "an answer after the reason why the first was refused",
     "agreement": "a step by the team's plan after its own plan was not adopted",
-    "mission": "a mission in plain words as fields, or a refusal where it cannot be flown",
+    "mission": "a mission in words as a typed answer: what is flown, a question back, or a refusal",
     "distraction": "a plan of a shape in words with irrelevant, contradictory or hostile text in it",
+    "edit": "a formation program changed as words say",
+    "judgement": "what to do after a death or with a weak battery: one of some options, by a wish",
 }
 """The sections, in the order in which they are asked, and what each asks for."""
 
-WORDS = "mission"
-"""The section that stand-ins and geometry are not asked: they cannot read plain words."""
+WRITTEN = {"mission", "edit", "judgement"}
+"""The sections whose questions were written or flown, and not generated: there are no private ones."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,16 +58,19 @@ class Question:
     own: Mapping[str, Any] | None = None  # plan that the model is taken to have proposed (`agreement`)
     meant: str | None = None  # shape that a text describes (`distraction`)
     words: str | None = None
-    wanted: Mapping[str, Any] | None = None  # fields of the mission in `words`; of an impossible one too
-    possible: bool = True
+    flying: bool = False  # whether the team flies `mission` when it gets the words
+    event: str | None = None  # what has come up (`judgement`)
+    options: tuple[Mapping[str, Any], ...] = ()
+    wish: str | None = None  # what counts
+    wanted: tuple[Mapping[str, Any], ...] = ()  # right answers to words, or the right option
 
     @property
     def asks_plan(self) -> bool:
-        """Whether the question is for a plan, and not for a step or a mission."""
-        return self.words is None and not self.plan
+        """Whether the question is for a plan, and not for a step, a mission or a judgement."""
+        return self.words is None and not self.plan and not self.options
 
     def build_mission(self) -> Mission:
-        assert self.mission is not None, "a question in words has no mission"
+        assert self.mission is not None, "every question has a mission"
         return build_mission(**self.mission)
 
     def plan_question(self, mission: Mission, robot: int, round_: int) -> PlanQuestion:
@@ -91,6 +96,11 @@ class Question:
             corner=self.corner,
             horizon=self.horizon,
         )
+
+    def judgement_question(self, mission: Mission, round_: int) -> JudgementQuestion:
+        assert self.event is not None, "a question for a judgement has an event"
+        options = tuple(JudgementOption(**option) for option in self.options)
+        return JudgementQuestion(mission=mission, robot=self.robots[0], round=round_, event=self.event, options=options)
 
 
 def to_lines(questions: Iterable[Question]) -> str:

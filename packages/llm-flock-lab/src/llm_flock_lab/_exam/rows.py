@@ -16,8 +16,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from llm_flock.errors import FlockError, InputError
 from llm_flock.validation import checked
 from llm_flock_lab._exam.ask import Outcome
-from llm_flock_lab._exam.questions import SECTIONS
-from llm_flock_lab._experiments.statistics import CONFIDENCE, RESAMPLES, bootstrap_interval, wilson
+from llm_flock_lab._exam.questions import SECTIONS, WRITTEN
+from llm_flock_lab._experiments.statistics import bootstrap_interval, wilson
 from llm_flock_lab._experiments.store import read_json
 
 # Six decimals, so that files do not differ by the last digit of a machine.
@@ -61,8 +61,8 @@ class Row(BaseModel):
     count: Count
     repeats: Count
     versions: Mapping[str, Name]  # of packages, and digests of a model's files
-    total: Share  # mean of the sections' shares right at first ask; `total_two`: after two reasons
-    total_two: Share
+    total: Share | None  # mean over all sections, right at first ask; None if one was not asked
+    total_two: Share | None  # the same after two reasons
     sections: Mapping[str, Figures]
     bands: Any = Field(default=None, exclude=True)  # older rows have the sections by size, too
     calls: Count
@@ -108,7 +108,7 @@ def read_log(path: Path | str) -> Row:
         count=len({o.question for o in outcomes}),
         repeats=repeats,
         versions={**log.eval.metadata["versions"], **log.eval.packages},
-        **summary(outcomes),
+        **summary(outcomes, given["split"]),
     )
 
 
@@ -124,15 +124,16 @@ def _command(spec: Any, repeats: int) -> str:
     return f"llm-flock exam {spec.model.removeprefix('flock/')}{flags}"
 
 
-def summary(outcomes: Iterable[Outcome]) -> dict[str, Any]:
+def summary(outcomes: Iterable[Outcome], split: str = "public") -> dict[str, Any]:
     """The fields of a `Row` that follow from the results, at least one, in any order."""
     ordered = sorted(outcomes, key=lambda o: (o.question, o.repeat))
     sections = {s: [o for o in ordered if o.section == s] for s in SECTIONS}
     sections = {name: found for name, found in sections.items() if found}
+    whole = {*SECTIONS} - (set() if split == "public" else WRITTEN) == {*sections}
     costs = [o.cost_usd for o in ordered]
     return {
-        "total": _total(sections.values(), 0),
-        "total_two": _total(sections.values(), 2),
+        "total": _total(sections, 0) if whole else None,
+        "total_two": _total(sections, 2) if whole else None,
         "sections": {name: _figures(found) for name, found in sections.items()},
         "calls": sum(o.calls for o in ordered),
         "tokens": sum(o.tokens_input + o.tokens_output for o in ordered),
@@ -169,18 +170,13 @@ def _share(rates: Sequence[float]) -> Share:
     return Share(value=found.value, low=low, high=high)
 
 
-def _total(sections: Iterable[Sequence[Outcome]], reasons: int) -> Share:
-    """The mean over sections, with an interval by drawing questions again within each section."""
-    rng = np.random.default_rng(0)
-    draws = np.zeros(RESAMPLES)
-    values: list[float] = []
-    for outcomes in sections:
-        rates = np.array(_rates(_questions(outcomes), reasons))
-        values.append(float(rates.mean()))
-        shares = rng.multinomial(len(rates), np.full(len(rates), 1 / len(rates)), size=RESAMPLES) / len(rates)
-        draws = draws + shares @ rates
-    ends = np.quantile(draws / len(values), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return Share(value=fmean(values), low=float(ends[0]), high=float(ends[1]))
+def _total(sections: Mapping[str, Sequence[Outcome]], reasons: int) -> Share:
+    """The mean over sections, with an interval from theirs (MOVER; Zou and Donner 2008): it has a width if one has."""
+    shares = np.array([_share(_rates(_questions(found), reasons)) for found in sections.values()])
+    value, low, high = shares.T
+    below, above = np.linalg.norm(value - low) / len(shares), np.linalg.norm(high - value) / len(shares)
+    mean = float(value.mean())
+    return Share(value=mean, low=max(0.0, mean - float(below)), high=min(1.0, mean + float(above)))
 
 
 def read_rows(folder: Path) -> list[Row]:

@@ -10,25 +10,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import cast
+from typing import Any
 
 import numpy as np
 
 from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.llm import answer_of, draft_of
+from llm_flock.formation import parse_program
+from llm_flock.llm import answer_of, draft_of, refusal
 from llm_flock.mission import Mission
-from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer
+from llm_flock.planner import JudgementAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol import ROUNDING, check_plan, check_proposal, judge, straight_path
 from llm_flock_lab._exam.questions import Question
+from llm_flock_lab._exam.words import drawing_differs, mission_differs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
     """The marks of one answer that could be read; None where one does not apply."""
 
-    flyable: bool  # clipped if need be
+    flyable: bool  # as it is, not clipped
     error: float | None = None  # from the best answer [step limits]; of a plan, mean distance from the shape [spacings]
 
 
@@ -52,7 +54,7 @@ def step_marks(question: Question, mission: Mission, answer: StepAnswer) -> Mark
     best = straight_path(asked)
     end = (answer.waypoint, *answer.path)[-1]
     wanted = (best.waypoint, *best.path)[-1]
-    flyable = judge(asked, answer, shield_on=True).fit is not None
+    flyable = judge(asked, answer, shield_on=True).reason is None
     return Marks(flyable=flyable, error=math.dist(end, wanted) / mission.max_step)
 
 
@@ -61,12 +63,21 @@ def meant(question: Question, mission: Mission) -> Mission:
     return mission if question.meant is None else mission.change(shape=question.meant)
 
 
-def shortfall(question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer]) -> str | None:
+def shortfall(
+    question: Question, mission: Mission, answers: Sequence[PlanAnswer | StepAnswer | JudgementAnswer]
+) -> str | None:
     """The further demand of a question that accepted answers fail, as a sentence; None if they meet all."""
     if question.section == "place":
-        taken = [answer.slot for answer in answers if isinstance(answer, PlanAnswer)]
+        plans = [answer for answer in answers if isinstance(answer, PlanAnswer)]
+        asked, taken = question.plan_question(mission, 0, 0), [answer.slot for answer in plans]
+        # A place is one of a shape: without a right plan, its number says nothing.
+        if (wrong := next(filter(None, (objection_to_plan(asked, answer) for answer in plans)), None)) is not None:
+            return wrong
         return None if len(set(taken)) == len(taken) else f"the robots choose the places {taken}."
     (answer,) = answers
+    if isinstance(answer, JudgementAnswer):
+        right = question.wanted[0]["choice"]
+        return None if answer.choice == right else f"{answer.choice} is chosen, and {right} is right."
     if isinstance(answer, PlanAnswer):
         return check_plan(meant(question, mission), answer.plan) if question.meant is not None else None
     assert question.position is not None
@@ -90,41 +101,52 @@ def _nearer_to_team(question: Question, mission: Mission, waypoint: Point) -> bo
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WordMarks:
-    """The marks of a mission that a model read; `reason` says what is wrong, None if nothing is."""
+    """The marks of an answer to words; `reason` says what is wrong, None if nothing is."""
 
     reason: str | None
     read: bool
-    safe: bool  # whether no user would be shown a mission that was not asked for
+    safe: bool  # whether no user would be shown what was not asked for
 
 
 def word_marks(question: Question, text: str) -> WordMarks:
-    """Compare a mission that a model read with the words; an impossible one is right if it says them and is refused."""
-    assert question.wanted is not None
-    refused: str | None = None
+    """Compare a mission or an edited program with the right answers to the words; None of it needs to be said alike."""
+    base, flies = question.build_mission(), True
     try:
-        fields = answer_of(text).model_dump(exclude_none=True)
-    except AnswerError as error:
-        return WordMarks(reason=str(error), read=False, safe=True)
-    try:
-        draft_of(text)
+        if question.section == "edit":
+            found, differs = _edited(text), _edit_differs
+        else:
+            found, differs = answer_of(text).model_dump(exclude_none=True), _answer_differs
+            flies = found["answer"] == "mission"
     except (AnswerError, InputError) as error:
-        refused = str(error)
-    wrong = _differs(question.wanted, fields)
-    safe = refused is not None or (question.possible and wrong is None)
-    if wrong is None and question.possible and refused is not None:
-        wrong = refused
-    if wrong is None and not question.possible and refused is None:
-        wrong = "a mission came out that cannot be flown."
-    return WordMarks(reason=wrong, read=True, safe=safe)
+        return WordMarks(reason=str(error), read=False, safe=True)
+    wrong = [differs(wanted, found, base) for wanted in question.wanted]
+    right = None in wrong
+    if flies and not right and question.section != "edit":
+        try:
+            draft_of(text, base, flying=question.flying)
+        except InputError:
+            flies = False
+    safe = right or not flies or "refuse" in found
+    return WordMarks(reason=None if right else wrong[0], read=True, safe=safe)
 
 
-def _differs(wanted: Mapping[str, object], fields: Mapping[str, object]) -> str | None:
-    """The first field that differs. One that was not mentioned may be left out, or have the mission's default."""
-    defaults = {name: Mission.model_fields[name].default for name in ("center", "spacing")}
-    for name in ("shape", "n_robots", "center", "spacing"):
-        asked, found = wanted.get(name, defaults.get(name)), fields.get(name, defaults.get(name))
-        if isinstance(asked, tuple | list) and isinstance(found, tuple | list):
-            asked, found = list(cast("tuple[float, ...]", asked)), list(cast("tuple[float, ...]", found))
-        if asked != found:
-            return f"{name} is {found!r}, and the words say {asked!r}."
-    return None
+def _answer_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:
+    if found["answer"] != wanted["answer"]:
+        return f"the answer is {found['answer']}, and {wanted['answer']} is right."
+    if wanted["answer"] == "ask":
+        about = found.get("about")
+        return None if about in wanted["about"] else f"it asks about {about}, and {wanted['about'][0]} is unclear."
+    return None if wanted["answer"] == "refuse" else mission_differs(wanted, found, base)
+
+
+def _edited(text: str) -> Mapping[str, Any]:
+    """A program or a refusal as an object; InputError for anything else."""
+    if refusal(text) is not None:
+        return {"refuse": True}
+    return {"program": parse_program(text[text.find("{") : text.rfind("}") + 1])}
+
+
+def _edit_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:
+    if ("refuse" in wanted) != ("refuse" in found):
+        return f"it {'refuses' if 'refuse' in found else 'draws'}, and the words ask for the other."
+    return None if "refuse" in wanted else drawing_differs(parse_program(wanted), found["program"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
@@ -14,17 +14,19 @@ from llm_flock.errors import InputError, unknown
 from llm_flock_lab._exam.generate_plans import distraction_questions, place_questions, plan_questions
 from llm_flock_lab._exam.generate_steps import others_questions, path_questions, step_questions
 from llm_flock_lab._exam.generate_talks import agreement_questions, retry_questions
-from llm_flock_lab._exam.generate_words import mission_questions
-from llm_flock_lab._exam.questions import SECTIONS, WORDS, Question, from_lines
+from llm_flock_lab._exam.questions import SECTIONS, Question, from_lines
 
-VERSION = 1
+VERSION = 2
 """Version of the exam. It changes with the questions, their scoring or the kinds of questions; prompts have their own
 digest in every result."""
 
 PUBLIC_SEED = 20_250
 """Seed of the public split. A private split may not have it."""
 
-PUBLIC_FILE = "public-v1.jsonl"
+PUBLIC_FILE = "public-v2.jsonl"
+
+WRITTEN_FILE = "written-v2.jsonl"
+"""Questions in words, which were written and not generated; there are no private ones."""
 
 _MAKERS: Mapping[str, Callable[[np.random.Generator], Iterator[Question]]] = {
     "plan": plan_questions,
@@ -38,29 +40,30 @@ _MAKERS: Mapping[str, Callable[[np.random.Generator], Iterator[Question]]] = {
 }
 
 
-def generate(seed: int, known: Collection[str | None] = ()) -> list[Question]:
-    """All questions of a seed, in the order of the sections; none has words that are known."""
+def generate(seed: int) -> list[Question]:
+    """All questions of a seed that are generated, in the order of the sections."""
     found: list[Question] = []
     for number, section in enumerate(SECTIONS):
-        rng = np.random.default_rng([VERSION, seed, number, 0])
-        made = mission_questions(rng, known) if section == WORDS else _MAKERS[section](rng)
-        found += [replace(question, id=f"{section}-{k:04d}") for k, question in enumerate(made)]
+        if section in _MAKERS:
+            made = _MAKERS[section](np.random.default_rng([1, seed, number, 0]))
+            found += [replace(question, id=f"{section}-{k:04d}") for k, question in enumerate(made)]
     return found
 
 
 @lru_cache(maxsize=1)
 def public_split() -> tuple[Question, ...]:
-    text = resources.files("llm_flock_lab._exam").joinpath(PUBLIC_FILE).read_text(encoding="utf-8")
-    return tuple(from_lines(text, PUBLIC_FILE))
+    folder, order = resources.files("llm_flock_lab._exam"), list(SECTIONS)
+    texts = {name: folder.joinpath(name).read_text(encoding="utf-8") for name in (PUBLIC_FILE, WRITTEN_FILE)}
+    found = [question for name, text in texts.items() for question in from_lines(text, name)]
+    return tuple(sorted(found, key=lambda question: order.index(question.section)))
 
 
 @lru_cache(maxsize=4)
 def private_split(seed: int) -> tuple[Question, ...]:
-    """The split of another seed: the same kinds and numbers of questions, none of them public."""
+    """The generated questions of another seed: the same kinds and numbers of them, none of them public."""
     if seed == PUBLIC_SEED:
         raise InputError("seed", seed, "another seed than that of the public split")
-    # Numbers are never drawn twice, but a short text can be.
-    return tuple(generate(seed, {question.words for question in public_split()}))
+    return tuple(generate(seed))
 
 
 def paper(

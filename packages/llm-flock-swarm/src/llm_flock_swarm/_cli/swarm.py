@@ -19,13 +19,18 @@ from llm_flock.cli import (
     EXIT_FAILED,
     EXIT_INTERRUPTED,
     ConfigPath,
+    Edit,
     Extension,
     Finding,
     JsonOutput,
     Quiet,
+    ReaderModel,
     Record,
     Screen,
+    Words,
+    Yes,
     chosen,
+    confirmed_draft,
     extended,
     live_line,
     needed,
@@ -252,9 +257,14 @@ def ros2(config: ConfigPath = None, quiet: Quiet = False, **flags: Any) -> None:
 
 def mission(
     changes: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option("--set", help="Field to change, such as shape=square; repeat for more", metavar="FIELD=VALUE"),
-    ],
+    ] = None,
+    words: Words = None,
+    edit: Edit = None,
+    reader: ReaderModel = None,
+    yes: Yes = False,
+    proceed: Annotated[bool, typer.Option("--next", help="Go on to the next stage of the mission")] = False,
     robot_id: Annotated[
         int | None, typer.Option("--id", min=0, help="Robot to give it to [any]", show_default=False)
     ] = None,
@@ -263,15 +273,26 @@ def mission(
     swarm_name: Annotated[str | None, typer.Option("--swarm", help="Name of the swarm [the configuration's]")] = None,
 ) -> None:
     """Give a running swarm another mission: one robot (with keys one more than may lie) passes it on."""
-    from llm_flock_swarm._network.config import SwarmConfig
-
-    fields = dict(_change(text) for text in changes)
-    settings = SwarmConfig.load(config, connect=connect, swarm=swarm_name)
-    settings.mission.change(**fields)  # refused here with a message; a robot would only record the refusal
     import asyncio
 
-    from llm_flock_swarm._network.watch import give_mission
+    from llm_flock_swarm._network.config import SwarmConfig
+    from llm_flock_swarm._network.watch import give_mission, present_mission
 
+    fields = dict(_change(text) for text in changes or ())
+    settings = SwarmConfig.load(config, connect=connect, swarm=swarm_name)
+    if [bool(fields), words is not None, edit is not None, proceed].count(True) != 1:
+        raise InputError("set", changes, says="one of --set, --words, --edit and --next")
+    if not fields:
+        now = asyncio.run(present_mission(settings))
+        if now is None:
+            says = f"no swarm of {settings.mission.n_robots} robots tells its mission there; give its --config, too"
+            raise InputError("connect", settings.network.connect or None, says=says)
+        settings = settings.flying(now)
+        if proceed:
+            fields = now.proceeding()
+        else:
+            fields = dict(confirmed_draft(settings, words, edit, reader, yes=yes, flying=True).fields)
+    settings.mission.change(**fields)  # refused here with a message; a robot would only record the refusal
     takers = asyncio.run(give_mission(settings, fields, robot_id))
     if not takers:
         raise InputError("connect", settings.network.connect or None, says=NOBODY)

@@ -84,6 +84,13 @@ def check_still(mission: Mission) -> None:
         raise InputError("velocity", mission.velocity, says=says)
 
 
+def check_unsigned(config: SwarmConfig, mission: Mission) -> None:
+    """InputError for stages and preferences in a team with keys: no robot may order, or claim a place by right."""
+    for field in ("then", "prefer"):
+        if config.network.keys is not None and getattr(mission, field):
+            raise InputError(field, None, says="cannot be used in a team with keys, which follows signed orders only")
+
+
 class SwarmConfig(RunConfig):
     """Everything that defines a swarm; `InputError` for a field of runs that swarms do not support."""
 
@@ -94,14 +101,17 @@ class SwarmConfig(RunConfig):
     def _check_swarm(self) -> Self:
         trial = self.trial
         bodies = ("noise", "drift", "sensing_delay", "moving_obstacles")
-        for field in ("kill", "join", "kill_random", "join_random", "changes", *bodies):
+        for field in ("kill", "join", "battery", "kill_random", "join_random", "changes", *bodies):
             if getattr(trial, field):
                 raise InputError(field, getattr(trial, field), says="cannot be used in a swarm of processes")
         protocol = self.protocol
         if protocol.relay or protocol.collision_check != "none":
             says = "cannot be used in a swarm of processes: it needs all robots in one"
             raise InputError("protocol", protocol.protocol, says=says)
+        if protocol.judge != "rule":
+            raise InputError("judge", protocol.judge, "'rule' in a swarm of processes")
         check_still(self.mission)
+        check_unsigned(self, self.mission)
         liars, n = self.network.liars, self.mission.n_robots
         if liars > LIARS and 3 * liars >= n:
             raise InputError("liars", liars, f"at most {max(LIARS, (n - 1) // 3)} of {n} robots: fewer than a third")

@@ -7,8 +7,8 @@ from typing import Any
 
 from llm_flock.members import OPERATOR
 from llm_flock.message import MissionStamp
-from llm_flock.mission import MISSION_FIELDS, Mission
-from llm_flock_swarm._network.config import SwarmConfig, check_still
+from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
+from llm_flock_swarm._network.config import SwarmConfig, check_still, check_unsigned
 from llm_flock_swarm._network.connection import load_keys
 from llm_flock_swarm._network.wire import MissionOrder
 from llm_flock_swarm._signed.certificates import mission_statement
@@ -26,7 +26,8 @@ def mission_order(config: SwarmConfig, fields: dict[str, Any], counter: int) -> 
     keys, mission = load_keys(config, OPERATOR), changed_mission(config.mission, fields)
     if keys is None:
         return MissionOrder(fields=fields, counter=counter)
-    whole = mission.model_dump(mode="json", include=set(MISSION_FIELDS))
+    check_unsigned(config, mission)
+    whole = {**WISHES, **mission.model_dump(mode="json", include=set(MISSION_FIELDS))}
     signature = keys.sign(mission_statement(MissionStamp(counter, mission.digest)))
     return MissionOrder(fields=whole, counter=counter, signature=signature)
 

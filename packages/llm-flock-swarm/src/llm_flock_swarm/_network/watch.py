@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
 from llm_flock.message import MissionStamp, OperatorClock
+from llm_flock.mission import Mission
 from llm_flock.record import Guarded, NullWriter, RecordSink, RecordWriter, SummaryMessage, Tee
 from llm_flock.runtime import TrialProgress, finite, run_info
 from llm_flock_swarm._network.accusations import Judge
@@ -24,6 +27,7 @@ from llm_flock_swarm._network.wire import RobotReport, WorldState, pack
 CHECK_S = 0.1  # time between two checks whether the team has formed [s]
 MEET_S = 5.0  # longest search of an operator for a robot that takes a mission [s]
 HEAR_S = 0.5  # time for which an operator listens to the robots' reports before it gives an order [s]: a few of each
+TELL_S = 20.0  # longest wait for the mission of a swarm: robots spell it out now and then [s]
 SEND_S = 0.3  # time for a message to leave before its session is closed [s]
 FREE_PORT = "tcp/127.0.0.1:0"  # where processes listen that are no part of the swarm
 
@@ -75,8 +79,12 @@ async def run_watch(
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
     show: Callable[[SwarmConfig, Observer], None] | None = None,
+    told: Path | None = None,
 ) -> None:
-    """Watch, and with a path write a record, until the process is stopped; `show` is called with the observer first."""
+    """Watch, and with a path write a record, until the process is stopped; `show` is called with the observer first.
+
+    The record ends with the result in the file `told`, if it is there by then, else with what was seen here.
+    """
     with ExitStack() as stack:
         writer = stack.enter_context(recording(config, record, sink))
         observer = stack.enter_context(observing(config, writer, on_row))
@@ -84,13 +92,29 @@ async def run_watch(
             show(config, observer)
         await until_stopped(look(observer))
         result = {
+            "stopped": "interrupted",
             "formed": observer.formed_s is not None,
             "mission_s": observer.mission_s,
             "min_separation": finite(observer.min_separation),
             "model_calls": observer.said.calls,
             "tokens": observer.said.tokens,
         }
-        writer.write(SummaryMessage(result=result))
+        writer.write(SummaryMessage(result=_result(told) or result))
+
+
+def _result(told: Path | None) -> dict[str, Any] | None:
+    return json.loads(told.read_bytes()) if told is not None and told.exists() else None
+
+
+async def present_mission(config: SwarmConfig) -> Mission | None:
+    """The mission that a running swarm flies; None if no robot tells it within `TELL_S`."""
+    with observing(config, NullWriter()) as observer:
+        for _ in range(round(TELL_S / CHECK_S)):
+            await asyncio.sleep(CHECK_S)
+            told = [tuple(report.mission) for report in observer.reports.values()]
+            if told and max(told)[1] == observer.mission.digest:
+                return observer.mission
+    return None
 
 
 async def give_mission(config: SwarmConfig, fields: dict[str, object], robot: int | None) -> list[int]:

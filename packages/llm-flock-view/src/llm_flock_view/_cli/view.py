@@ -65,6 +65,10 @@ def view(
         ),
     ] = None,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser")] = True,
+    reader: Annotated[
+        str | None,
+        typer.Option(help="Model that reads missions in words [the first --model]", show_default=False),
+    ] = None,
     foxglove: Foxglove = False,
     foxglove_port: FoxglovePort = None,
 ) -> None:
@@ -92,11 +96,11 @@ def view(
             raise ExtraMissing("view --connect", "network")
         watched = plugins.load("watches", "swarm")(config, connect, swarm)
     # Whatever can fail does so before an address is shown.
-    models, reader = tuple(model or ()), None
-    if models:
+    models, reads = tuple(model or ()), None
+    if models or reader:
         from llm_flock.llm import MissionReader
 
-        reader = MissionReader(models[0], base_url)
+        reads = MissionReader(reader or models[0], base_url)
     server = None
     if live_port is not None:
         from llm_flock_view._foxglove.server import MAX_SERVED_ROBOTS, FoxgloveServer
@@ -115,12 +119,13 @@ def view(
     run_viewer(
         address,
         records=found,
+        folders=[] if live else [path for path in records or [] if path.is_dir()],
         live=live,
         swarm=watched,
         runs=runs,
         models=models,
         base_url=base_url,
-        reader=reader,
+        reader=reads,
         foxglove=server,
     )
 

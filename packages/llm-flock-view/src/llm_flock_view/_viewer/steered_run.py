@@ -8,9 +8,11 @@ import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from llm_flock.arrays import Points
 from llm_flock.errors import FieldError, FlockError, InputError, unknown
 from llm_flock.events import Note
-from llm_flock.llm import habits_of
+from llm_flock.llm import MissionDraft, habits_of
+from llm_flock.mission import Mission
 from llm_flock.record import DEAD
 from llm_flock.runtime import (
     RunConfig,
@@ -23,7 +25,7 @@ from llm_flock.runtime import (
     stream,
 )
 from llm_flock.shapes import names_file
-from llm_flock.simulate import draw_start
+from llm_flock.simulate import start_positions
 from llm_flock_view._viewer.library import load
 from llm_flock_view._viewer.recording import Recording
 
@@ -44,6 +46,7 @@ FIELDS: tuple[str, ...] = (
     "rounds",
     "loss",
     "start",
+    "start_positions",
     "fallback",
     "gaps",
     "decide",
@@ -52,9 +55,19 @@ FIELDS: tuple[str, ...] = (
 """Fields that a page may set. Fields that name files, modules, addresses or folders belong to the command line."""
 
 
-def config_of(fields: Mapping[str, Any], models: Collection[str] = (), base_url: str | None = None) -> RunConfig:
-    """The configuration of a run that a page asks for, checked as the command's; the operator typed the rest."""
+def config_of(
+    fields: Mapping[str, Any],
+    models: Collection[str] = (),
+    base_url: str | None = None,
+    draft: MissionDraft | None = None,
+) -> RunConfig:
+    """The configuration of a run that a page asks for, checked as the command's; the operator typed the rest.
+
+    The mission is that of the `draft`, if there is one.
+    """
     given = {name: value for name, value in fields.items() if value not in (None, "")}
+    if draft is not None:
+        given = {name: value for name, value in given.items() if name not in Mission.model_fields}
     for name in given:
         if name not in FIELDS:
             raise FieldError(name, given[name], says=unknown(f"field {name!r}", name, FIELDS))
@@ -66,11 +79,18 @@ def config_of(fields: Mapping[str, Any], models: Collection[str] = (), base_url:
         allowed = "simulated:PROFILE, geometry or a packaged model, or a model that `llm-flock view --model` named"
         raise InputError("model", model, allowed)
     config = build_config({}, **given, base_url=base_url if model in models else None)
+    config = config if draft is None else config.flying(draft.mission, draft.gaps)
     if _free(config.model.model):
         # These raise now what would otherwise only be raised when the run begins.
         TeamPlanners(config)
-        draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START), config.trial.start_area)
+        starts_of(config)
     return config
+
+
+def starts_of(config: RunConfig) -> Points:
+    """Where the robots of a run start, shape (n, d) [units]."""
+    trial, rng = config.trial, stream(config.trial.seed, Stream.START)
+    return start_positions(config.start_scene, trial.start_positions, trial.start, rng, trial.start_area)
 
 
 def _free(model: str) -> bool:
@@ -178,6 +198,11 @@ class SteeredRun:
         """Give one robot another mission, and return that robot; see `RunOrders.change`."""
         self._check("change")
         return self.orders.change(fields)
+
+    def proceed(self) -> int:
+        """Order the next stage of the mission; see `RunOrders.proceed`."""
+        self._check("proceed")
+        return self.orders.proceed()
 
     def lose(self, share: float) -> None:
         self._check("lose")

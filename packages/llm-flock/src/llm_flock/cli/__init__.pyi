@@ -26,3 +26,8 @@ from ._options import with_output_folder as with_output_folder
 from ._terminal import Screen as Screen
 from ._terminal import say as say
 from ._terminal import while_shown as while_shown
+from ._words import Edit as Edit
+from ._words import ReaderModel as ReaderModel
+from ._words import Words as Words
+from ._words import Yes as Yes
+from ._words import confirmed_draft as confirmed_draft

@@ -21,6 +21,7 @@ from llm_flock.cli._options import (
     with_output_folder,
 )
 from llm_flock.cli._terminal import Screen, say
+from llm_flock.cli._words import Edit, ReaderModel, Words, Yes, confirmed_draft
 from llm_flock.errors import InputError
 from llm_flock.printable import shape_title
 
@@ -48,6 +49,10 @@ def run(
             show_default=False,
         ),
     ] = None,
+    words: Words = None,
+    edit: Edit = None,
+    reader: ReaderModel = None,
+    yes: Yes = False,
     *,
     extensions: list[Extension],
     **flags: Any,
@@ -61,7 +66,14 @@ def run(
     sinks = chosen(extensions)
     if pace is not None and not 0.01 <= pace <= 1000:
         raise InputError("pace", pace, "a number from 0.01 to 1000")
-    settings = with_output_folder(RunConfig.load(config, **flags), record=record, typed=flags.get("out"))
+    settings = RunConfig.load(config, **flags)
+    if words is not None or edit is not None:
+        draft = confirmed_draft(settings, words, edit, reader, yes=yes)
+        settings = settings.flying(draft.mission, draft.gaps)
+    elif reader is not None or yes:
+        raise InputError("reader" if reader else "yes", reader, says="has no effect without --words or --edit")
+    settings.check_orders()
+    settings = with_output_folder(settings, record=record, typed=flags.get("out"))
     if dry_run:
         refuse(sinks, "a dry run")
         if pace is not None:

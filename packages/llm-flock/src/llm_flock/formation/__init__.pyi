@@ -1,5 +1,6 @@
 from ._files import load_program as load_program
 from ._placement import drawn_points as drawn_points
+from ._placement import group_sizes as group_sizes
 from ._placement import program_points as program_points
 from ._program import Element as Element
 from ._program import Group as Group

@@ -65,12 +65,7 @@ def _places(text: str, n: int, dim: int, spacing: float) -> Points:
     program = parse_program(text)
     if program.draw is not None:
         points = spacing * _unit(program.draw, n)
-        if program.size is not None:
-            width = float(np.ptp(points, axis=0).max())
-            if program.size < width * (1 - 1e-9):
-                says = f"at least {width:.4g}, the width that {n} robots need at spacing {spacing:g}"
-                raise InputError("size", program.size, says)
-            points = points * (program.size / width) if width else points
+        points = _sized(points, program.size, spacing)
     else:
         points = _grouped(program.groups or (), n, spacing)
     points = points[:, :dim]
@@ -78,7 +73,20 @@ def _places(text: str, n: int, dim: int, spacing: float) -> Points:
     return points
 
 
-def _grouped(groups: Sequence[Group], n: int, spacing: float) -> Points:
+def _sized(points: Points, size: float | None, spacing: float) -> Points:
+    """The points at this largest width, which may not be smaller than their own."""
+    width = float(np.ptp(points, axis=0).max())
+    if size is None or not width:
+        return points
+    if size < width * (1 - 1e-9):
+        raise InputError(
+            "size", size, f"at least {width:.4g}, the width that {len(points)} robots need at spacing {spacing:g}"
+        )
+    return points * (size / width)
+
+
+def group_sizes(groups: Sequence[Group], n: int) -> list[int]:
+    """The robots of each group in a team of `n`; InputError if they are too few."""
     fixed = sum(group.count or 0 for group in groups)
     shares = [0.0 if group.count else group.share for group in groups]
     if n < fixed or (not any(shares) and n != fixed):
@@ -87,9 +95,13 @@ def _grouped(groups: Sequence[Group], n: int, spacing: float) -> Points:
     parts = [group.count or part for group, part in zip(groups, parts, strict=True)]
     if 0 in parts:
         raise InputError("n_robots", n, f"more, so that each of the {len(groups)} groups gets a robot")
+    return parts
+
+
+def _grouped(groups: Sequence[Group], n: int, spacing: float) -> Points:
     rows: list[Points] = []
-    for group, part in zip(groups, parts, strict=True):
-        points = spacing * _unit(group.draw, part)
+    for group, part in zip(groups, group_sizes(groups, n), strict=True):
+        points = _sized(spacing * _unit(group.draw, part), group.size, spacing)
         at = np.array([*group.at, 0.0][:3])
         rows.append(points - points.mean(axis=0) + at)
     points = np.concatenate(rows)

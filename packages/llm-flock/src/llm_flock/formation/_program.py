@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import Annotated, Any, Literal, Self, TypeAlias, cast, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic.json_schema import SkipJsonSchema
 
 from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.errors import InputError
@@ -108,6 +109,8 @@ class Group(_Table):
     count: int | None = Field(default=None, ge=1, description="robots; or else a share of the others")
     share: Factor = 1.0
     at: Vector = Field(default=(0.0, 0.0), description="its centre, in units from the first group's at [0, 0]")
+    size: SkipJsonSchema[Factor | None] = None
+    """Largest width in units; follows from the robots if unset."""
     draw: tuple[Element, ...] = Field(min_length=1)
 
 

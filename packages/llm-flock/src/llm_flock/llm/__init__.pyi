@@ -18,10 +18,14 @@ from ._limits import CallLane as CallLane
 from ._limits import CallLimits as CallLimits
 from ._limits import Limited as Limited
 from ._limits import Spent as Spent
+from ._mission_draft import MissionDraft as MissionDraft
 from ._mission_words import MissionReader as MissionReader
 from ._mission_words import answer_of as answer_of
 from ._mission_words import draft_of as draft_of
+from ._mission_words import drawn_program as drawn_program
+from ._mission_words import edit_call as edit_call
 from ._mission_words import mission_call as mission_call
+from ._mission_words import refusal as refusal
 from ._models import ModelPool as ModelPool
 from ._models import check_priced as check_priced
 from ._models import model_digests as model_digests

@@ -53,6 +53,8 @@ def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
     if kind == "plan":
         properties["plan"] = {"type": "array", "items": point, "minItems": form.n, "maxItems": form.n}
         properties["my_plan"] = {"type": "integer", "minimum": 0, "maximum": form.n - 1}
+    elif kind == "judgement":
+        properties["choice"] = {"type": "string", "enum": list(form.choices)}
     elif form.horizon == 1:
         properties["position"] = point
     else:
@@ -88,6 +90,8 @@ def longest_answer(kind: Kind, form: AnswerForm) -> int:
         return LETTER_TOKENS
     if form.program:
         return MAX_PROGRAM_BYTES + REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN + 40
+    if form.choices:
+        return REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN + 40
     points = form.n if kind == "plan" else form.horizon
     number = 1 + WHOLE_DIGITS + 1 + DECIMALS + len(", ")
     reason = REASON_LINES * REASON_CHARS // CHARS_PER_TOKEN if form.reasons else 0
@@ -102,6 +106,9 @@ def tokens_of(text: str) -> int:
 
 def _answer(kind: Kind, form: AnswerForm) -> str:
     """The paper's lines (118, 391 and 110) and our own for a path, or the fields of a JSON object."""
+    if kind == "judgement":
+        name = "(" + " | ".join(f'"{choice}"' for choice in form.choices) + ")"
+        return f'"{{" reason "\\"choice\\": \\"" {name} "\\"}}"' if form.json else f'"Choice: " {name}'
     places = f'point (", " point){{{form.n - 1}}}'
     path = f'point (", " point){{0,{form.horizon - 1}}}'
     if not form.json:

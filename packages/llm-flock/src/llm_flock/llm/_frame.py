@@ -16,11 +16,19 @@ from llm_flock.llm._port import FrameName
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
-from llm_flock.planner import PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.shapes import is_drawn, shape_name
 
-Q = TypeVar("Q", PlanQuestion, StepQuestion)
-A = TypeVar("A", PlanAnswer, StepAnswer)
+Q = TypeVar("Q", PlanQuestion, StepQuestion, JudgementQuestion)
+A = TypeVar("A", PlanAnswer, StepAnswer, JudgementAnswer)
+_Located = TypeVar("_Located", PlanQuestion, StepQuestion)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +64,9 @@ class PromptFrame:
             fields["velocity"] = tuple(v / self.unit for v in mission.velocity)
         if mission.points is not None:
             fields["points"] = tuple(tuple(x / self.unit for x in row) for row in mission.points)
-        elif is_drawn(mission.shape):  # a program may have lengths in units
-            fields["shape"], fields["points"] = "points", tuple(map(self.exact, mission.ideal or ()))
+        if (is_drawn(mission.shape) or mission.turn) and mission.ideal:  # a program may have lengths in units
+            fields["shape"], fields["points"] = "points", tuple(map(self.exact, mission.ideal))
+            fields["turn"] = None if mission.turn is None else 0.0
         return Mission.model_construct(**fields)
 
     def _obstacle(self, obstacle: Obstacle) -> Obstacle:
@@ -77,10 +86,10 @@ class FramedQuestion(Generic[Q]):
 
     def to_world(self, answer: A) -> A:
         """An answer in the world. If the model repeats the goal, the waypoint is exactly the goal."""
-        if self.frame is None:
+        if self.frame is None or isinstance(answer, JudgementAnswer):
             return answer
         if isinstance(answer, PlanAnswer):
-            return replace(answer, plan=Plan.of(map(self.frame.world, answer.plan.points), answer.plan.program))
+            return replace(answer, plan=answer.plan.mapped(self.frame.origin, self.frame.unit))
         return replace(answer, waypoint=self._waypoint(answer.waypoint), path=tuple(map(self._waypoint, answer.path)))
 
     def _waypoint(self, point: Point) -> Point:
@@ -112,7 +121,7 @@ def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQu
     )
 
 
-def _framed(question: Q, frame: PromptFrame, **own: Any) -> FramedQuestion[Q]:
+def _framed(question: _Located, frame: PromptFrame, **own: Any) -> FramedQuestion[_Located]:
     """A question in a frame: the fields of both kinds of questions, and its `own` ones."""
     position, neighbors = frame.rounded(question.position), tuple(map(frame.rounded, question.neighbors))
     framed = replace(question, mission=frame.mission(question.mission), position=position, neighbors=neighbors, **own)

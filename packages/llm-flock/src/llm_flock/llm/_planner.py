@@ -15,13 +15,23 @@ from typing import Any, Generic, TypeAlias
 from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.llm._answer_forms import answer_schema
 from llm_flock.llm._answers import read_plan, read_waypoints
+from llm_flock.llm._choices import read_choice
 from llm_flock.llm._frame import A, FramedQuestion, Q, frame_plan, frame_step
 from llm_flock.llm._letters import read_way, ways_of
 from llm_flock.llm._port import AnswerForm, Attempt, AttemptSink, Call, ChatMessage, FrameName, Kind, LanguageModel
 from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.llm._thoughts import quote, whole_answer
+from llm_flock.message import Choice
 from llm_flock.mission import Mission
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.protocol._geometry import plan_by_geometry, straight_path
 from llm_flock.protocol._verification.steps import Verdict
 
@@ -29,6 +39,9 @@ logger = logging.getLogger(__name__)
 
 CheckPlan: TypeAlias = Callable[[PlanQuestion, PlanAnswer], str | None]
 """A reason to reject an answer, as a sentence for the model, or None."""
+
+Asked: TypeAlias = PlanQuestion | StepQuestion | JudgementQuestion
+Given: TypeAlias = PlanAnswer | StepAnswer | JudgementAnswer
 
 CheckStep: TypeAlias = Callable[[StepQuestion, StepAnswer], Verdict]
 
@@ -54,8 +67,10 @@ def _rejection_reason(
     return check(asked.framed, framed) or f"in the team's coordinates, which are not yours, {rejected}"
 
 
-def _plain(question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer) -> dict[str, Any]:
+def _plain(question: Asked, answer: Given) -> dict[str, Any]:
     """An answer as it is recorded, in the world frame."""
+    if isinstance(answer, JudgementAnswer):
+        return {"choice": answer.choice, "reason": answer.reason}
     if isinstance(answer, PlanAnswer):
         return {"plan": [list(point) for point in answer.plan.points], "slot": answer.slot}
     plain: dict[str, Any] = {"waypoint": list(answer.waypoint)}
@@ -175,6 +190,17 @@ class LanguagePlanner:
             text += f"\n\n{NOT_FLOWN} {question.objection}"
         return await self._converse(_Exchange("step", asked, text, form, read, self._check_step))
 
+    async def judge(self, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
+        """Ask which of some options to take. The prompts `letters` have no such question."""
+        if self._prompts.letters:
+            return NoAnswer(cause="answer", reason="the prompts 'letters' ask for no judgement")
+        asked = FramedQuestion(question=question, framed=question)
+        names: list[Choice] = [option.choice for option in question.options]
+        form = replace(self._form(question.mission), choices=tuple(names))
+        text = self._prompts.judgement(question)
+        exchange = _Exchange("judgement", asked, text, form, lambda answer: read_choice(answer, names), None)
+        return await self._converse(exchange)
+
     async def _choose(self, question: StepQuestion) -> StepAnswer | NoAnswer:
         """Ask which way to go; its end is the waypoint. A path has one position."""
         ways = ways_of(question)
@@ -282,7 +308,7 @@ class LanguagePlanner:
         self._on_attempt(Attempt(call=call, reply=reply, parsed=parsed, rejected=rejected, clipped=clipped))
         return outcome
 
-    def _will_be_clipped(self, question: PlanQuestion | StepQuestion, answer: PlanAnswer | StepAnswer | None) -> bool:
+    def _will_be_clipped(self, question: Asked, answer: Given | None) -> bool:
         if self._judge is None or not isinstance(question, StepQuestion) or not isinstance(answer, StepAnswer):
             return False
         return self._clips and self._judge(question, answer).fit is not None

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field
 from llm_flock.errors import ModelError
 
 Role: TypeAlias = Literal["system", "user", "assistant"]
-Kind: TypeAlias = Literal["plan", "step"]
+Kind: TypeAlias = Literal["plan", "step", "judgement"]
 Effort: TypeAlias = Literal["none", "minimal", "low", "medium", "high", "xhigh", "max"]
 """Reasoning effort, as providers name it."""
 FrameName: TypeAlias = Literal["world", "own"]
@@ -83,7 +83,7 @@ class AnswerForm:
     """The form of an answer, for reading it and for constraining a model that writes it.
 
     A `horizon` of 1 means a single position, `letters` one letter of these, `reasons` a reason before the answer,
-    `program` a formation program in JSON instead of the places of a plan.
+    `program` a formation program in JSON instead of the places of a plan, `choices` the names of options.
     """
 
     n: int
@@ -93,6 +93,7 @@ class AnswerForm:
     reasons: bool = True
     letters: str = ""
     program: bool = False
+    choices: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,6 +15,8 @@ from llm_flock.plan import DECIMALS, Plan
 
 AXES = ("x", "y", "z")
 
+IN_PLACE = "in exactly this orientation"  #: Marks an oriented shape.
+
 FARTHEST = 10.0
 """Distance of the farthest goal in brief prompts [step limits]: small models lose the direction of farther ones."""
 
@@ -85,17 +87,19 @@ def plan_text(plan: Plan) -> str:
 
 
 def shape_text(mission: Mission) -> str:
-    """The shape as text; a custom or drawn one by its points relative to its centre, in any orientation."""
-    drawn = formations.is_drawn(mission.shape)
-    if mission.ideal is None or not (mission.points or drawn):
+    """The shape as text; one that is custom, drawn or oriented by its points relative to its centre."""
+    drawn, oriented = formations.is_drawn(mission.shape), mission.turn is not None
+    if mission.ideal is None or not (mission.points or drawn or oriented):
         return formations.describe(mission.shape)
     # Rounding and adding zero remove values like -1e-15, which would be written as -0.000.
     offsets = [
         tuple(round(x - c, DECIMALS) + 0.0 for x, c in zip(row, mission.center, strict=True)) for row in mission.ideal
     ]
     places = positions_text(offsets, position_decimals(mission.spacing))
-    name = formations.describe(mission.shape) if drawn else "a given shape"
-    return f"{name}, turned in any direction; relative to its centre its places are {places}"
+    name = "a given shape" if mission.points else formations.describe(mission.shape)
+    return (
+        f"{name}, {IN_PLACE if oriented else 'turned in any direction'}; relative to its centre its places are {places}"
+    )
 
 
 def obstacles_text(mission: Mission) -> str:

@@ -19,6 +19,7 @@ import jinja2.meta
 from jinja2.sandbox import SandboxedEnvironment
 
 from llm_flock.errors import InputError
+from llm_flock.llm._choices import options_text
 from llm_flock.llm._frame import Q
 from llm_flock.llm._letters import NO_WISH, ways_of, ways_text
 from llm_flock.llm._prompt_values import (
@@ -34,7 +35,7 @@ from llm_flock.llm._prompt_values import (
 )
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
-from llm_flock.planner import PlanQuestion, StepQuestion
+from llm_flock.planner import AIMS, JudgementOption, JudgementQuestion, PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
 
@@ -78,16 +79,27 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     "horizon": lambda asked: asked.horizon,
     "ways": lambda asked: ways_text(ways_of(asked)),
 }
+JUDGEMENT: Mapping[str, Callable[[JudgementQuestion], Any]] = {
+    "robot": lambda asked: asked.robot,
+    "round": lambda asked: asked.round,
+    "event": lambda asked: asked.event,
+    "options": lambda asked: options_text(asked.options),
+    "choices": lambda asked: ", ".join(option.choice for option in asked.options),
+}
 """Variables of a question, with the functions that write them."""
 
 VARIABLES: Mapping[str, frozenset[str]] = {
     "system.j2": COMMON,
     "plan.j2": COMMON.union(PLAN),
     "step.j2": COMMON.union(STEP),
+    "judgement.j2": COMMON.union(JUDGEMENT, {"aim"}),
     "retry.j2": frozenset({"json", "reason", "kind", "horizon", "point_format", "plan_format"}),
 }
 """The templates, and the variables that each may use."""
 
+
+AIM = next(iter(AIMS))
+"""The aim of a judgement where the operator wishes nothing."""
 
 NOT_FLOWN = "Your last answer is not flown."
 """Begins what is added to the question for a step when it is asked again in the same round."""
@@ -110,7 +122,7 @@ def _decimals(asked: PlanQuestion | StepQuestion) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptSet:
-    """Four templates, compiled and checked."""
+    """Five templates, compiled and checked."""
 
     json: bool  #: Whether they ask for a JSON object instead of the paper's text forms.
     reasons: bool = True  #: Whether they ask for a reason before the answer.
@@ -158,8 +170,14 @@ class PromptSet:
         """The position update message."""
         return self._question("step.j2", STEP, question)
 
-    def retry(self, reason: str, question: PlanQuestion | StepQuestion) -> str:
+    def judgement(self, question: JudgementQuestion) -> str:
+        """The question what to do about an event; the operator's wish says what counts."""
+        return self._question("judgement.j2", JUDGEMENT, question)
+
+    def retry(self, reason: str, question: PlanQuestion | StepQuestion | JudgementQuestion) -> str:
         """The message after an unusable answer to this question; `reason` is a sentence."""
+        if isinstance(question, JudgementQuestion):
+            return f"This answer cannot be used: {reason}\n\n{self.judgement(question)}"
         step = isinstance(question, StepQuestion)
         own = {"reason": reason, "kind": "step" if step else "plan", "horizon": question.horizon if step else 1}
         return self._render("retry.j2", {**_mission_values(question.mission), **own})
@@ -173,7 +191,7 @@ class PromptSet:
     def _render(self, name: str, variables: Mapping[str, Any]) -> str:
         template = self.templates[name][0]
         try:
-            return template.render(variables, json=self.json, wish=self.wish or NO_WISH).strip()
+            return template.render(variables, json=self.json, wish=self.wish or NO_WISH, aim=self.wish or AIM).strip()
         except (jinja2.TemplateError, *_FAILURES) as error:
             allowed = f"a template that can be rendered: {error}"
             raise InputError("prompts", template.filename or name, allowed) from None
@@ -191,6 +209,8 @@ class PromptSet:
             self.step(question)
             self.retry("the answer is an example.", question)
         self.retry("the answer is an example.", asked)
+        option = JudgementOption(choice="leave", does="Leave it.", rounds=0, distance=0.0, gaps=1)
+        self.judgement(JudgementQuestion(mission=mission, robot=0, round=1, event="Wind.", options=(option,)))
 
 
 @lru_cache(maxsize=64)

@@ -74,6 +74,7 @@ class Situation:
         self.claim = Claim(slot=None)
         self.position: Point = ()
         self.sensed: Mapping[int, Point] = {}
+        self.weights: Mapping[int, float] = {}  #: Of robots whose ways count for more than others' in exchanges.
         self.earlier: tuple[Point, ...] = ()  #: Where robots may stand that missed the last orders.
 
     @property
@@ -99,6 +100,16 @@ class Membership:
     def deserted(self) -> bool:
         """Whether a robot has been alone at its place for so long that it should look for the others."""
         return False
+
+    @property
+    def replans(self) -> bool:
+        """Whether its plan does not fit the living team, as far as it knows, so that it will propose another one."""
+        return False
+
+    @property
+    def missing(self) -> int:
+        """Number of robots that were heard of and are silent."""
+        return 0
 
     @property
     def known(self) -> object:

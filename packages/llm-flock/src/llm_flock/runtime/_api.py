@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict, TypeVar, U
 
 from llm_flock.errors import FieldError, FlockError, InputError
 from llm_flock.llm._port import FrameName
-from llm_flock.mission import Mission
+from llm_flock.mission import Mission, Preference, Stage
 from llm_flock.obstacles import MovingObstacle, Obstacle
 from llm_flock.printable import shape_title
 from llm_flock.protocol._agreement.assignment import AssignmentRule
@@ -101,6 +101,10 @@ class Parameters(TypedDict, total=False):
     arena: Sequence[Row]
     points: Sequence[Row] | None
     obstacles: Sequence[Obstacle | Mapping[str, Any]]
+    turn: float | None
+    hold: int
+    prefer: Sequence[Preference | Mapping[str, Any]]
+    then: Sequence[Stage | Mapping[str, Any]]
     # The protocol.
     protocol: Literal["flock", "paper", "paper-literal", "released", "baseline"]
     consensus: str | ConsensusRule | None
@@ -114,6 +118,7 @@ class Parameters(TypedDict, total=False):
     fallback: Fallback | None
     comm_rounds: int | None
     gaps: Literal["report", "replan"]
+    judge: Literal["rule", "models"]
     time_out: int
     # Language models.
     model: ModelChoice
@@ -153,6 +158,7 @@ class Parameters(TypedDict, total=False):
     start_area: Sequence[Row] | None
     kill: str | None
     join: str | None
+    battery: str | None
     kill_random: int
     join_random: int
     changes: Sequence[Change | Mapping[str, Any]]
@@ -241,6 +247,8 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
         plain_fields = {field: plain(field, value) for field, value in fields.items()}
         config = RunConfig.build(base, model=choice or None, **names, **plain_fields)
         rules = objects  # the configuration has the names, old ones under their current form
+    if steer is None:
+        config.check_orders()
     protocol = config.protocol
     consensus = consensus_rule(rules.get("consensus", protocol.consensus or ""), protocol.ties or "keep")
     assignment = assignment_rule(rules.get("assignment", protocol.assignment or ""), protocol.without)

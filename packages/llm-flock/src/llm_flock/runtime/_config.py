@@ -45,7 +45,7 @@ PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(
 _NO_NAME = re.compile("[\0\ud800-\udfff]")
 """What neither the names of files nor the texts of a record can hold."""
 
-_PLAIN = re.compile("shape|kill|join|history|wish|temperature|reasoning_effort|model_seed|swarm")
+_PLAIN = re.compile("shape|kill|join|battery|history|wish|temperature|reasoning_effort|model_seed|swarm")
 """Fields with free text that names no file, no code and no address."""
 
 
@@ -108,6 +108,11 @@ class ProtocolConfig(ConfigSection):
     gaps: Literal["report", "replan"] = Field(
         default="report", description="If fewer robots are alive than the plan has places: report the gaps, or replan"
     )
+    judge: Literal["rule", "models"] = Field(
+        default="rule",
+        description="After a death that leaves a gap, or with a weak battery: do as --gaps says and fly on (rule), or "
+        "ask all models once, and do what most of them choose (models)",
+    )
     time_out: int = Field(
         default=TIME_OUT,
         ge=1,
@@ -125,6 +130,8 @@ class ProtocolConfig(ConfigSection):
             raise InputError("fallback", self.fallback, "'hold' while verify is off")
         if self.without is not None and (self.assignment, self.shield) != ("auction", True):
             raise InputError("without", self.without, says="takes something away from the auction and the shield only")
+        if self.judge == "models" and self.assignment != "auction":
+            raise InputError("judge", self.judge, "'rule' unless places are given by the auction")
         return self
 
     def rules(self) -> Rules:
@@ -160,7 +167,10 @@ class ModelConfig(ConfigSection):
         description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
         "[the model's: brief for local:smollm2, letters for local:smollm2+letters, full for others]",
     )
-    wish: str | None = Field(default=None, description="What is wished of the steps, in words; with --prompts letters")
+    wish: str | None = Field(
+        default=None,
+        description="What is wished, in words: of steps with --prompts letters, of judgements with --judge models",
+    )
     frame: FrameName | None = Field(
         default=None,
         description="Coordinates in a model's prompts: world, or own (plans around the origin in spacings, steps "
@@ -224,6 +234,14 @@ class RunConfig(ConfigSection):
                     allowed = f"a speed of at most {reach / rounds:.4g}: robots must see an obstacle before it is there"
                     raise InputError("moving_obstacles", one.model_dump(), allowed)
         given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
+        staged = [mission for mission in (self.mission, *given) if mission.then or mission.prefer]
+        if staged and self.protocol.assignment != "auction":
+            allowed = "auction, by which robots tell each other who stands where, for a mission with then or prefer"
+            raise InputError("assignment", self.protocol.assignment, allowed)
+        if self.trial.changes and any(mission.then for mission in staged):
+            raise InputError(
+                "changes", len(self.trial.changes), "none beside `then`, whose stages may begin in a round"
+            )
         if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
             says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
             raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
@@ -232,6 +250,17 @@ class RunConfig(ConfigSection):
     def schedule(self) -> Schedule:
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""
         return build_schedule(self.mission, self.trial)
+
+    def flying(self, mission: Mission, gaps: Literal["report", "replan"] | None = None) -> Self:
+        """The same with another mission, checked as a whole; `gaps` replaces the protocol's, if given."""
+        protocol = self.protocol.model_copy(update={} if gaps is None else {"gaps": gaps})
+        return checked(type(self), dict(self) | {"mission": mission, "protocol": protocol})
+
+    def check_orders(self) -> None:
+        """Refuse a stage that waits for an order. Call where nobody can give one."""
+        if any(stage.when == "order" for stage in self.mission.then) and self.trial.rounds is None:
+            says = "a stage waits for an order, which nobody can give to this run: start it in llm-flock view"
+            raise InputError("then", None, says=f"{says}, or limit its --rounds")
 
     @property
     def sight(self) -> Sight:
@@ -256,7 +285,11 @@ class RunConfig(ConfigSection):
         if self.trial.rounds is not None:
             return self.trial.rounds
         across = math.ceil(math.dist(*self.mission.arena) / self.mission.max_step)
-        return self.schedule().last + deadline(across * (1 + self.sight.rests))
+        then = self.mission.then
+        begun = max([self.schedule().last, *(stage.when for stage in then if isinstance(stage.when, int))])
+        held = sum([self.mission.hold, *(stage.set.get("hold", 0) for stage in then)])
+        flown = deadline(across * (1 + self.sight.rests)) + (self.mission.n_robots if then else 0)
+        return begun + held + flown * (1 + len(then))
 
     @classmethod
     def section_of(cls, field: str) -> str:

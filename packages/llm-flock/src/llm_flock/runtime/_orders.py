@@ -6,13 +6,17 @@ import threading
 from typing import Any
 
 from llm_flock.errors import InputError
+from llm_flock.mission import MISSION_FIELDS, WISHES
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import Change, build_schedule
 from llm_flock.runtime._trial import Trial
 
 
 class RunOrders:
-    """Takes orders from any thread, and carries them out between two rounds; `round` is the one in flight."""
+    """Takes orders from any thread, and carries them out between two rounds.
+
+    `round` is the one in flight, `mission` the one in force, and `drawn` the program that a robot follows, if any.
+    """
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
@@ -24,17 +28,25 @@ class RunOrders:
         self._ordered_rounds: set[int] = set()
         self._awake = [k for k in range(config.mission.n_robots) if k not in schedule.asleep]
         self._lock = threading.Lock()
-        self.round = 0
+        self._staged = False
+        self.mission, self.drawn, self.round = config.mission, "", 0
 
     def kill(self, robot: int) -> None:
         """Kill a robot that is alive, and not the last one."""
         with self._lock:
             self._reschedule([*self._kills, f"{robot}@{self.round + 1}"], self._changes)
 
+    def proceed(self) -> int:
+        """Order the next stage of the mission in force, as `change` does."""
+        return self.change(self.mission.proceeding())
+
     def change(self, fields: dict[str, Any]) -> int:
         """Change fields of the mission of one robot, and return that robot. It tells the others."""
         with self._lock:
             when = self.round + 1
+            if self._staged:  # the schedule does not know this stage
+                changed = self.mission.at(when).change(**fields, since=when)
+                fields = {**WISHES, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
             dead = self._schedule.kills.get(when, ())
             taker = next(robot for robot in self._awake if robot not in dead)
             # A second order for the next round replaces the first; the configuration's own changes stay.
@@ -52,6 +64,9 @@ class RunOrders:
         with self._lock:
             self.round = trial.round + 1
             self._awake = list(trial.roster.awake)
+            self.mission, self._staged = trial.mission.at(trial.round), trial.staged
+            plan = trial.roster.agents[self._awake[0]].plan
+            self.drawn = "" if plan is None else plan.program
             trial.schedule = self._schedule
 
     def _reschedule(self, kills: list[str], changes: list[Change]) -> None:

@@ -117,6 +117,7 @@ class Summary:
     plans_in_use: int  #: Different plans at the end.
     distinct_goals: int  #: Different goals at the end.
     robots_without_plan: int  #: Robots that never got a plan.
+    awake: int  #: Robots at the end that have begun and have not died.
     model_calls: int  #: Answered or failed calls, retries of rejected answers included.
     calls_rejected: int  #: Answers that could not be used.
     calls_failed: int  #: Calls that got no answer.

@@ -25,7 +25,7 @@ def parts_of(config: RunConfig, rules: Rules, robot: int, *, apart: float | None
     Bodies that are `apart` pass each other, by default the safe distance [units].
     """
     protocol, mission = config.protocol, config.mission
-    any_size = protocol.gaps == "replan"
+    any_size = protocol.gaps == "replan" or protocol.judge == "models"
     team, safety, verifier = Membership(), Safety(), Checker(any_size=any_size)
     if any_size or not know_no_team(rules):
         from llm_flock.protocol._membership.team import TeamMembership
@@ -57,6 +57,7 @@ def make_agent(config: RunConfig, robot: int, parts: Parts, *, own_clock: bool =
         fallback=config.protocol.fallback or "hold",
         on_event=config.model.decide == "on-event",
         noise_bound=config.sight.error,
+        judges=config.protocol.judge == "models",
         own_clock=own_clock,
     )
 

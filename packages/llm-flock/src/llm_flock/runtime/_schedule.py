@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -85,6 +86,11 @@ class TrialConfig(BaseModel):
     join: str | None = Field(
         default=None, description="Let these robots join, or join again, at the start of a round: ID@ROUND,..."
     )
+    battery: str | None = Field(
+        default=None,
+        description="Batteries that get weak at the start of a round, and how far these robots can fly from then on "
+        "[units]: ID@ROUND:LENGTH,...",
+    )
     kill_random: int = Field(default=0, ge=0, description="Kill this many more robots, drawn from the seed")
     join_random: int = Field(default=0, ge=0, description="Let this many more robots join late, drawn from the seed")
     changes: tuple[Change, ...] = Field(
@@ -138,12 +144,13 @@ class Schedule:
     kills: Mapping[int, tuple[int, ...]]
     joins: Mapping[int, tuple[int, ...]]  # for the first time or again
     missions: Mapping[int, tuple[tuple[int, Mission], ...]]  # in the order in which they are given
+    weak: Mapping[int, tuple[tuple[int, float], ...]]  # robots, and how far
     crossed: int = 0  # the round in which the last moving obstacle comes to rest; 0 without any
 
     @property
     def last(self) -> int:
         """The round of the last event; 0 without any."""
-        return max((*self.kills, *self.joins, *self.missions, self.crossed), default=0)
+        return max((*self.kills, *self.joins, *self.missions, *self.weak, self.crossed), default=0)
 
 
 def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
@@ -177,7 +184,24 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
     missions = _missions(mission, trial.changes, awake, rounds)
     crossed = _crossed(mission, trial.moving_obstacles)
     kills, joins = _by_round(killed), _by_round(joined)
-    return Schedule(asleep=asleep, kills=kills, joins=joins, missions=missions, crossed=crossed)
+    weak = _weak(mission, trial.battery, awake, rounds)
+    return Schedule(asleep=asleep, kills=kills, joins=joins, missions=missions, weak=weak, crossed=crossed)
+
+
+def _weak(
+    mission: Mission, text: str | None, awake: Callable[[int, int], bool], rounds: int
+) -> dict[int, tuple[tuple[int, float], ...]]:
+    """By round, the robots whose batteries get weak then, each with the length that it can still fly [units]."""
+    parts = [part.partition(":") for part in (text or "").split(",") if part.strip()]
+    if not all(re.fullmatch(r"[0-9]{1,9}(\.[0-9]{1,9})?", length.strip()) for _, _, length in parts):
+        raise InputError("battery", text, "ID@ROUND:LENGTH with commas between them, such as 3@12:40,5@20:8.5")
+    turns = _turns("battery", ",".join(turn for turn, _, _ in parts), mission.n_robots, rounds)
+    weak = dict[int, tuple[tuple[int, float], ...]]()
+    for (robot, when), (_, _, length) in zip(turns, parts, strict=True):
+        if not awake(robot, when):
+            raise InputError("battery", text, f"a robot that is awake in round {when}")
+        weak[when] = (*weak.get(when, ()), (robot, float(length)))
+    return weak
 
 
 def _crossed(mission: Mission, moving: Sequence[MovingObstacle]) -> int:

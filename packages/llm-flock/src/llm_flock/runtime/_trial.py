@@ -18,17 +18,26 @@ from llm_flock import events
 from llm_flock.agent import Agent
 from llm_flock.arrays import Points
 from llm_flock.errors import InputError, unknown
-from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
+from llm_flock.events import AskJudgement, AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin
 from llm_flock.links import MemoryTransport
 from llm_flock.message import order_time
-from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
+from llm_flock.mission import Mission
+from llm_flock.planner import (
+    JudgementAnswer,
+    JudgementQuestion,
+    NoAnswer,
+    PlanAnswer,
+    PlanQuestion,
+    StepAnswer,
+    StepQuestion,
+)
 from llm_flock.record._schema import MetricsRow
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._journal import Journal
 from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._roster import Roster, make_agent, parts_of
 from llm_flock.runtime._rules import Rules
-from llm_flock.runtime._schedule import Stream, stream
+from llm_flock.runtime._schedule import MAX_ROUNDS, Stream, stream
 from llm_flock.simulate import Bodies
 
 T = TypeVar("T")
@@ -99,7 +108,8 @@ def _new_agent(config: RunConfig, rules: Rules, robot: int) -> Agent:
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    `steer` is awaited before each round, and may change the schedule, the links and the planners.
+    `steer` is awaited before each round, and may change the schedule, the links and the planners. `staged` says whether
+    the mission in force began by the team's own decision.
     """
 
     def __init__(
@@ -123,11 +133,14 @@ class Trial:
         self.journal = journal
         journal.begin_mission(config.mission, 0, start)
         self.round = 0
+        self._stamp, self.staged = (0, config.mission.digest), False  # of the last mission that any robot has begun
         self.stopped = "rounds"
         self.reason: str | None = None
         self._on_round = on_round
         self._steer = steer
         self._moves: dict[int, MoveTo] = {}
+        self._judging: dict[int, JudgementQuestion] = {}
+        self._left: dict[int, float] = {}  # how far robots with weak batteries can fly [units]
         self._check = collision_check(config.protocol.collision_check or "none")
         self.began = time.perf_counter()
 
@@ -137,7 +150,7 @@ class Trial:
         if self.config.trial.rounds is not None:
             return self.config.trial.rounds
         after = self._notice_round if self.schedule.last <= self.round else self.schedule.last
-        if self.schedule.kills and self.config.protocol.gaps == "replan":
+        if self.schedule.kills and (self.config.protocol.gaps == "replan" or self.config.protocol.judge == "models"):
             # No robot plans for fewer before the search for the others has ended, and its turn has come.
             from llm_flock.protocol._membership.search import longest_search
             from llm_flock.protocol._membership.team import MAX_WAIT, REPLAN_PATIENCE
@@ -145,7 +158,17 @@ class Trial:
             missing = sum(map(len, self.schedule.kills.values()))
             after += longest_search(self.journal.episode.mission, missing) + REPLAN_PATIENCE + MAX_WAIT
         awake, pace = self.roster.awake, 1 + self.config.sight.rests
-        return self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace)
+        due, mission = self.journal.episode.deadline(awake, self.roster.awake_agents(), after, pace), self.mission
+        if mission.then and (when := mission.then[0].when) != "formed":
+            return MAX_ROUNDS if when == "order" else max(due, when)
+        formed = self.journal.episode.formed_at
+        # Until every robot has heard that all others stand at their places.
+        return due if formed is None else max(due, formed + mission.hold + mission.n_robots * bool(mission.then) + 10)
+
+    @property
+    def mission(self) -> Mission:
+        """The mission in force: the last one that any robot has begun."""
+        return self.journal.episode.mission
 
     async def run(self) -> None:
         """Fly rounds until the formation is held, rounds or budget are used up, or no model gives usable answers."""
@@ -211,7 +234,7 @@ class Trial:
         from llm_flock.protocol._membership.liveness import patience
 
         time_out = patience(self.config.protocol.time_out, self.config.mission.n_robots)
-        rounds_to_look = 10
+        rounds_to_look = 10 if self.config.protocol.judge == "rule" else 20  # and to choose, and to plan again
         return max(kills) + time_out + rounds_to_look
 
     @property
@@ -220,7 +243,9 @@ class Trial:
         tracker, schedule = self.journal.episode.tracker, self.schedule
         if not self.config.trial.stop_when_formed or tracker.formed_at is None or self.round < schedule.last:
             return False
-        return tracker.in_order and self.round >= self._notice_round
+        if self.mission.then or self.round < tracker.formed_at + self.mission.hold:
+            return False
+        return tracker.held and self.round >= self._notice_round
 
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""
@@ -232,17 +257,38 @@ class Trial:
         for robot in joined:
             journal.rejected_before += roster.join(robot).rejected
             journal.note(number, None, robot, Note("joined", {}))
-        if killed or joined or number == schedule.crossed:
+        for robot, left in schedule.weak.get(number, ()):
+            if robot in roster.awake:
+                self._left[robot] = left
+                self._send(robot, events.BatteryWeak(left))
+        if killed or joined or number in schedule.weak or number == schedule.crossed:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
-            journal.begin_mission(mission, number - 1, self.bodies.positions)
+            self._begin(mission, order_time(number, count))
             self._send(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
+        if self.mission.then and journal.episode.formed_at is not None and journal.episode.bound is None:
+            journal.close_episode(roster)  # robots may go on at any moment, and forget their plan
+
+    def _begin(self, mission: Mission, ordered_at: int) -> None:
+        self._stamp, self.staged = (ordered_at, mission.digest), False
+        self.journal.begin_mission(mission, self.round, self.bodies.positions)
+
+    def _follow(self, agent: Agent) -> None:
+        """Note that a robot has gone on to the next stage by itself."""
+        if self.mission.then and (agent.ordered_at, agent.mission.digest) > self._stamp:
+            if self.journal.episode.bound is None:
+                self.journal.close_episode(self.roster)
+            self._begin(agent.mission, agent.ordered_at)
+            self.staged = True
 
     async def _fly_round(self, number: int) -> None:
         questions = self.plan_questions(number)
         asked = {robot: self.planners[robot].plan(question) for robot, question in questions.items()}
         plans = await _all(asked, self._report)
+        judging = {robot: self._judge(robot, question) for robot, question in self._judging.items()}
+        for robot, answer in (await _all(judging, self._report)).items():
+            self._send(robot, events.Judged(answer))
         self.journal.flush_attempts()
         self.take_plans(plans)
         asking = self.step_questions()
@@ -261,6 +307,7 @@ class Trial:
         """Begin a round: carry out its schedule, let robots sense, and return the questions of those without a plan."""
         self._carry_out_schedule(number)
         asking: dict[int, PlanQuestion] = {}
+        self._judging.clear()
         observe_all = self.config.model.observe == "all"
         for robot in self.roster.awake:
             sensing = self.bodies.readings.sense(robot)
@@ -276,7 +323,14 @@ class Trial:
             for effect in self._send(robot, event):
                 if isinstance(effect, AskPlan):
                     asking[robot] = effect.question
+                elif isinstance(effect, AskJudgement):
+                    self._judging[robot] = effect.question
+            self._follow(self.roster.agents[robot])
         return asking
+
+    async def _judge(self, robot: int, question: JudgementQuestion) -> JudgementAnswer | NoAnswer:
+        judge = getattr(self.planners[robot], "judge", None)
+        return NoAnswer(cause="answer", reason="no model is asked") if judge is None else await judge(question)
 
     def take_plans(self, answers: Mapping[int, PlanAnswer | NoAnswer]) -> None:
         """Give the robots that asked their answers; then all robots exchange messages."""
@@ -337,6 +391,14 @@ class Trial:
         over = lengths > longest * (1 + STEP_TOLERANCE)
         displacements[over] *= longest / lengths[over, None]
         self.journal.steps_over_limit += int(over.sum())
+        for robot in sorted(self._left.keys() & moves.keys()):
+            left, way = self._left[robot], float(np.linalg.norm(displacements[robot]))
+            self._left[robot] = left - way
+            if way > left:  # its body stops there, and the robot is dead from the next round on
+                displacements[robot] *= left / way
+                del self._left[robot]
+                kills, number = self.schedule.kills, self.round + 2
+                self.schedule = replace(self.schedule, kills={**kills, number: (*kills.get(number, ()), robot)})
         return displacements
 
     def end_round(self, number: int, moves: Mapping[int, MoveTo]) -> None:

@@ -93,7 +93,22 @@ export class Steer {
     }, { once: true });
     return [h("h2", { class: "flock-subtitle", text: "Another mission" }), list,
       h("div", { class: "flock-choose" }, ...Object.values(this.fields).map((one) => one.box)),
-      act("Give the mission", () => ({ order: "change", fields: this.values() }), run)];
+      h("div", { class: "flock-row" }, act("Give the mission", () => ({ order: "change", fields: this.values() }), run),
+        act("Go on to the next stage", () => ({ order: "proceed" }), run)),
+      ...this.words()];
+  }
+
+  /** A mission or an edit in words: what the model made of it is shown, and given once it is confirmed. */
+  words() {
+    const box = field("In words", h("textarea", { rows: 2, maxlength: 2000 }), "a mission, or a change of the drawing: wider");
+    const offer = h("div", {});
+    const read = (edit) => async () => {
+      offer.replaceChildren(h("div", { class: "flock-hint", role: "status", text: "asking the model …" }));
+      const said = await order({ order: "read", runs: this.keys, words: box.control.value, edit });
+      offer.replaceChildren(h("div", { class: said.error ? "flock-error" : "flock-said", role: "status", text: said.error || said.in_words }));
+      if (said.draft) offer.append(button("Give it", () => this.give({ order: "change", draft: said.draft })));
+    };
+    return [box.box, offer, h("div", { class: "flock-row" }, button("Read the mission", read(false)), button("Read the change", read(true)))];
   }
 
   values() {

@@ -18,8 +18,10 @@ from llm_flock.arrays import Point
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._answer_forms import REASONING
 from llm_flock.llm._port import Call, CallSettings, Reply, Usage
-from llm_flock.llm._simulated.profiles import FAILURES, HABITS, Profile
+from llm_flock.llm._prompt_values import IN_PLACE
+from llm_flock.llm._simulated.profiles import FAILURES, NOT_IN_STEPS, Profile
 from llm_flock.llm._simulated.prompt_reader import (
+    JUDGEMENT_MARK,
     PLAN_MARK,
     STEP_MARK,
     StepPrompt,
@@ -29,6 +31,8 @@ from llm_flock.llm._simulated.prompt_reader import (
     is_clear,
     named_figure,
     numbers,
+    other_figures,
+    read_judgement,
     read_plan,
     read_step,
     read_still,
@@ -38,16 +42,20 @@ from llm_flock.llm._simulated.prompt_reader import (
 )
 from llm_flock.llm._simulated.seen import AFTER_REJECTION, SEEN, is_retry, spoiled
 from llm_flock.mission import ORIENTATIONS
+from llm_flock.planner import best_option
 from llm_flock.protocol._geometry import turned
 
 CHARS_PER_TOKEN = 4
 """For an estimate of the tokens."""
 
-ADDED_LATER = 8
+ADDED_LATER = 14
 """Number of the last `FAILURES` that were added after the first results were published."""
 
 CHANCE_WITHIN = 10.0
 """Largest distance of random coordinates from the centre [spacings] or the own position [step limits]."""
+
+OPEN = {"path": "M0 0H4V-4H0", "fill": True}
+"""What a program draws with the fault `open`."""
 
 CUT_OFF = frozenset({"cutoff", "rambling", "turns"})
 """Faults that a server reports by the reason why the answer ended."""
@@ -128,6 +136,10 @@ class SimulatedModel:
         """The answer to the last question of a conversation of (role, text); failures are drawn if left out."""
         if failures is None:
             failures = self.draw() | self._draw_seen(conversation)
+        for role, text in reversed(conversation):
+            if role == "user" and JUDGEMENT_MARK in text:
+                return self._judgement(text, failures)
+        failures -= {"misjudge"}
         for fault in SEEN.keys() & failures:
             right = self.answer(conversation, failures - SEEN.keys())
             return spoiled(fault, right, conversation, self._rng)
@@ -154,11 +166,24 @@ class SimulatedModel:
             return "I would rather not say."
         return ways[int(self._rng.integers(len(ways)))] if "random" in failures else ways[0]
 
+    def _judgement(self, text: str, failures: frozenset[str]) -> str:
+        """The right option by the figures in the prompt, except for some failures."""
+        if "malformed" in failures:
+            return "That depends on what the others choose."
+        options, aim, as_json = read_judgement(text)
+        choice = best_option(options, aim)
+        others = [option.choice for option in options if "random" in failures or option.choice != choice]
+        if others and failures & {"misjudge", "random"}:
+            choice = others[int(self._rng.integers(len(others)))]
+        reason = f"Of {len(options)} options I prefer {choice}: {aim.partition(' count')[0]} decide."
+        return json.dumps({REASONING: reason, "choice": choice}) if as_json else f"{reason}\n\nChoice: {choice}"
+
     def _plan(self, task: Task, robot: int, as_json: bool, failures: frozenset[str], still: Sequence[Point]) -> str:
         angle_rad, points = self._rng.uniform(0.0, 2 * math.pi), formation(task)
-        if "canonical" in failures:
+        oriented = IN_PLACE in task.shape
+        if "canonical" in failures or oriented:
             angle_rad = 0.0
-        for k in range(ORIENTATIONS if task.obstacles or still else 1):
+        for k in range(ORIENTATIONS if (task.obstacles or still) and not oriented else 1):
             points = turned(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
             if is_clear(points, task, still):
                 break
@@ -203,10 +228,15 @@ class SimulatedModel:
         figure |= {} if "canonical" in failures else {"turn": turn}
         if failures & {"distorted", "random"}:
             figure["scale"] = self._rng.uniform(0.4, 1.6, 2).round(2).tolist()
+        if failures & {"misread", "stranger"}:
+            others = other_figures(figure)
+            figure = others[int(self._rng.integers(len(others))) if "stranger" in failures else 0]
+        figure |= {"mirror": "x"} if "mirrored" in failures else {}
+        size = {"size": task.spacing / 2} if "crowded" in failures else {}
         index = int(self._rng.integers(task.n_places)) if failures & {"random", "any"} else robot % task.n_places
         answer = {
             REASONING: f"The shape is {task.shape[:200]}, so I draw that.",
-            "program": {"draw": [figure]},
+            "program": {"draw": [OPEN if "open" in failures else figure], **size},
             "my_plan": task.n_places if "malformed" in failures else 0 if "first" in failures else index,
         }
         return json.dumps(answer)
@@ -232,7 +262,7 @@ class SimulatedModel:
             there = here + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, here.shape) * prompt.task.max_step
             waypoint_row: list[float] = there.round(prompt.decimals).tolist()
             return repr(waypoint_row), "I go somewhere.", True
-        if failures - HABITS:
+        if failures - NOT_IN_STEPS:
             return self._faulty_step(prompt, failures)
         if prompt.objection:
             return _around(prompt), "My way is not free, so I leave it to the others.", True

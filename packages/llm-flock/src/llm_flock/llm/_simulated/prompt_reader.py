@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import get_args
@@ -18,7 +18,7 @@ from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
-from llm_flock.planner import PlanQuestion, StepQuestion
+from llm_flock.planner import AIMS, JudgementOption, PlanQuestion, StepQuestion
 
 _FLOAT = re.compile(r"[-+]?[0-9][0-9.]*(?:e[-+]?[0-9]+)?")
 _TEAM = re.compile(r"in a team of ([0-9]+)")
@@ -30,10 +30,18 @@ _ROUND = re.compile(r"of radius ([0-9.]+) around \[([^\]]+)\]")
 _CORNERS = re.compile(r"with the corners \[((?:\[[^\]]+\],? ?)+)\]")
 _CORNER = re.compile(r"\[([^\]]+)\]")
 _STILL = re.compile(r"^Robots that do not move any more stand at (\[\[.+\]\]): ", re.MULTILINE)
+_TURNED = ", turned in any direction; "
 _GIVEN = "relative to its centre its places are [["
+_LETTERS = "the letters "
 
 _WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
 
+_OPTION = re.compile(
+    r"^- ([a-z]+): .*Rounds: (\d+); flying: ([\d.]+) units; empty places: (\d+); robots lost: (\d+)\.$", re.MULTILINE
+)
+_AIM = re.compile("no robot may be lost; after that, (.*)")
+
+JUDGEMENT_MARK = "Something has come up: "
 WISH_MARK = "Wish: "
 PLAN_MARK = "Work out a plan:"
 STEP_MARK = "Your position: "
@@ -174,6 +182,24 @@ def asks_for_program(text: str) -> bool:
     return _PROGRAM_MARK in text
 
 
+def read_judgement(text: str) -> tuple[list[JudgementOption], str, bool]:
+    """Read the options of a judgement, what counts, and whether the answer is to be JSON; InputError as in `read_task`.
+
+    Raises:
+        ModelError: `refused`, for a wish in free words.
+    """
+    found, aim = _OPTION.findall(text), _first_group(_AIM, text)
+    if not found or not aim:
+        raise _other_words("judgement.j2", text)
+    if aim not in AIMS:
+        raise ModelError("refused", f"a simulated model cannot read the wish {aim[:80]!r}")
+    options = [
+        JudgementOption(choice=name, does="", rounds=int(a), distance=float(b), gaps=int(c), lost=int(d))
+        for name, a, b, c, d in found
+    ]
+    return options, aim, _JSON_MARK in text
+
+
 def read_still(text: str, dim: int) -> list[Point]:
     """Read the positions of robots that stand still from the plan message; empty if it names none."""
     return _points(_first_group(_STILL, text), dim)
@@ -253,14 +279,25 @@ def named_figure(task: Task) -> dict[str, object]:
     Raises:
         ModelError: `refused`, for other shapes, of which a stand-in knows no drawing.
     """
+    from llm_flock.formation._program import SPACE, Flat
+
+    words = task.shape.partition(_TURNED)[0]
+    if words.startswith(_LETTERS):
+        return {"text": words.removeprefix(_LETTERS)}
+    name, _, sides = (_spec(words) or "").partition(":")
+    name = next((solid for solid in SPACE if formations.describe(solid) == words), name)
+    if name not in (*get_args(Flat), *SPACE):
+        raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
+    return {"shape": name} | ({"sides": int(sides)} if sides else {})
+
+
+def other_figures(figure: Mapping[str, object]) -> list[dict[str, object]]:
+    """The named figures of the plane that are not this one, from the one that follows it in the list."""
     from llm_flock.formation._program import Flat
 
-    spec = "" if _GIVEN in task.shape else _spec(task.shape) or ""
-    name, _, sides = spec.partition(":")
-    if name not in get_args(Flat):
-        raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
-    figure: dict[str, object] = {"shape": name}
-    return figure | ({"sides": int(sides)} if sides else {})
+    names = [name for name in get_args(Flat) if name != "polygon"]
+    at = names.index(str(figure.get("shape"))) if figure.get("shape") in names else -1
+    return [{"shape": name} for name in (*names[at + 1 :], *names[: max(at, 0)])]
 
 
 def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:

@@ -52,7 +52,7 @@ class Agreement(Situation):
         self._last_epoch = -1
         self._followed: dict[int, tuple[Plan, Provenance, Claim]] = {}
         self._remembers = parts.channel is not None  # without keys, no plan turns out void
-        self.listens = False
+        self.listens = self.retired = False
         self._void = frozenset[int]()
         self._chosen: int | None = None
         self._knows_blocked = False
@@ -84,6 +84,7 @@ class Agreement(Situation):
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
         self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
+        self.weights, self.retired = {}, False
         self.ballot = self.ballot and new_ballot()
         self._membership.begin_mission()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})
@@ -198,6 +199,10 @@ class Agreement(Situation):
             roadmap=self.ways,
             occupancy=occupancy,
             positions=self._membership.positions(self),
+            wishes=self.mission if self.mission.prefer else None,
+            exchanges=not self.mission.prefer,
+            weights=self.weights,
+            retired=self.retired,
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:
@@ -210,7 +215,7 @@ class Agreement(Situation):
         withdrawn = list[Note]()
         if self.plan is not None and self.provenance is not None and self.provenance.proposer in void:
             withdrawn = [self._withdraw(self.plan, self.provenance.proposer)]
-        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self.sensed)
+        standing = (self.claim, self.plan, self.provenance, self.degree, self.position, self.sensed, self.weights)
         proposed = None if self.ballot is None else self.ballot.known
         arguments = (*standing, self._membership.known, proposed, *heard)
         due = self._occupancy_due

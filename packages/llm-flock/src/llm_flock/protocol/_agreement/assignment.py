@@ -12,6 +12,7 @@ from llm_flock.algorithm1 import nearest_available
 from llm_flock.arrays import Point
 from llm_flock.bounds import MAX_ROBOTS
 from llm_flock.message import NO_MISSION, BidEntry, BidTable, Message, MissionStamp, Offer, Provenance, TeamPositions
+from llm_flock.mission import Mission
 from llm_flock.plan import Plan
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ class Claim(msgspec.Struct, frozen=True, kw_only=True):
 
 
 NONE = frozenset[int]()
+NO_WEIGHTS: Mapping[int, float] = {}
 
 
 class Occupancy(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,7 +69,10 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     #: Whether this version of a slot was freed by witnesses that the robot can name; None without keys.
     freed: Callable[[int, int], bool] | None = None
     exchanges: bool = True  #: Whether the robot may exchange slots.
+    weights: Mapping[int, float] = NO_WEIGHTS  #: Of robots whose squared ways count for more in exchanges.
+    retired: bool = False  #: Whether the robot has given its slot to another for good, and claims none.
     straight: bool = False  #: Whether exchanges weigh straight distances, not ways along the formation.
+    wishes: Mission | None = None  #: The mission, if it has preferences.
 
 
 class AssignmentRule(Protocol):

@@ -110,7 +110,7 @@ class AuctionAssignment:
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
         if now.positions is not None and self.joint:
-            table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap), None)])
+            table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap, now.wishes), None)])
             touched |= more
         if now.granted is None:
             table = with_occupancy(reclaim(now.robot, claim, table), now.occupancy)
@@ -124,7 +124,7 @@ class AuctionAssignment:
         else:
             among = touched if claim.slot is None else touched | {claim.slot}
             table, slot = _keep_one(now, table, among)
-            if slot is None and offer is None:
+            if slot is None and offer is None and not now.retired:
                 table, slot = _claim_best(now, bids, table, before=claim.slot)
         claim = Claim(slot=slot, table=table, bids=bids, offer=offer, bound=max(bound, 0) if offer else 0)
         if slot is None or not (self.swaps and now.exchanges):
@@ -214,12 +214,15 @@ def _by_falling_bid(bids: tuple[float, ...]) -> tuple[int, ...]:
     return tuple(sorted(range(len(bids)), key=bids.__getitem__, reverse=True))
 
 
-def gain(now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False) -> float:
-    """Gain of an exchange with a robot at `there`: the fall in the sum of squared ways [units^2]."""
+def gain(
+    now: AssignmentInput, there: Point, mine: int, theirs: int, *, straight: bool = False, peer: int = -1
+) -> float:
+    """Gain of an exchange with a peer at `there`: the fall in the weighted sum of squared ways [units^2]."""
+    own, other = now.weights.get(now.robot, 1.0), now.weights.get(peer, 1.0)
     spacing = None if straight else now.spacing
     keep, take = _squared_ways(now.position, now.plan, mine, theirs, spacing, now.roadmap)
     their_keep, their_take = _squared_ways(there, now.plan, theirs, mine, spacing, now.roadmap)
-    return keep + their_keep - take - their_take
+    return own * keep + other * their_keep - own * take - other * their_take
 
 
 @lru_cache(maxsize=2**16)
@@ -239,7 +242,8 @@ def _worth(claim: Claim, now: AssignmentInput, peer: int, slot: int) -> float:
     there = now.sensed.get(peer)
     if there is None or claim.slot is None:
         return -math.inf
-    return gain(now, there, claim.slot, slot, straight=now.straight or flown_straight(claim.table, claim.slot))
+    straight = now.straight or flown_straight(claim.table, claim.slot)
+    return gain(now, there, claim.slot, slot, straight=straight, peer=peer)
 
 
 def _accept(claim: Claim, now: AssignmentInput) -> Claim | None:

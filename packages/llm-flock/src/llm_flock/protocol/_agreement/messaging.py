@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from llm_flock.protocol._messages.channel import Channel, Inbound
 from llm_flock.protocol._messages.dissemination import Dissemination
 from llm_flock.protocol._parts import Parts
 
+if TYPE_CHECKING:
+    from llm_flock.protocol._agreement.judgement import Judgement
+
 MAX_REPEATED = 256  # decoded payloads of a round that are kept, as neighbours repeat themselves
 MAX_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
 COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard, as messages get lost
@@ -26,7 +30,8 @@ MAX_REJECTED_PLANS = 1024  # that are remembered, so that a flood of plans costs
 class Messaging:
     """One robot's side of the radio."""
 
-    def __init__(self, robot: int, agreement: Agreement, parts: Parts) -> None:
+    def __init__(self, robot: int, agreement: Agreement, parts: Parts, judgement: Judgement | None = None) -> None:
+        self._judgement = judgement
         self._robot, self._agreement = robot, agreement
         self.channel = Channel(robot, agreement.mission) if parts.channel is None else parts.channel
         self._membership, self._verifier = parts.membership, parts.verifier
@@ -72,6 +77,7 @@ class Messaging:
             beats=self._membership.beats or None if self._dissemination.greets else None,
             positions=positions,
             proposals=agreement.ballot and agreement.ballot.pass_on(),
+            votes=self._judgement and self._judgement.votes.pass_on(),
         )
         return self.channel.seal(self._dissemination.compose(whole, claim.table, agreement.mission))
 
@@ -94,6 +100,8 @@ class Messaging:
             return notes
         if message.positions is not None:
             self._membership.hear_positions(message.positions)
+        if self._judgement is not None:
+            self._judgement.votes.take(*message.votes or ())
         return [*notes, *self._apply_proposals(message), *self._apply_plan(inbound, payload)]
 
     def _apply_mission(self, inbound: Inbound) -> list[Note]:

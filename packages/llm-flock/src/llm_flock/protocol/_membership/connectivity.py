@@ -28,6 +28,7 @@ class ConnectivityRecovery:
         self._liveness, self._joint, self._search = liveness, joint, Search()
         self._liars, self._apart_for, self._searches = liars, 0, searches
         self._gathering = Gathering()
+        self.waits = False  # until the team has chosen what to do about a death, it does not search
         self._standing: tuple[str, dict[int, int]] = "", {}
 
     @property
@@ -56,7 +57,9 @@ class ConnectivityRecovery:
             point = self._gathering.target(mission, plan, slot, here, strangers=strangers, alone=alone)
             if point is not None:
                 return point, (), []
-        notes = [] if table is None or not self._searches else self._look_for_others(now, places, slot, table)
+        notes = (
+            [] if table is None or self.waits or not self._searches else self._look_for_others(now, places, slot, table)
+        )
         target = self._search.target
         lonely = math.dist(here, places.points[slot]) > ACROSS * mission.spacing
         if target is None and not given_jointly(table, slot) and (live.strangers or live.silent or lonely):

@@ -20,6 +20,7 @@ from llm_flock.arrays import Point, between
 from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
+from llm_flock.protocol._agreement.wishes import costs
 from llm_flock.protocol._membership.rendezvous import landing
 from llm_flock.protocol._membership.search import MANY
 from llm_flock.protocol._path_length import ways
@@ -168,12 +169,18 @@ def _towards(here: Point, goal: Point, longest: float) -> Point:
 
 
 @lru_cache(maxsize=64)
-def optimal_assignment(plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None) -> BidTable:
-    """The bid table with the smallest sum of squared ways. Robots or slots may be left over."""
+def optimal_assignment(
+    plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None, wishes: Mission | None = None
+) -> BidTable:
+    """The bid table with the smallest sum of squared ways, as the mission's `wishes` count them.
+
+    Robots or slots may be left over.
+    """
     version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
+    cost = distances**2 if wishes is None else costs(wishes, plan, ids, np.array(places), distances)
     table = [(version, 0.0, NO_OWNER)] * len(plan)
-    for row, slot in zip(*scipy.optimize.linear_sum_assignment(distances**2), strict=True):
+    for row, slot in zip(*scipy.optimize.linear_sum_assignment(cost), strict=True):
         table[slot] = (version, 0.0, ids[row])
     return tuple(table)
 

@@ -74,8 +74,20 @@ class TeamMembership(Membership):
         return self._seeking.sets_out
 
     @property
+    def replans(self) -> bool:
+        return self._misfit > 0
+
+    @property
+    def missing(self) -> int:
+        return len(self.liveness.silent)
+
+    @property
     def known(self) -> object:
         return self._joint.known
+
+    def deliberate(self, *, open_: bool) -> None:
+        """Search for no missing robots while the choice what to do about a death is `open_`."""
+        self._connectivity.waits = open_
 
     def begin_mission(self) -> None:
         self._misfit = 0

@@ -34,7 +34,9 @@ class Inbound(msgspec.Struct, frozen=True, kw_only=True):
         """The message with its plan, for all receivers here, without what was merged on receipt."""
         known = self._resolved
         if known is None or known.plan != plan or known.plan_class != plan_class:
-            known = replace(self.message, plan=plan, plan_class=plan_class, beats=None, positions=None, proposals=None)
+            known = replace(
+                self.message, plan=plan, plan_class=plan_class, beats=None, positions=None, proposals=None, votes=None
+            )
             force_setattr(self, "_resolved", known)
         return known
 

@@ -60,7 +60,7 @@ class Dissemination:
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
-            return named if named is not None and len(named.points) == message.places else None
+            return named if named is not None and len(named) == message.places else None
         if len(self._plans) >= MAX_KNOWN_PLANS:
             self._plans.clear()
         self._plans[plan.digest] = plan
@@ -100,6 +100,8 @@ class Dissemination:
             while message.proposals and len(self._payload) > max_payload_bytes(mission.n_robots):
                 message = replace(message, proposals=message.proposals[:-1])  # they come again in later messages
                 self._payload = encode(replace(message, sequence=self._sequence))
+            if message.votes and len(self._payload) > max_payload_bytes(mission.n_robots):
+                self._payload = encode(replace(message, sequence=self._sequence, votes=None))
             self._sequence += 1
         return self._payload
 

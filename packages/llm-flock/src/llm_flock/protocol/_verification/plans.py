@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.correspondence import quick_error
-from llm_flock.errors import InputError
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import DECIMALS, Plan
@@ -51,8 +50,8 @@ def check_plan(mission: Mission, plan: Plan) -> str | None:
     The checks, in this order: one finite point of the mission's dimension for each place; all inside the arena; their
     mean at the centre; all half the safe distance away from obstacles, and in one region, so that robots can get from
     each to each; no pair nearer than the safe distance; every place about as far from its nearest one as in the shape;
-    and, if the ideal is known, close to it after the best rotation and correspondence. A formation that travels passes
-    obstacles: where they are does not matter for its plan.
+    and, if the ideal is known, close to it after the best rotation, unless `turn` fixes it, and correspondence. A
+    formation that travels passes obstacles: where they are does not matter for its plan.
     """
     return _fault_of_size(mission, plan) or _verdict(mission, plan)[1]
 
@@ -92,7 +91,7 @@ def enlarged(mission: Mission, plan: Plan) -> Plan:
         return plan
     mean = plan.array.mean(axis=0)
     share = (mission.safe_distance + 10.0 ** (1 - DECIMALS)) / nearest  # some room, for rounding to use up
-    return Plan.of((mean + share * (plan.array - mean)).tolist())
+    return plan.mapped(tuple(((1 - share) * mean).tolist()), share)
 
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
@@ -103,7 +102,7 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
 @lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     """Class and reason of a plan of the right size; cached for all robots of a process."""
-    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing, _fault_of_program):
+    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
         reason = fault(mission, plan)
         if reason is not None:
             return PlanClass.REFUSED, reason
@@ -126,7 +125,7 @@ def _expected(mission: Mission) -> tuple[metrics.ShapeTarget | None, float, floa
     target, distances = None, np.array([mission.spacing, max(mission.spacing, mission.comm_range / 1.1)])
     if mission.ideal is not None and mission.n_places > 1:
         points = np.array(mission.ideal)
-        target, distances = metrics.ShapeTarget(points), _nearest(points)[0]
+        target, distances = metrics.ShapeTarget(points, turns=mission.turn is None), _nearest(points)[0]
     tolerance = 0.1  # share by which the distance of a place from its nearest other place may differ from the shape's
     return target, float(distances.min()) * (1 - tolerance), float(distances.max()) * (1 + tolerance)
 
@@ -217,28 +216,14 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
     return None
 
 
-def _fault_of_program(mission: Mission, plan: Plan) -> str | None:
-    """A program that does not draw the plan's points: robots judge by it what a plan shows."""
-    if not plan.program:
-        return None
-    from llm_flock.formation import parse_program, program_points
-
-    try:
-        points = program_points(parse_program(plan.program), len(plan), mission.dim, mission.spacing)
-    except InputError as error:
-        return f"its program cannot be drawn: {error}"
-    off = float(np.abs(points + np.array(mission.center) - plan.array).max())
-    allowed = ROUNDING * mission.spacing
-    return None if off <= allowed else f"its points are up to {number_text(off)} beside what its program draws."
-
-
 def _residual(mission: Mission, plan: Plan) -> float | None:
     """Mean distance from the ideal shape [units], rounded so that the verdict does not depend on the machine."""
     target = _expected(mission)[0]
     if target is None:
         return None
     exact = EXACT_RESIDUAL * mission.spacing
-    quick = quick_error(plan.array, np.array(mission.ideal), exact) if mission.dim == 2 else None
+    turns = mission.dim == 2 and mission.turn is None
+    quick = quick_error(plan.array, np.array(mission.ideal), exact) if turns else None
     if quick is None or quick > RESIDUAL_LIMIT * mission.spacing:
         quick = target.error(plan.array).mean
     return round(quick, DECIMALS)

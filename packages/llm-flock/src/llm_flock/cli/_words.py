@@ -1,0 +1,46 @@
+"""Missions and edits in words on the command line: read by a model, shown, and flown once they are confirmed."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from llm_flock.cli._terminal import say
+from llm_flock.errors import InputError
+
+if TYPE_CHECKING:
+    from llm_flock.llm import MissionDraft
+    from llm_flock.runtime._config import RunConfig
+
+Words = Annotated[str | None, typer.Option(help="Mission in words, which --reader reads", show_default=False)]
+Edit = Annotated[str | None, typer.Option(help="Change of the drawing in words, such as 'wider'", show_default=False)]
+READS = "Model that reads words, or simulated:reader:FILE, which knows the sentences of a JSON file [--model]"
+ReaderModel = Annotated[str | None, typer.Option("--reader", help=READS, show_default=False)]
+Yes = Annotated[bool, typer.Option("--yes", help="Fly what the reader made of the words, without asking")]
+
+
+def confirmed_draft(
+    now: RunConfig, words: str | None, edit: str | None, reader: str | None, *, yes: bool, flying: bool = False
+) -> MissionDraft:
+    """What a reader made of words or of an edit of the mission `now`, shown and confirmed.
+
+    Raises:
+        InputError: not one of words and edit, the reader refuses, or nobody can be asked.
+        typer.Abort: it was not confirmed.
+    """
+    if words is not None and edit is not None:
+        raise InputError("edit", edit, says="either --words or --edit")
+    from llm_flock.llm import MissionReader
+
+    asked = MissionReader(reader or now.model.model, now.model.typed_url)
+    work = asked.edit(edit or "", now.mission) if words is None else asked.read(words, now.mission, flying=flying)
+    draft = asyncio.run(work)
+    say(draft.in_words, error=True)
+    if not yes and not sys.stdin.isatty():
+        raise InputError("yes", None, says="nobody can be asked here: add --yes to fly this")
+    if not yes:
+        typer.confirm("Fly this?", abort=True, err=True)
+    return draft

@@ -1,0 +1,149 @@
+"""What a team can do about an incident, with the figures that code expects of each option."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import scipy
+
+from llm_flock.arrays import Point, Points
+from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Incident
+from llm_flock.metrics import AT_GOAL
+from llm_flock.mission import Mission
+from llm_flock.plan import Plan
+from llm_flock.planner import Choice, JudgementOption
+from llm_flock.protocol._geometry import turned
+from llm_flock.protocol._membership.search import LOOKS_FOR_SILENT, NEXT_TO
+from llm_flock.protocol._membership.search import PATIENCE as SEARCH_PATIENCE
+from llm_flock.protocol._membership.team import REPLAN_PATIENCE
+from llm_flock.protocol._parts import Situation
+from llm_flock.protocol._verification.validator import resized
+
+MARGIN = 1.05
+"""The way for which a battery should last, as a multiple of the way that code expects: others may be in the way."""
+
+LARGEST = 60
+"""Largest team in which robots close up: the shape errors of all moves are compared."""
+
+TURNS = 8
+"""Orientations of a new plan over which the flight to it is averaged: the model that proposes it may turn it."""
+
+
+def death_options(now: Situation, first: Choice = "leave") -> tuple[JudgementOption, ...]:
+    """What can be done about places that dead robots left empty; `first` is what happens without a choice."""
+    mission, plan, table = now.mission, now.plan, now.claim.table
+    assert plan is not None and table is not None, "an incident is about the places of a plan"
+    owned = tuple(a for a, entry in enumerate(table) if entry[2] >= 0)
+    unseen = tuple(a for a, (_, visits, owner) in enumerate(table) if owner == NO_OWNER and visits < LOOKS_FOR_SILENT)
+    gaps = len(plan) - len(owned) if _holes(mission, plan, owned) else 0
+    rounds, flown = _search(mission, plan, owned, unseen)
+    options = [JudgementOption(choice="leave", does="Leave the place empty.", rounds=rounds, distance=flown, gaps=gaps)]
+    move = closing(mission, plan, table) if gaps else None
+    if move is not None:
+        left, gap = move
+        far, after = math.dist(plan.points[left], plan.points[gap]), tuple(sorted({*owned, gap} - {left}))
+        rounds, flown = _search(mission, plan, after, (left,))
+        rounds += math.ceil(far / mission.max_step - 1e-9)
+        does = f"Close up: robot {table[left][2]} leaves its place at the edge and fills the gap."
+        options.append(JudgementOption(choice="close", does=does, rounds=rounds, distance=far + flown, gaps=0))
+    smaller = resized(mission, len(owned)) if owned else None
+    if smaller is not None and smaller.ideal is not None:
+        does = f"Make a new plan of {len(owned)} places for the robots that are left."
+        ways = _ways_to_new_plan(smaller, plan, owned)
+        rounds = REPLAN_PATIENCE + 2 + round(float(np.mean([math.ceil(way.max() / mission.max_step) for way in ways])))
+        flown = float(np.mean([way.sum() for way in ways]))
+        options.append(JudgementOption(choice="replan", does=does, rounds=rounds, distance=flown, gaps=0))
+    return tuple(sorted(options, key=lambda option: option.choice != first))
+
+
+def _search(mission: Mission, plan: Plan, owned: Sequence[int], vacant: Sequence[int]) -> tuple[int, float]:
+    """Rounds and flying of the robots beside vacant places that look there once for the missing robot."""
+    ways = [(math.dist(plan.points[a], plan.points[gap]), gap) for gap in vacant for a in owned]
+    nearest = min(ways, default=(0.0, 0))[0]
+    looks = [way for way, _ in ways if way <= max(nearest * (1 + AT_GOAL), NEXT_TO * mission.spacing)]
+    longest = max(looks, default=0.0)
+    return (SEARCH_PATIENCE + 2 + 2 * math.ceil(longest / mission.max_step - 1e-9) if looks else 0), 2.0 * sum(looks)
+
+
+def closing(mission: Mission, plan: Plan, table: BidTable) -> tuple[int, int] | None:
+    """The slot that its robot leaves, and the gap that it fills, for the whole shape of fewer robots; else None.
+
+    Of several such moves it is the shortest one.
+    """
+    vacant = tuple(a for a, entry in enumerate(table) if entry[2] == NO_OWNER)
+    owned = tuple(a for a, entry in enumerate(table) if entry[2] >= 0)
+    if not vacant or len(owned) > LARGEST or any(entry[2] == BLOCKED for entry in table):
+        return None
+    return _closing(mission, plan, owned, vacant)
+
+
+@lru_cache(maxsize=256)
+def _closing(mission: Mission, plan: Plan, owned: tuple[int, ...], vacant: tuple[int, ...]) -> tuple[int, int] | None:
+    moves = sorted((round(math.dist(plan.points[a], plan.points[gap]), 6), a, gap) for a in owned for gap in vacant)
+    for _, a, gap in moves:
+        if not _holes(mission, plan, tuple(sorted({*owned, gap} - {a}))):
+            return a, gap
+    return None
+
+
+@lru_cache(maxsize=1024)
+def _holes(mission: Mission, plan: Plan, owned: tuple[int, ...]) -> bool:
+    """Whether robots on these places do not form the whole shape of as many robots, by their distances."""
+    smaller = resized(mission, len(owned)) if owned else None
+    if smaller is None or smaller.ideal is None:
+        return True
+    shapes = (np.array(smaller.ideal), plan.array[list(owned)])
+    ideal, here = (np.sort(scipy.spatial.distance.pdist(points)) for points in shapes)
+    return float(np.abs(ideal - here).mean()) > AT_GOAL * mission.spacing
+
+
+@lru_cache(maxsize=64)
+def _ways_to_new_plan(smaller: Mission, plan: Plan, owned: tuple[int, ...]) -> tuple[Points, ...]:
+    """Ways of the robots on these places to those of a new plan, for some orientations of it [units]."""
+    here, ideal, found = plan.array[list(owned)], np.array(smaller.ideal), list[Points]()
+    for k in range(TURNS):
+        there = turned(ideal, smaller.center, 2.0 * math.pi * k / TURNS)
+        ways = scipy.spatial.distance.cdist(here, there)
+        found.append(ways[scipy.optimize.linear_sum_assignment(ways**2)])
+    return tuple(found)
+
+
+def battery_options(
+    incident: Incident, now: Situation, robot: int, present: frozenset[int]
+) -> tuple[JudgementOption, ...]:
+    """What can be done about a weak battery, as `robot` sees it; the first goes on. Empty without a place for it."""
+    mission, plan, weak = now.mission, now.plan, incident.robot
+    table = now.claim.table or ()
+    slots = {owner: a for a, (_, _, owner) in enumerate(table) if owner >= 0}
+    if plan is None or weak not in slots:
+        return ()
+    places, own = plan.points, slots[weak]
+    where = {**now.sensed, robot: now.position}
+
+    def way(here: Point, there: Point) -> float:
+        return math.dist(here, there) if now.ways is None else now.ways.length(here, there)
+
+    def option(choice: Choice, does: str, flown: float, other: float = 0.0, saved: float = 0.0) -> JudgementOption:
+        lost = int(flown * MARGIN > incident.left + AT_GOAL * mission.spacing)
+        rounds = math.ceil(max(flown, other) / mission.max_step - 1e-9)
+        distance = max(flown + other - saved, 0.0)
+        return JudgementOption(choice=choice, does=does, rounds=rounds, distance=distance, gaps=lost, lost=lost)
+
+    straight = way(incident.at, places[own])
+    options = [option("continue", f"Robot {weak} goes on to its place.", straight)]
+    near = {j: where.get(j, places[a]) for j, a in slots.items() if j != weak}
+    near = {j: x for j, x in near.items() if math.dist(x, incident.at) <= mission.comm_range}
+    peer = min(near, key=lambda j: (round(way(incident.at, places[slots[j]]), 6), j), default=None)
+    if peer is not None and (short := way(incident.at, places[slots[peer]])) < straight - AT_GOAL * mission.spacing:
+        does = f"Robot {weak} exchanges its place with robot {peer}."
+        other, saved = way(near[peer], places[own]), way(near[peer], places[slots[peer]])
+        options.append(option("swap", does, short, other, saved))
+    spares = {j: where.get(j, mission.center) for j in present - slots.keys() - {weak}}
+    if spares and straight > AT_GOAL * mission.spacing:
+        spare = min(spares, key=lambda j: (round(way(spares[j], places[own]), 6), j))
+        does = f"Robot {weak} stops, and spare robot {spare} takes its place."
+        options.append(option("spare", does, 0.0, way(spares[spare], places[own])))
+    return tuple(options)
