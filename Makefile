@@ -54,7 +54,7 @@ unexport PYTHONDONTWRITEBYTECODE
 VERSIONS := 3.14 3.13 3.12 3.11
 OTHERS := $(foreach version,$(VERSIONS),python$(version) $(wildcard $(HOME)/.pyenv/versions/$(version).*/bin/python))
 
-.PHONY: help setup everything demo quick unit kits changed test covered others fuzz e2e check lint types layers docs pins lines wheels alone sbom audit pictures bench mutants clean
+.PHONY: help setup everything demo quick unit kits changed test covered others fuzz e2e check lint types layers docs pins lines wheels alone sbom audit show pictures bench mutants clean
 
 help: ## Show this list
 	@sed -nE 's/^([a-z0-9-]+):.*## (.*)/\1|\2/p' $(MAKEFILE_LIST) | awk -F '|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -171,6 +171,9 @@ sbom: $(KITS) ## List the parts that `make setup` installs: sbom.cdx.json (Cyclo
 
 audit: $(KITS) ## Which parts have known faults: make audit DATABASE=FILE, advisories in the OSV format
 	$(BIN)/python -m benchmarks.supply audit "$(DATABASE)"
+
+show: $(STAMP) ## Sixty robots fly a word, a heart and a sphere, from one sentence each; the animation goes to runs/show
+	$(BIN)/python -m benchmarks.show
 
 pictures: $(E2E) ## Retake the pictures of the viewer's page, in a real browser, of the gallery and of the README
 	$(BIN)/python docs/viewer_images.py

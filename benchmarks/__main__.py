@@ -23,12 +23,13 @@
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
 `drawn`     letters placed on 30 robots and read by a stranger, and bodies in space flown; see benchmarks/drawn.py
+`missions`  missions in words of the kinds that others publish, judged by code; see benchmarks/missions.py
 `lies`      members with valid keys that lie; `lies-curve`, `lies-swarm`: see benchmarks/lies.py
 `starts`    how long each command takes to its help or to an error (only when named)
 `flight`    the paper's flights on stand-ins through cflib, `flight --help` for its options; `flight-cases`: all that
             may go wrong in one; see benchmarks/flight.py and benchmarks/flight_cases.py (only when named)
-`autopilots`  the shipped example for MAVLink on stand-ins that lift late, see benchmarks/autopilots.py (only when
-            named)
+`autopilots`  the shipped example for MAVLink on stand-ins that lift late, and `autopilot-faults`: see
+            benchmarks/autopilots.py and benchmarks/autopilot_faults.py (only when named)
 
 Each figure is the smallest and the median of several runs; the bar stands beside it. First comes how long a loop and a
 large table take in plain Python: machines differ, and a shared one differs by a factor of three from day to day.
@@ -49,6 +50,7 @@ from typing import Any
 
 from benchmarks import (
     arrivals,
+    autopilot_faults,
     autopilots,
     containment,
     drawn,
@@ -57,6 +59,8 @@ from benchmarks import (
     lies,
     links,
     local,
+    missions,
+    outcomes,
     physics,
     radio,
     ros2,
@@ -186,7 +190,7 @@ def late() -> None:
 PARTS = {"overhead": overhead, "trials": trials, "http": http, "late": late}
 LONG = {"sweep": sweeps.whole, "twenty": sweeps.twenty}
 LONG |= {"flight": flight.paper_flights, "flight-cases": flight_cases.safety_cases}
-LONG |= {"autopilots": autopilots.flights}
+LONG |= {"autopilots": autopilots.flights, "autopilot-faults": autopilot_faults.faults}
 LONG |= {"containment-http": containment.over_http}
 LONG |= {"starts": starts.measure}
 LONG |= {"links": links.links, "physics": physics.flights, "physics-speed": physics.speed}
@@ -197,13 +201,16 @@ LONG |= {"swarm": swarm.swarm, "swarm-faults": swarm.faults, "swarm-thirty": swa
 if __name__ == "__main__":
     commands = {
         "same": same.main,
+        "outcomes": outcomes.main,
         "flight": flight.main,
         "flight-cases": flight_cases.main,
         "autopilots": autopilots.main,
+        "autopilot-faults": autopilot_faults.main,
         "physics": physics.main,
         "scale": scale.main,
         "arrivals": arrivals.main,
         "drawn": drawn.main,
+        "missions": missions.main,
         "containment": containment.main,
         "lies": lies.main,
         "lies-curve": lies.curve,

@@ -2,6 +2,7 @@
 
     python -m benchmarks flight-cases               all
     python -m benchmarks flight-cases radio_pause   some, by name; a line of JSON each
+    python -m benchmarks flight-cases --write       and writes what was measured to docs/data/flight-cases.csv
 
 Stand-ins have the stock PID controller unless `--controller` says otherwise.
 """
@@ -43,6 +44,9 @@ def case_config(shape: str, n: int, seed: int, **fields: Any) -> tuple[FlightCon
     """The flight in which something happens."""
     return flight_config(shape, n, seed, **{**FAST, "deadman": True, "reach_s": 8.0, "think_s": 2.0, **fields})
 
+
+TABLE = Path(__file__).parents[1] / "docs" / "data" / "flight-cases.csv"
+"""What each case is, the time stated, and what was measured."""
 
 HOVER_S = 10.0
 """Time for which drones are watched that nobody will land [s]."""
@@ -266,7 +270,7 @@ def _row(name: str, result: FlightResult, took_s: float, nearest_m: float) -> di
 
 def _stated(name: str) -> dict[str, Any]:
     """What the docs say of a case: what happens, what the flight does, and the time until every drone is safe [s]."""
-    with (Path(__file__).parents[1] / "docs" / "data" / "flight-cases.csv").open(encoding="utf-8", newline="") as file:
+    with TABLE.open(encoding="utf-8", newline="") as file:
         row = next(row for row in csv.DictReader(file) if row["Name"] == name)
     return {"what": row["Case"], "does": row["What is done"], "stated_s": float(row["Stated [s]"])}
 
@@ -320,6 +324,20 @@ def _children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
 
 
+def write_cases(rows: Sequence[dict[str, Any]]) -> None:
+    """Write what was measured to the table, in the rows of these cases."""
+    with TABLE.open(encoding="utf-8", newline="") as file:
+        table = list(csv.DictReader(file))
+    for row in rows:
+        nearest = "" if row["nearest_m"] is None else f"{row['nearest_m']:.2f}"
+        measured = {"Measured [s]": f"{row['took_s']:.1f}", "In the end": row["ends"], "Smallest distance [m]": nearest}
+        next(line for line in table if line["Name"] == row["case"]).update(measured)
+    with TABLE.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(table[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(table)
+
+
 def show_cases(rows: Sequence[dict[str, Any]]) -> None:
     """The table of the safety cases (Markdown)."""
     print("\n| Name | Case | What is done | Stated [s] | Measured [s] | In the end | Smallest distance [m] |")
@@ -355,6 +373,7 @@ def main(arguments: Sequence[str]) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks flight-cases")
     parser.add_argument("cases", nargs="*", choices=[*ALL, []], help="names; none: all")
     parser.add_argument("--controller", help="controller that the flight file sets; else the stock one, PID")
+    parser.add_argument("--write", action="store_true", help="write what was measured to docs/data/flight-cases.csv")
     given = parser.parse_args(arguments)
     fields: dict[str, Any] = {} if given.controller is None else {"controller": given.controller}
     rows: list[dict[str, Any]] = []
@@ -363,6 +382,8 @@ def main(arguments: Sequence[str]) -> None:
         print(json.dumps(rows[-1]), file=sys.stdout if given.cases else sys.stderr, flush=True)
     if not given.cases:
         show_cases(rows)
+    if given.write:
+        write_cases(rows)
     late = [row["case"] for row in rows if row["took_s"] > row["stated_s"]]
     if late:
         sys.exit(f"not in the stated time: {', '.join(late)}")

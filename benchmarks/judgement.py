@@ -31,11 +31,11 @@ from llm_flock.metrics import AT_GOAL, ROUNDING, ShapeTarget
 from llm_flock.planner import AIMS
 from llm_flock.runtime import Stream, stream
 
-SHARES = {"unlike": (0, 20, 40, 50, 60, 70), "alike": (40, 50, 60)}
+SHARES = {"unlike": (0, 30, 50, 70), "alike": (30, 50, 70)}
 """Shares of models that judge wrongly [%], each on its own or all alike."""
 
 SHAPES = ("circle", "line", "wedge")
-AFTER = 50
+AFTER = 28
 """Rounds that are flown after an event."""
 
 MOVED = 0.2
@@ -105,11 +105,11 @@ class Events:
 def world_of(kind: str, seed: int) -> World:
     rng = np.random.default_rng([4, seed])
     shape, aim = str(rng.choice(SHAPES)), str(rng.choice([*AIMS]))
-    n = int(rng.integers(6, 11))
+    n = int(rng.integers(6, 9))
     robot, event = int(rng.integers(n)), int(rng.integers(4, 8)) if kind == "death" else int(rng.integers(4, 7))
     mission = {"shape": shape, "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
     options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER, "stop_when_formed": False}
-    options["decide"] = "on-event"
+    options |= {"decide": "on-event", "time_out": 5}
     if kind == "death":
         options["kill"] = f"{robot}@{event}"
         return World(kind=kind, mission=mission, options=options, event=event, lost=1)
@@ -168,7 +168,10 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any
     world = world_of(kind, seed)
     n, aim = world.mission["n_robots"], world.options["wish"]
     asked = fly(world, "simulated:ideal")
-    flown = {choice: fly(world, [Fixed(choice, seed, j) for j in range(n)]) for choice in asked.offered}
+    flown = {
+        choice: asked if choice == asked.choice else fly(world, [Fixed(choice, seed, j) for j in range(n)])
+        for choice in asked.offered
+    }
     right = {one for one in flown if not any(flown[other].beats(flown[one], aim) for other in flown)}
     if len(flown) < 2 or right == {*flown}:
         return None  # there is nothing to choose
@@ -176,8 +179,8 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
     for case, shares in SHARES.items():
         for share in shares:
-            rounds = world.event + (24 if kind == "death" else 10)
-            team = fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
+            rounds = world.event + (13 if kind == "death" else 5)
+            team = asked if share == 0 else fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
             choice = team.choice or usual
             found[case, share] = (
                 flown.get(choice),
@@ -215,8 +218,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 wrong = "" if case == "rule" else case
                 rows.append([kind, name, wrong, str(len(seen)), percent(1), one, percent(3), lost, rounds, str(near)])
                 print(*rows[-1], sep=" | ", flush=True)
-    if given.write:
-        figures.write("judgement.csv", rows)
+            if given.write:
+                figures.write("judgement.csv", rows)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,9 @@
 
 Each *simulated* mind answers one, half, all but one or all of a team, and good models the rest. A judge of its own
 looks at the flown positions: the distances between all robots have to be those of the ideal shape, about its centre,
-for three rounds. Calls are compared with those of good models on the same seeds, all rounds of a run counted. With
-`--write`, docs/data/minds.csv gets a row for each mind.
+for three rounds. Calls are compared with those of good models on the same seeds: those of the whole run, and those of
+the rounds after the first circuit breaker of the run has opened. With `--write`, docs/data/minds.csv gets a row for
+each mind.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from llm_flock.llm._port import Call
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.llm._simulated.prompt_reader import STEP_MARK, StepPrompt, read_step, read_task
+from llm_flock.record._schema import State
 
 ROUNDS = 300
 NEAR = 4.5  # a wary mind waits if a robot is as near to its step [units]
@@ -71,11 +73,13 @@ class Mind:
         self._good = SimulatedModel(parse_profile(profile), np.random.default_rng(seed))
         self._kind = kind
         self._asked: list[StepPrompt] = []
+        self.rounds: list[int] = []  # of all calls
 
     async def ask(self, call: Call) -> str:
+        self.rounds.append(call.round)
         conversation = [(message.role, message.text) for message in call.messages]
         text = next((text for role, text in reversed(conversation) if role == "user" and STEP_MARK in text), None)
-        if text is None or self._kind == "collapse":
+        if text is None or self._kind in ("collapse", "good"):
             return self._good.answer(conversation)
         prompt = read_step(text, read_task(conversation[0][1]))
         self._asked.append(prompt)
@@ -123,11 +127,12 @@ def _beside(here: Point, right: Point, along: float, across: float) -> Point:
 
 @dataclass(frozen=True, kw_only=True)
 class Seen:
-    """What the judge saw of a run; `calls` are those of the whole team."""
+    """What the judge saw of a run; `calls` are those of the whole team, `later` those after the first open breaker."""
 
     formed: int | None
     separation: float
     calls: int
+    later: int
     says: bool
 
 
@@ -158,7 +163,7 @@ def separation(positions: Points) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """What came of one mind in one share of one team; `calls` are over those of good models."""
+    """What came of one mind in one share of one team; `calls` and `later` are over the calls of good models."""
 
     team: str
     mind: str
@@ -169,11 +174,12 @@ class Cell:
     most: int
     separation: float
     calls: float
+    later: float
     lost: list[int]
 
     @classmethod
     def of(cls, team: str, mind: str, share: str, seen: Sequence[Seen], good: Sequence[Seen]) -> Cell:
-        lost = [seed for seed, one in enumerate(seen) if one.formed is None]
+        lost, good_calls = [seed for seed, one in enumerate(seen) if one.formed is None], sum(one.calls for one in good)
         return cls(
             team=team,
             mind=mind,
@@ -183,7 +189,8 @@ class Cell:
             disputed=sum(one.says != (one.formed is not None) for one in seen),
             most=max((one.formed for one in seen if one.formed is not None), default=0),
             separation=min(one.separation for one in seen),
-            calls=sum(one.calls for one in seen) / sum(one.calls for one in good),
+            calls=sum(one.calls for one in seen) / good_calls,
+            later=sum(one.later for one in seen) / good_calls,
             lost=lost[:6],
         )
 
@@ -192,13 +199,16 @@ def fly(team: str, mind: str, share: str, seed: int) -> Seen:
     options: dict[str, Any] = {"start": "separated"} | TEAMS[team]
     n = int(options["n_robots"])
     bad = {"none": 0, "one": 1, "half": n // 2, "all but one": n - 1, "all": n}[share]
-    models: list[Any] = [Mind(mind, 1000 * seed + k) if k < bad else "simulated:ideal" for k in range(n)]
-    result = llm_flock.run(model=models, seed=seed, rounds=ROUNDS, trace=False, **options)
+    models = [Mind(mind if k < bad else "good", 1000 * seed + k) for k in range(n)]
+    result = llm_flock.run(model=models, seed=seed, rounds=ROUNDS, **options)
+    states = (entry for entry in result.trace or () if isinstance(entry, State) and any(entry.open_breakers))
+    opened = next((state.round for state in states), ROUNDS)
     ideal, spacing = np.array(result.mission.ideal), result.mission.spacing
     return Seen(
         formed=judge(result.positions, ideal, spacing),
         separation=separation(result.positions),
         calls=result.summary.model_calls,
+        later=sum(when > opened for model in models for when in model.rounds),
         says=result.summary.formed,
     )
 
@@ -222,7 +232,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 cells.append(cell)
                 print(cell, flush=True)
     if given.write:
-        titles = ["Mind", *MAIN, "Other teams", "Most rounds", "Smallest separation", "Calls over good, most"]
+        titles = [
+            "Mind",
+            *MAIN,
+            "Other teams",
+            "Most rounds",
+            "Smallest separation",
+            "Calls over good, most",
+            "After a breaker",
+        ]
         figures.write("minds.csv", [titles, *(_row(mind, cells) for mind in given.mind.split(","))])
 
 
@@ -235,7 +253,8 @@ def _row(mind: str, cells: Sequence[Cell]) -> list[str]:
         for some in (*([cell for cell in mine if cell.team == team] for team in MAIN), others)
     ]
     figures = max(cell.most for cell in mine), f"{min(cell.separation for cell in mine):.3f}"
-    return [MINDS[mind], *formed, *map(str, figures), f"{max(cell.calls for cell in mine):.2f}"]
+    calls = f"{max(cell.calls for cell in mine):.2f}", f"{max(cell.later for cell in mine):.2f}"
+    return [MINDS[mind], *formed, *map(str, figures), *calls]
 
 
 if __name__ == "__main__":

@@ -69,7 +69,7 @@ def swarm(endpoint: str) -> None:
             mission=(0, mission.digest),
             order=b"",
             plan_id=plan.digest,
-            points=plan.points if retold else None,
+            plan=plan if retold else None,
             proposer=0,
             slot=robot,
             blocked=(),

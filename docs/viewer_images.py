@@ -69,6 +69,10 @@ def reached(page: Page, number: int) -> None:
 
 def replay(page: Page, url: str, number: int) -> None:
     page.goto(url)
+    seek(page, number)
+
+
+def seek(page: Page, number: int) -> None:
     page.locator("main .flock-arena canvas[data-round]").first.wait_for()
     reached(page, number)
     page.evaluate(f"flockClock().seek({number})")
@@ -143,7 +147,9 @@ def pictures_of_runs(browser: Browser, url: str, out: Path) -> None:
         box.check()
     save(page, out, "runs")
     page = page_of(browser)
-    replay(page, at(url, "run/2"), 9)
+    page.goto(at(url, "runs"))
+    page.get_by_role("link", name="not-formed", exact=True).click()
+    seek(page, 9)
     save(page, out, "not-formed")
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
 from playwright.sync_api import Browser, Page, Request, expect
@@ -34,8 +37,23 @@ def viewer(folder: Path, *arguments: str) -> Iterator[str]:
 
 
 def at(url: str, path: str) -> str:
-    """The address of another page of the viewer, with the token."""
+    """The address of another page of the viewer, with the token; numbers stand for its runs, in their order from 1."""
+    if re.search(r"/\d", path):
+        keys = keys_of(url)
+        path = re.sub(r"/(\d+)", lambda found: f"/{keys[int(found[1]) - 1]}", path)
     return url.replace("/?", f"/{path}?")
+
+
+def keys_of(url: str) -> list[str]:
+    """The keys of a viewer's runs, in their order."""
+    parts = urlsplit(url)
+    token = parts.query.partition("=")[2]
+    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=20)
+    try:
+        connection.request("GET", "/data/runs", headers={"Cookie": f"flock_token_{parts.port}={token}"})
+        return [row["key"] for row in json.loads(connection.getresponse().read())["rows"]]
+    finally:
+        connection.close()
 
 
 def go(page: Page, url: str) -> None:

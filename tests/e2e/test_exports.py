@@ -72,6 +72,13 @@ def test_the_page_plays_steps_and_scrubs_without_any_request(browser: Browser, t
         assert box is not None
         page.mouse.click(box["x"] + 72 + (box["width"] - 86) / 2, box["y"] + box["height"] - 8)
         expect(where).to_have_text("round 6 of 12")
+        expect(page).to_have_url(f"{(tmp_path / 'replay.html').as_uri()}#round=6&tab=events")
+        page.get_by_label("Find in all rounds").fill("robot 2")
+        expect(page.locator(".flock-event")).to_have_count(12)
+        page.evaluate("location.hash = '#round=9&robots=3&tab=plots'")
+        expect(where).to_have_text("round 9 of 12")
+        page.evaluate("location.hash = '#round=6&robots=3&tab=events'")
+        expect(where).to_have_text("round 6 of 12")
         page.get_by_label("Rounds a second").select_option("30")
         page.get_by_label("Play the picture").click()
         expect(where).to_have_text("round 12 of 12")

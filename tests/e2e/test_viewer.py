@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +13,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, expect
 from sample_records import FakeRun, make_record
-from viewer_pages import at, choose, page_at, ready, shown_round, until, viewer
+from viewer_pages import at, choose, go, keys_of, page_at, ready, shown_round, until, viewer
 
 import llm_flock
 from llm_flock.record._schema import SummaryMessage
@@ -126,6 +127,10 @@ def test_the_time_line_is_scrubbed_and_its_marks_are_clicked(replay: str, browse
         expect(page.locator(".flock-where")).to_have_text("round 5 of 12")
         page.get_by_role("tab", name="Events").click()
         expect(page.get_by_text("6 events in round 5")).to_be_visible()
+        page.get_by_label("Find in all rounds").fill("robot 3 took")
+        expect(page.get_by_text("12 events in all rounds")).to_be_visible()
+        page.get_by_role("button", name="Round 9").click()
+        expect(page.locator(".flock-where")).to_have_text("round 9 of 12")
 
 
 def test_a_conversation_is_read_and_two_robots_are_compared(replay: str, browser: Browser) -> None:
@@ -137,6 +142,22 @@ def test_a_conversation_is_read_and_two_robots_are_compared(replay: str, browser
         expect(mind).to_contain_text("Position: [1.0, 2.0]")
         expect(mind).to_contain_text("used: next waypoint (1, 2)")
         expect(mind).to_contain_text("300 tokens in, 20 out · 0.25 s")
+        page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        page.get_by_role("button", name="Copy a link to this moment").click()
+        expect(page.get_by_role("button", name="Copy a link to this moment")).to_have_text("Copied")
+        link = page.evaluate("navigator.clipboard.readText()")
+        assert re.search(r"/run/[0-9a-f]{12}#round=1&robots=2&tab=mind$", link) and "token" not in link
+        page.evaluate(
+            "(link) => { location.href = link; }",
+            link.replace("round=1&robots=2", "round=7&robots=4") + "&view=formation",
+        )
+        until(lambda: shown_round(page) == 7, "another moment of the same run")
+        expect(mind).to_contain_text("Robot 4 · round 7")
+        until(lambda: page.url.endswith("#round=7&robots=4&tab=mind&view=formation"), "it stays in the address")
+        page.reload()
+        expect(mind).to_contain_text("Robot 4 · round 7")
+        go(page, link)
+        expect(mind).to_contain_text("Robot 2 · round 1")
         mind.get_by_text("Prompt (2 messages)").click()
         expect(mind).to_contain_text("You are a robot.")
         page.keyboard.press("ArrowRight")
@@ -191,6 +212,30 @@ ORDER = """async (order) => {
 }"""
 
 
+def test_no_banner_is_green_over_a_hole(tmp_path: Path, browser: Browser) -> None:
+    with viewer(tmp_path) as url, page_at(browser, url) as page:
+        page.get_by_label("Robots", exact=True).fill("5")
+        page.get_by_label("Model", exact=True).fill("simulated:ideal")
+        gaps = page.get_by_label("Places of the dead")
+        expect(page.locator(".flock-labelled", has=gaps)).to_contain_text("stay empty")
+        gaps.select_option("replan")
+        expect(page.locator(".flock-labelled", has=gaps)).to_contain_text("a smaller formation")
+        page.get_by_role("button", name="Start", exact=True).click()
+        ready(page)
+        (key,) = keys_of(url)
+        banner, said = page.locator(".flock-banner"), page.locator(".flock-headline")
+        expect(banner).to_have_attribute("data-tone", "good")
+        expect(said).to_have_text(re.compile(r"Formed in round \d+"))
+        page.evaluate(ORDER, {"order": "kill", "runs": [key], "robot": 3})
+        was = r"Formed in rounds \d+ to \d+, then robot 3 died; place \d is empty"
+        expect(said).to_have_text(re.compile(was))
+        expect(banner).to_have_attribute("data-tone", "open")
+        expect(page.locator(".flock-state")).to_contain_text("not now")
+        # A smaller formation is whole again.
+        expect(banner).to_have_attribute("data-tone", "good")
+        expect(said).to_have_text(re.compile(r"Formed in round \d+"))
+
+
 def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) -> None:
     with viewer(tmp_path) as url, page_at(browser, url) as page:
         expect(page.get_by_text("This needs a language model")).to_be_visible()
@@ -213,7 +258,8 @@ def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) 
         pace.fill("9")  # the tenth pace
         page.get_by_role("button", name="Start", exact=True).click()
         ready(page)
-        assert page.url.endswith("/run/1")
+        (key,) = keys_of(url)
+        assert f"/run/{key}" in page.url
         expect(page.get_by_text("simulated language models")).to_be_visible()
         until(lambda: shown_round(page) >= 3, "it flies")
         page.get_by_label("Shape", exact=True).fill("cross")
@@ -237,12 +283,12 @@ def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) 
         expect(page.locator(".flock-state")).to_contain_text("the run is held")
         page.get_by_role("button", name="Let the run fly on").click()
         expect(said).to_contain_text("flies on")
-        refused = page.evaluate(ORDER, {"order": "kill", "runs": ["1"], "robot": 0})
+        refused = page.evaluate(ORDER, {"order": "kill", "runs": [key], "robot": 0})
         assert refused == "Robot 0 is dead."
         page.get_by_role("button", name="End the run").click()
         expect(page.locator(".flock-why-not")).to_have_text("The run is over: it takes no more orders.")
         expect(page.get_by_role("button", name="Give the mission")).to_be_disabled()
-        refused = page.evaluate(ORDER, {"order": "kill", "runs": ["1"], "robot": 1})
+        refused = page.evaluate(ORDER, {"order": "kill", "runs": [key], "robot": 1})
         assert refused == "The run is over: it takes no more orders."
         marks = page.evaluate("[...globalThis.flockClock('main').runs[0].marks.values()].map(Object.keys).flat()")
         assert {"missions", "faults", "plans"} <= set(marks)
@@ -254,14 +300,36 @@ def test_two_protocols_fly_side_by_side(tmp_path: Path, browser: Browser) -> Non
     with viewer(tmp_path) as url, page_at(browser, url) as page:
         page.get_by_label("Rounds at most").fill("6")
         page.get_by_label("Rounds a second").fill("11")  # the twelfth pace
+        ground = page.locator(".flock-ground canvas")
+        expect(ground).to_have_attribute("data-starts", re.compile("^[0-9.]+,"))
+        x, y = (float(part) for part in (ground.get_attribute("data-starts") or "").split()[0].split(","))
+        ground.scroll_into_view_if_needed()
+        box = ground.bounding_box()
+        assert box is not None
+        middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 - 11  # the ruler's room is below
+        page.mouse.move(*middle)
+        page.mouse.down()
+        page.mouse.move(middle[0] + 8, middle[1], steps=2)
+        page.mouse.up()
+        expect(page.get_by_label("Centre", exact=True)).not_to_have_value("50, 50")
+        page.get_by_role("button", name="Undo").click()
+        expect(page.get_by_label("Centre", exact=True)).to_have_value("50, 50")
+        ground.focus()
+        for key in ("]", "ArrowRight", "ArrowRight"):  # from the centre to robot 0
+            page.keyboard.press(key)
+        page.get_by_role("button", name="Undo").click()
+        started = [round(x + 1, 1), y]
+        expect(ground).to_have_attribute("data-starts", re.compile(f"^{started[0]:.1f},{started[1]:.1f} "))
         page.get_by_role("button", name="Paper against flock").click()
         ready(page)
         expect(page.locator("main .flock-arena")).to_have_count(2)
         expect(page.locator(".flock-state").first).to_contain_text("formed", timeout=20_000)
         page.keyboard.press("End")
         until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {6}, "both end")
-        starts = [page.evaluate(f"globalThis.flockClock('main').runs[{k}].frames.get(6) && 1 || 0") for k in (0, 1)]
-        assert starts == [1, 1]
+        page.keyboard.press("Home")
+        until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {0}, "both are at their starts")
+        starts = [page.evaluate(f"globalThis.flockClock('main').runs[{k}].frames.get(0).x[0]") for k in (0, 1)]
+        assert starts == [started, started], "where the robot was moved to"
 
 
 def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, browser: Browser) -> None:
@@ -308,12 +376,14 @@ def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: 
         expect(names).to_have_text(["alpha", "beta", "gamma"])
         page.get_by_role("button", name="Run ▲").click()
         expect(names).to_have_text(["gamma", "beta", "alpha"])
-        page.get_by_label("Filter").fill("formed in")
+        page.get_by_label("Search").fill("formed in")
         expect(names).to_have_text(["gamma", "alpha"])
         page.get_by_label("Compare gamma").check()
         page.get_by_label("Compare alpha").check()
         expect(page.locator(".flock-compared")).to_contain_text("Shape error [units]")
-        expect(page.get_by_role("link", name="Play these two")).to_have_attribute("href", "/pair/1/3")
+        expect(page.get_by_role("link", name="Play these two")).to_have_attribute(
+            "href", re.compile("/pair/[0-9a-f]{12}/[0-9a-f]{12}$")
+        )
         page.get_by_role("button", name="Delete alpha").click()
         page.get_by_role("dialog").get_by_role("button", name="Keep it").click()
         assert (tmp_path / "alpha" / "run.mcap").exists()
@@ -322,6 +392,9 @@ def test_runs_are_sorted_filtered_compared_and_deleted(tmp_path: Path, browser: 
         page.get_by_role("dialog").get_by_role("button", name="Delete").click()
         expect(names).to_have_text(["gamma"])
         assert not (tmp_path / "alpha").exists() and (tmp_path / "gamma" / "run.mcap").exists()
+        page.get_by_label("Search").fill("")
+        make_record(tmp_path / "runs" / "delta" / "run.mcap", n=4, rounds=4)
+        expect(names).to_have_text(["gamma", "delta", "beta"])
 
 
 class Answering(BaseHTTPRequestHandler):

@@ -84,12 +84,12 @@ def test_the_question_mark_lists_the_keys_and_they_work(served: str, browser: Br
         page.keyboard.press("]")
         expect(page.locator(".flock-mind").first).to_contain_text("round 1")
         legend = page.locator(".flock-legend")
-        expect(legend).to_be_visible()
-        page.keyboard.press("l")
         expect(legend).to_be_hidden()
+        page.keyboard.press("l")
+        expect(legend).to_be_visible()
         page.reload()
         ready(page)
-        expect(legend).to_be_hidden()
+        expect(legend).to_be_visible()
         scale = "flockClock() && [...document.querySelectorAll('main .flock-arena canvas')][0].dataset.scale"
         before = page.evaluate(scale)
         for key in ("f", "a", "0", "+"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -105,22 +106,38 @@ def test_stacked_robots_are_not_too_close_nor_in_radio_range(tmp_path: Path, bro
     with viewer(tmp_path, "space") as url, page_at(browser, url) as page:
         ready(page)
         canvas = page.locator("main .flock-arena canvas").first
+        expect(canvas).to_have_attribute("data-crowds", "")  # in perspective they stand one above the other
+        before = canvas.get_attribute("data-at")
+        box = canvas.bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + 200, box["y"] + 200)
+        page.mouse.down()
+        page.mouse.move(box["x"] + 320, box["y"] + 220, steps=4)
+        page.mouse.up()
+        expect(page).to_have_url(re.compile("view=turn,"))
+        assert canvas.get_attribute("data-at") != before, "a drag turns the picture"
+        page.get_by_role("button", name="Side, ").click()
+        expect(canvas).to_have_attribute("data-crowds", "")  # their heights are far apart
+        page.get_by_role("button", name="Top, ").click()
         expect(canvas).to_have_attribute("data-near", "0")
         expect(canvas).to_have_attribute("data-links", "1")
         expect(canvas).to_have_attribute("data-crowds", "3")  # counted, and not red
 
 
 def test_a_large_formation_keeps_its_disks_apart(tmp_path: Path, browser: Browser) -> None:
-    make_record(tmp_path / "many" / "run.mcap", n=60, rounds=4, llm=False)
+    make_record(tmp_path / "many" / "run.mcap", n=60, rounds=31, llm=False)
     with viewer(tmp_path, "many") as url, page_at(browser, url) as page:
         ready(page)
         page.keyboard.press("End")
         page.keyboard.press("f")
         canvas = page.locator("main .flock-arena canvas").first
-        expect(canvas).to_have_attribute("data-round", "4")
+        expect(canvas).to_have_attribute("data-round", "31")
         radius, scale = (float(canvas.get_attribute(f"data-{name}") or 0) for name in ("radius", "scale"))
         assert 2 * radius < 10.0 * scale, "the spacing is 10"
         legend = page.locator(".flock-legend")
+        page.get_by_role("button", name="Legend").click()
+        expect(legend.get_by_text("area: robots of one plan")).to_be_visible()
+        expect(canvas).to_have_attribute("data-words", "2")  # the tag of the one plan, and the chosen robot
         expect(legend.get_by_text("safety disc")).to_be_hidden()
         page.get_by_role("checkbox", name="Safety discs").check()
         expect(legend.get_by_text("safety disc")).to_be_visible()
@@ -131,7 +148,8 @@ def test_the_legend_folds_where_a_window_becomes_narrow(tmp_path: Path, browser:
     with viewer(tmp_path, "one") as url, page_at(browser, url) as page:
         ready(page)
         legend = page.locator(".flock-legend")
-        expect(legend).to_be_visible()
+        expect(legend).to_be_hidden()  # the arena comes first
+        page.get_by_role("button", name="Legend").click()
         expect(legend.get_by_text("dashed rim")).to_be_hidden()  # four plans have four colours
         page.set_viewport_size({"width": 640, "height": 360})  # as a zoom of 200 % makes it
         expect(legend).to_be_hidden()
@@ -166,7 +184,7 @@ def test_pages_fit_narrow_and_low_windows(tmp_path: Path, browser: Browser) -> N
                 assert bar == ("sticky" if height > 560 else "static"), "what stays in sight leaves room for the rest"
                 go(page, at(url, "runs"))
                 cells = page.locator("tbody tr").first.get_by_role("cell")
-                expect(cells).to_have_count(10)
+                expect(cells).to_have_count(13)
                 assert page.get_by_role("link", name="one").evaluate("(at) => at.getBoundingClientRect().height") < 40
 
 
@@ -188,8 +206,9 @@ def test_missing_record_is_explained(tmp_path: Path, browser: Browser) -> None:
     record = make_record(tmp_path / "one" / "run.mcap", n=3, rounds=2)
     page = browser.new_page()
     with viewer(tmp_path, "one") as url:
-        go(page, at(url, "run/7"))
-        expect(page.get_by_role("heading")).to_have_text("No such run")
+        go(page, at(url, "run/none"))
+        expect(page.get_by_role("heading", level=1)).to_have_text("No such run")
+        assert page.locator(".flock-card").evaluate("(card) => getComputedStyle(card).borderRadius") == "8px"
         page.get_by_role("link", name="All runs").click()
         page.get_by_role("link", name="one").click()
         ready(page)

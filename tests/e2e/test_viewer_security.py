@@ -16,7 +16,7 @@ from urllib.parse import quote, unquote, urlsplit
 import pytest
 from playwright.sync_api import Browser
 from sample_records import make_record
-from viewer_pages import until
+from viewer_pages import keys_of, until
 
 from llm_flock_view._viewer.routes import Routes
 
@@ -74,7 +74,8 @@ def test_without_the_token_nothing_is_shown(served: str) -> None:
 
 
 def test_pages_with_the_token_carry_a_policy_but_not_the_key(served: str, cookie: str) -> None:
-    for path in ("/", "/run/1", "/cockpit", "/runs", "/data/1/about", "/data/1/news", "/data/1/frames?count=9"):
+    for path in ("/", "/run/KEY", "/cockpit", "/runs", "/data/KEY/about", "/data/KEY/news", "/data/KEY/frames?count=9"):
+        path = path.replace("KEY", keys_of(served)[0])
         status, headers, body = get(served, path, Cookie=cookie)
         assert status == 200, path
         assert "default-src 'self'" in headers["content-security-policy"]
@@ -85,16 +86,16 @@ def test_no_file_is_read_but_the_records_that_were_given(served: str, cookie: st
     for path in (
         "/data/../secret.txt",
         "/data/..%2f..%2fsecret.txt/about",
-        "/data/2/about",
+        "/data/1/about",
         "/run/other",
         "/run/..%2fother",
         "/secret.txt",
         "/static/../../secret.txt",
-        "/export/1/..%2f..%2fsecret.txt",
-        "/export/1/secret.txt",
+        "/export/KEY/..%2f..%2fsecret.txt",
+        "/export/KEY/secret.txt",
         "/export/..%2fsecret.txt/run.mcap",
     ):
-        status, _, body = get(served, path, Cookie=cookie)
+        status, _, body = get(served, path.replace("KEY", keys_of(served)[0]), Cookie=cookie)
         assert status in (400, 403, 404), path
         assert SECRET.encode() not in body and b"from __future__" not in body
 
@@ -135,7 +136,8 @@ def ordered(url: str, order: str, **headers: str) -> tuple[int, bytes]:
 def test_orders_need_the_token_the_own_origin_and_json(served: str, cookie: str) -> None:
     own = "http://" + urlsplit(served).netloc
     kind = {"Content-Type": "application/json"}
-    delete = '{"order": "delete", "run": "1"}'
+    (key,) = keys_of(served)
+    delete = f'{{"order": "delete", "run": "{key}"}}'
     assert ordered(served, delete, Origin=own, **kind)[0] == 401
     for origin in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
         assert ordered(served, delete, Cookie=cookie, **origin, **kind)[0] == 403
@@ -152,11 +154,11 @@ def test_orders_need_the_token_the_own_origin_and_json(served: str, cookie: str)
         status, body = ordered(served, order, Cookie=cookie, Origin=own, **kind)
         assert status == 400 if order == "[" else b"error" in body, order
     assert ordered(served, "x" * 200_000, Cookie=cookie, Origin=own, **kind)[0] == 413
-    assert get(served, "/data/1/about", Cookie=cookie)[0] == 200, "the record is still there"
+    assert get(served, f"/data/{key}/about", Cookie=cookie)[0] == 200, "the record is still there"
 
 
 def test_a_foreign_page_may_not_read(served: str, cookie: str) -> None:
-    assert get(served, "/data/1/about", Cookie=cookie, Origin="http://evil.example")[0] == 403
+    assert get(served, "/data/runs", Cookie=cookie, Origin="http://evil.example")[0] == 403
 
 
 def test_a_browser_is_led_to_the_token_without_telling_others(tmp_path: Path, browser: Browser) -> None:

@@ -46,7 +46,7 @@ def _note(event: str, args: tuple[Any, ...]) -> None:
         return
     if event == "open" and isinstance(args[0], str | bytes):
         path, flags = os.path.realpath(os.fsdecode(args[0])), args[2] if isinstance(args[2], int) else 0
-        own = [str(_watching[0]), *(str(p) for p in Path(tempfile.gettempdir()).glob("llm-flock-*")), os.devnull]
+        own = [str(_watching[0]), str(Path(tempfile.gettempdir(), "llm-flock-")), os.devnull]
         if not flags & (os.O_WRONLY | os.O_RDWR):
             own += [sys.prefix, sys.base_prefix, str(REPOSITORY), "/usr", "/etc/ld", "/proc", "/sys"]
         if not path.startswith(tuple(own)):

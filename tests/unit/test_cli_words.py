@@ -52,7 +52,7 @@ def test_live_line_says_what_it_waits_for_until_a_robot_comes(capsys: pytest.Cap
 
 
 def test_picture_of_a_broken_run_says_so_and_what_it_replaces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("llm_flock_view._figures.figures.snapshots", lambda record, rounds: None)
+    monkeypatch.setattr("llm_flock_view._figures.figures.snapshots", lambda record, rounds, **look: None)
     monkeypatch.setattr("llm_flock_view._figures.figures.save", lambda drawn, path: path.touch())
     first = call("figure", make_record(tmp_path / "run.mcap", n=3, rounds=2), monkeypatch=monkeypatch)
     assert (first.exit_code, first.stderr) == (0, "")
@@ -124,6 +124,11 @@ def test_compare_prints_a_table_or_markdown(monkeypatch: pytest.MonkeyPatch) -> 
     argv = ("compare", "--cells", "triangle/3", "--protocols", "flock")
     assert call(*argv, monkeypatch=monkeypatch).stdout.startswith("┏")
     assert call(*argv, "--markdown", monkeypatch=monkeypatch).stdout.startswith("| protocol |")
+    tex = call(*argv, "--latex", monkeypatch=monkeypatch).stdout
+    assert tex.startswith("\\begin{tabular}{llrrr") and "formed \\% {[}95 \\%{]} &" in tex
+    monkeypatch.setenv("COLUMNS", "80")
+    narrow = call(*argv, monkeypatch=monkeypatch).stdout
+    assert narrow.count("┏") == 2 and max(map(len, narrow.splitlines())) <= 80
 
 
 def test_version_names_the_installed_parts(monkeypatch: pytest.MonkeyPatch) -> None:

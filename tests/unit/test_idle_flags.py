@@ -29,6 +29,8 @@ from command_line import flock
         ("run --no-record --out demo", "--out demo: has no effect with --no-record"),
         ("swarm --no-record --out demo", "--out demo: has no effect with --no-record"),
         ("compare --json --markdown", "--markdown: has no effect with --json"),
+        ("compare --json --latex", "--latex: has no effect with --json"),
+        ("compare --markdown --latex", "--markdown: has no effect with --latex"),
         ("fly --dry-run --ros2 tcp/127.0.0.1:1", "--ros2 tcp/127.0.0.1:1: has no effect in a dry run"),
     ],
 )

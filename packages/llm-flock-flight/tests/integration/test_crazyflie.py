@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from slowness import slowness
 
 pytest.importorskip("cflib")
 
@@ -17,6 +18,7 @@ from llm_flock.robots._base import MotionLimits, RobotError
 from llm_flock.testing import check_emergency_stop, check_robot
 from llm_flock.testing._robots import distance, wait_until
 from llm_flock_flight._crazyflie import CrazyflieRobot
+from llm_flock_flight._crazyflie.robot import ANSWER_S, GO_TO
 from llm_flock_flight._testing.crtp import StandIns
 from llm_flock_flight._testing.crtp.firmware import Parameter
 
@@ -241,6 +243,36 @@ def test_a_pause_of_the_radio_does_not_stop_a_motion():
             await wait_until(lambda: distance(drones[0].position, (0.4, 0.0, 0.5)) < 0.1, 2.0, "it arrives")
             await robot.connect(5.0)
             assert robot.state().flying
+            await robot.land(0.0, 0.5)
+            await robot.close()
+
+    asyncio.run(flight())
+
+
+@pytest.mark.parametrize("lost", ["order", "answer"])
+def test_lost_order_costs_one_wait_and_the_motion_ends_in_time(lost: str) -> None:
+    async def flight() -> None:
+        with StandIns([HOME]) as drones:
+            robot = robot_of(drones)
+            await up(robot)
+            drone, plain = drones[0], drones[0].firmware.handle
+            swallowed: list[bytes] = []
+
+            def handle(raw: bytes, now: float) -> list[bytes]:
+                if raw[1:2] != bytes([GO_TO]) or swallowed:
+                    return plain(raw, now)
+                swallowed.append(raw)
+                if lost == "answer":
+                    plain(raw, now)
+                return []
+
+            drone.firmware.handle = handle
+            began = time.monotonic()
+            await robot.go_to((0.4, 0.0, 0.5), 1.5)
+            took_s = time.monotonic() - began
+            assert ANSWER_S <= took_s < ANSWER_S + 0.15 * slowness()
+            ordered, *_ = drone.firmware.body.set_point(began + 1.5 + 0.1 * slowness())
+            assert distance(ordered, (0.4, 0.0, 0.5)) < 0.005, "the second order has the time that is left"
             await robot.land(0.0, 0.5)
             await robot.close()
 

@@ -241,6 +241,7 @@ def checks_with(flavour, limits=None, **parameters):
     [
         (4, True, "Land after 1 s"),
         (0, True, "Position mode after 1 s, which needs a pilot"),
+        (3, False, "Return after"),
         (7, False, "Disarm after"),
     ],
 )
@@ -253,7 +254,7 @@ def test_px4_must_not_wait_too_long():
     assert not checks_with("px4", COM_OF_LOSS_T=30.0)["without set-points"].passed
 
 
-@pytest.mark.parametrize(("action", "passed"), [(5.0, True), (0.0, False)])
+@pytest.mark.parametrize(("action", "passed"), [(5.0, True), (7.0, True), (1.0, False), (0.0, False)])
 def test_ardupilots_reaction_to_missing_heartbeats_is_checked(action, passed):
     check = checks_with("ardupilot", FS_GCS_ENABLE=action)["without heartbeats"]
     assert check.passed is passed and "system 255" in check.found
@@ -285,7 +286,10 @@ def test_unreported_parameters_are_not_judged():
 def test_fence_of_the_autopilot_is_reported():
     assert checks_with("px4")["its own fence"].found == "on: 50 m around"
     assert checks_with("ardupilot")["its own fence"].found == "off"
-    assert checks_with("ardupilot", FENCE_ENABLE=1.0, FENCE_ALT_MAX=20.0)["its own fence"].found == "on: 20 m up"
+    assert (
+        checks_with("ardupilot", FENCE_ENABLE=1.0, FENCE_ALT_MAX=20.0)["its own fence"].found
+        == "on: 300 m around, 20 m up"
+    )
 
 
 @pytest.mark.parametrize(
@@ -296,6 +300,8 @@ def test_fence_of_the_autopilot_is_reported():
         ({"FENCE_RADIUS": 12.0, "FENCE_ALT_MAX": 9.0, "FENCE_TYPE": 1.0}, True),
         ({"FENCE_RADIUS": 25.0, "FENCE_ALT_MAX": 7.0}, False),
         ({"FENCE_RADIUS": 25.0, "FENCE_ALT_MAX": 7.0, "FENCE_MARGIN": 0.5}, True),
+        ({"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": -10.0}, True),
+        ({"FENCE_TYPE": 8.0, "FENCE_ALT_MIN": 0.0}, False),
     ],
 )
 def test_fence_of_the_autopilot_has_to_hold_ours(parameters, passed):
@@ -312,7 +318,7 @@ def test_fence_of_the_autopilot_has_to_hold_ours(parameters, passed):
         ("ardupilot", "BATT_FS_LOW_ACT", 2.0, "battery low: RTL"),
         ("ardupilot", "FS_EKF_ACTION", 2.0, "estimator lost: AltHold"),
         ("px4", "NAV_RCL_ACT", 2, "radio control lost: Return"),
-        ("px4", "COM_LOW_BAT_ACT", 3, "battery low: Return, then Land"),
+        ("px4", "COM_LOW_BAT_ACT", 3, "battery critical: Return, then Land"),
     ],
 )
 def test_vehicle_that_would_go_home_by_itself_is_refused(flavour, name, value, said):

@@ -9,6 +9,8 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from benchmarks.autopilot_faults import FAULTS
+from benchmarks.autopilots import DRONES
 from benchmarks.flight_cases import ALL
 
 from llm_flock_flight._cli.fly import WORD
@@ -43,12 +45,28 @@ def test_all_of_the_paper_s_flights_landed() -> None:
     assert f"all {sum(int(row['Runs']) for row in flights)} formed" in PAGE.replace("\n", " ")
 
 
-def test_the_example_formed_and_landed_on_late_stand_ins() -> None:
+def test_shipped_flights_formed_and_landed_or_say_why_not() -> None:
     rows = measured("autopilot-flights.csv")
-    assert {row["Flight"] for row in rows} == {"triangle 3", "square 4", "cross 5", "circle 5"}
-    for row in rows:
-        assert (row["Formed"], row["Landed"], row["Ended"]) == ("True", "True", "mission"), row
-        assert float(row["Tracking, at most [m]"]) < 0.35 and float(row["Smallest distance [m]"]) >= 0.8
+    kinds = {"triangle 3", "square 4", "cross 5", "circle 5"}
+    for drones, least_m, most_m in ((DRONES["ardupilot"], 0.8, 0.35), (DRONES["crazyflie"], 0.2, 0.05)):
+        mine = [row for row in rows if row["Drones"] == drones]
+        assert {row["Flight"] for row in mine} == kinds and {row["Monitors"] for row in mine} == {
+            "as shipped",
+            "halved",
+        }
+        for row in mine:
+            early = len(row["Ended early"].split(" / ")) if row["Ended early"] else 0
+            assert int(row["Formed and landed"]) + early == int(row["Runs"]) > early, row
+            assert float(row["Smallest distance [m]"]) >= least_m and float(row["Off then, rms [m]"]) < most_m, row
+
+
+def test_every_fault_of_an_autopilot_was_flown() -> None:
+    rows = {row["Name"]: row for row in measured("autopilot-faults.csv")}
+    assert rows.keys() == FAULTS.keys()
+    for name, row in rows.items():
+        assert row["What is done"] == FAULTS[name].does and row["Fault"] == FAULTS[name].title
+        assert float(row["Others down [s]"] or 0.0) < 25.0 and float(row["All down or safe [s]"] or 0.0) < 30.0, name
+        assert row["Ended"].startswith("mission") is (row["What is done"] == "the mission is flown"), name
 
 
 def test_page_lists_every_trouble_that_ends_a_flight() -> None:

@@ -12,10 +12,12 @@ from flights import flight_config
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from llm_flock.record._schema import NullWriter
 from llm_flock.robots._base import Equipment, Position, RobotState
 from llm_flock.robots._segment import Segment
 from llm_flock_flight._cascade import STEP_S, Cascade
 from llm_flock_flight._flight.lag import LagTracker, distance_m, lag_bound_s
+from llm_flock_flight._flight.log import FlightLog
 from llm_flock_flight._flight.setpoints import resting
 
 PID = Equipment(controller="PID", lag_s=0.5)
@@ -129,3 +131,21 @@ def test_how_late_a_team_may_be() -> None:
     assert lag_bound_s(flight_config(), [Equipment(), PID]) == pytest.approx(1.0)
     assert lag_bound_s(flight_config(), [Equipment()]) == pytest.approx(0.25)
     assert lag_bound_s(flight_config(lag_s=0.1), [PID]) == 0.1
+
+
+def test_reported_lag_is_that_of_moving_set_points() -> None:
+    """Estimates shake by 3 mm, so a delay that is fitted where set-points nearly rest may be any."""
+    config, rng = flight_config(), np.random.default_rng(5)
+    log, tracker = FlightLog(config, NullWriter()), LagTracker(config)
+    fitted: list[float] = []
+    for number, delay_s in ((0, 0.95), (1, 0.55), (2, 0.5)):  # the first is a take-off
+        log.round = number
+        motions = [replace(motion, began_s=10.0 * number) for motion in MOTIONS]
+        for now in np.arange(10.0 * number, 10.0 * number + 4.5, 0.05):
+            places = [tuple(np.array(motion.at(now - delay_s)[0]) + rng.normal(0.0, 0.003, 3)) for motion in motions]
+            states = states_at(places, float(now))
+            found = tracker.look(states, motions, range(4))
+            log.look(float(now), states, motions, frozenset(range(4)), frozenset(range(4)), found)
+            fitted.append(max(found.delay_s) if number else 0.0)
+    assert max(fitted) > 0.9, "some moment's fit is at its bound"
+    assert log.lag_s == pytest.approx(0.55, abs=0.02)

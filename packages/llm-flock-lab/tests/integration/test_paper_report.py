@@ -19,9 +19,9 @@ from llm_flock_lab._cli.report import report as report_command
 from llm_flock_lab._experiments.store import Store
 from llm_flock_lab._experiments.sweep import fly_sweep
 from llm_flock_lab._experiments.sweep_file import load_sweep
+from llm_flock_lab._experiments.tex import to_tex
 from llm_flock_lab._report import page
 from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, _above, _verdict, claims_sheet
-from llm_flock_lab._report.draft import to_tex
 from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.page import write_report
 from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
@@ -211,8 +211,9 @@ def test_draft_names_figures_that_exist_and_right_numbers(report: Path, results:
     assert "Starts: uniform" in markdown and "Most rounds of a trial: 40" in markdown
 
 
-def test_draft_is_latex_that_closes_what_it_opens(report: Path) -> None:
-    tex = (report / "draft.tex").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["draft.tex", "tables.tex"])
+def test_latex_closes_what_it_opens(report: Path, name: str) -> None:
+    tex = (report / name).read_text(encoding="utf-8")
     plain = re.sub(r"\\[\\{}%&#_$]", "", tex)
     assert plain.count("{") == plain.count("}") and plain.count("$") % 2 == 0
     opened = re.findall(r"\\begin\{(.+?)\}", tex)

@@ -22,7 +22,7 @@ from llm_flock_lab._report.drawings import along_axes, draw_all, success
 from llm_flock_lab._report.findings import ERROR, caveats, cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import find_causes, gallery, worst
 from llm_flock_lab._report.page import inline_svg, write_report
-from llm_flock_lab._report.results import OUTCOMES, Results
+from llm_flock_lab._report.results import ENDINGS, Results
 from llm_flock_lab._report.sheets import facts, interval, success_sheet
 from llm_flock_view._figures.charts import fold, shorten
 
@@ -34,7 +34,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 def test_every_trial_is_counted_once(results: Results) -> None:
     counts = results.outcomes()
-    assert list(counts) == list(OUTCOMES)
+    assert list(counts) == list(ENDINGS)
     assert {end: count for end, count in counts.items() if count} == {
         "formed": 12,
         "not formed": 18,

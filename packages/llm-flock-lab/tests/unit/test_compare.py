@@ -45,6 +45,7 @@ SUMMARY = Summary(
     plans_in_use=1,
     distinct_goals=10,
     robots_without_plan=0,
+    awake=10,
     model_calls=130,
     calls_rejected=0,
     calls_failed=0,

@@ -16,12 +16,15 @@ from swarms import swarm_config
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
 from llm_flock.message import MissionStamp
-from llm_flock.plan import Plan
+from llm_flock.plan import Drawing, Plan
 from llm_flock.record._schema import Entry, LlmEntry, MetricsRow, PlanInfo, ProtocolEvent
+from llm_flock_swarm._network import observer as observers
 from llm_flock_swarm._network import swarm
 from llm_flock_swarm._network.observer import Observer
 from llm_flock_swarm._network.self_reports import MAX_LATENCIES, MAX_PLANS
 from llm_flock_swarm._network.wire import Body, RobotReport, WorldState, pack, unpack
+
+UNDRAWN = Plan(drawing=Drawing(program="{}", places=N, spacing=1.0, center=(0.0, 0.0)))  # a program that draws nothing
 
 
 class Sink:
@@ -94,7 +97,7 @@ def test_a_team_at_its_places_has_formed() -> None:
 def test_one_member_cannot_say_that_the_team_has_formed(lie: dict[str, Any]) -> None:
     """Robot 2 is not at its place, and no statement of its own changes that."""
     bodies = (*PLACES[:2], (20.0, 20.0))
-    last = told(2) if "goal" in lie else told(2, **{"points": None, **lie})
+    last = told(2) if "goal" in lie else told(2, **{"plan": None, **lie})
     assert not formed(observer(bodies), told(0), told(1), last)
 
 
@@ -105,6 +108,37 @@ def test_place_is_blocked_once_two_robots_report_it() -> None:
         seen = observer()
         seen.comes_or_goes(2, False)
         assert formed(seen, told(0, blocked=word), spare) is expected
+
+
+def test_a_team_that_will_replan_has_not_formed() -> None:
+    seen = observer()
+    assert not formed(seen, told(0, replans=True), *map(told, range(1, N)))
+    assert formed(seen, *map(told, range(N)))
+    # What has formed ends as soon as a robot is about to leave the plan.
+    seen.report(1, told(1, replans=True))
+    check_at(seen, 60.0)
+    assert seen.formed_s is None and not seen.in_order
+
+
+@pytest.mark.parametrize(("gaps", "has"), [("report", True), ("replan", False)])
+def test_a_plan_for_more_robots_than_live_is_no_end(gaps: str, has: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(observers, "fits", lambda _, places, robots: places == robots)  # no triangle has two corners
+    seen = observer()
+    protocol = CONFIG.protocol.model_copy(update={"gaps": gaps})
+    seen._config = CONFIG.model_copy(update={"protocol": protocol})
+    seen.alive.discard(N - 1)
+    assert formed(seen, *map(told, range(N - 1))) is has
+
+
+def test_rows_say_since_which_row_the_team_is_in_order() -> None:
+    seen = observer()
+    assert formed(seen, *map(told, range(N)))
+    rows = [entry for entry in written(seen) if isinstance(entry, MetricsRow)]
+    assert [row.in_order_since for row in rows] == [0] * len(rows) and len(rows) > 3
+    seen.report(1, told(1, slot=0))
+    check_at(seen, 70.0)
+    last = written(seen)[-2]
+    assert isinstance(last, MetricsRow) and last.in_order_since is None
 
 
 def other_mission(counter: int) -> dict[str, Any]:
@@ -149,10 +183,10 @@ def test_a_mission_of_another_team_or_digest_is_refused(shape: dict[str, Any], r
     [
         ({"waypoint": (1.0, 2.0, 3.0)}, "wrong_length"),
         ({"waypoint": ()}, "wrong_length"),
-        ({"points": ((1.0, 2.0, 3.0),) * N}, "wrong_length"),
-        ({"points": ()}, "malformed"),
-        ({"points": ((1.0, 2.0),) * N}, "malformed"),
-        ({"points": PLACES, "plan_id": None}, "malformed"),
+        ({"plan": Plan(((1.0, 2.0, 3.0),) * N)}, "wrong_length"),
+        ({"plan": Plan(((1.0, 2.0),) * N)}, "malformed"),
+        ({"plan": UNDRAWN, "plan_id": UNDRAWN.digest}, "malformed"),
+        ({"plan_id": None}, "malformed"),
         ({"happened": happened(1, "proposed")}, "impostor"),
     ],
 )
@@ -168,7 +202,9 @@ def test_report_no_honest_robot_makes_is_refused_as_a_whole(changes: dict[str, A
     "changes",
     [
         {"waypoint": (float("inf"), 0.0)},
-        {"points": ((float("nan"), 0.0),) * N},
+        {"plan": [((float("nan"), 0.0),) * N]},
+        {"plan": [(), None]},
+        {"plan": [PLACES, UNDRAWN.drawing]},
         {"round": -1},
         {"slot": 2**31},
         {"mission": (2**62, "x")},
@@ -248,7 +284,7 @@ def test_reports_of_one_robot_take_bounded_memory() -> None:
             told(
                 0,
                 plan_id=Plan(points).digest,
-                points=points,
+                plan=Plan(points),
                 happened=happened(0, "proposed", plan=f"plan {k}", by="model"),
                 latencies_s=tuple(0.001 * i for i in range(100)),
             ),
@@ -258,7 +294,7 @@ def test_reports_of_one_robot_take_bounded_memory() -> None:
     assert seen.said.supplier(PLAN.digest, 1) == "simulated:ideal" and PLAN.digest in seen.said.places
     many = tuple((float(i), 0.0) for i in range(2000))
     with pytest.raises(MessageError, match="2000 places"):
-        seen.report(1, told(1, plan_id=Plan(many).digest, points=many))
+        seen.report(1, told(1, plan_id=Plan(many).digest, plan=Plan(many)))
 
 
 def test_one_robot_takes_a_bounded_share_of_the_record() -> None:
@@ -317,7 +353,7 @@ def test_the_supplier_of_the_plan_is_what_most_robots_say() -> None:
     seen.report(1, told(1))
     seen.report(2, told(2, proposer=2))
     assert seen.supplier == (0, "simulated:ideal")
-    seen.report(1, told(1, plan_id=None, points=None, proposer=None))
+    seen.report(1, told(1, plan_id=None, plan=None, proposer=None))
     assert seen.supplier is None
 
 
@@ -350,6 +386,9 @@ def test_swarm_that_flies_on_does_not_end_once_formed(stops: bool, monkeypatch: 
 
         def result(self, stopped: str) -> str:
             return stopped
+
+        def tell(self, result: str) -> None:
+            assert result in ("formed", "time")
 
     monkeypatch.setattr(swarm, "launch_swarm", lambda *_, **__: Launched())
     config = swarm_config(3, stop_when_formed=stops)

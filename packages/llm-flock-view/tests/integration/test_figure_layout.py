@@ -127,7 +127,8 @@ def test_robots_above_one_another_are_counted_and_not_red(tmp_path: Path) -> Non
     tower = record.positions.copy()
     tower[2] = [[50.0, 50.0, 10.0], [50.0, 50.0, 30.0], [50.5, 50.0, 60.0]]
     figure = figures.snapshots(replace(record, positions=tower), [2])
-    (axes,) = figure.axes
+    axes, side = figure.axes
+    assert not [text for text in side.texts if "\u00d7" in text.get_text()], "from the side they stand apart"
     (count,) = [text for text in axes.texts if text.get_text() == "3\u00d7"]
     patch = count.get_bbox_patch()
     assert patch is not None and to_hex(patch.get_facecolor()) == QUIET.lower()
@@ -154,7 +155,7 @@ def test_not_begun_and_no_plan_look_different(record: RunRecord) -> None:
 
 
 def test_dashed_rims_are_in_the_legend_where_there_are_any(tmp_path: Path) -> None:
-    record = read_record(make_record(tmp_path / "run.mcap", n=9, rounds=1, agree=False))
+    record = read_record(make_record(tmp_path / "run.mcap", n=11, rounds=1, agree=False))
     assert "dashed rim: another plan, its colour used again" in words(figures.snapshots(record, [1]))
 
 

@@ -56,11 +56,15 @@ def test_between_rounds_robots_are_on_the_straight_way(record: RunRecord) -> Non
     np.testing.assert_allclose(drawn, middle)
 
 
-def test_three_dimensions_are_seen_from_above(tmp_path: Path) -> None:
+def test_space_is_seen_from_above_and_from_the_side(tmp_path: Path) -> None:
     record = read_record(make_record(tmp_path / "run.mcap", n=4, rounds=2, dim=3))
-    (axes,) = figures.snapshots(record, [2]).axes
-    drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-4:]])
-    np.testing.assert_allclose(drawn, record.positions[2, :, :2])
+    above, side = figures.snapshots(record, [2]).axes
+    for axes, seen in ((above, [0, 1]), (side, [0, 2])):
+        drawn = np.concatenate([np.asarray(c.get_offsets()) for c in axes.collections[-4:]])
+        assert drawn.shape == (4, 2)
+        if seen == [0, 1]:  # from the side, those of one height stand aside of one another
+            np.testing.assert_allclose(drawn, record.positions[2][:, seen])
+    assert [axes.get_ylabel() for axes in (above, side)] == ["y [units]", "z [units]"]
 
 
 def test_radio_links_span_all_space_also_seen_from_above(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,7 +127,7 @@ def test_comparison_shows_the_end_of_every_run_and_all_errors(tmp_path: Path) ->
     ]
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
     assert len(figure.axes[2].lines) == 2
-    assert figures.outcome(replace(good, result=None)) == "not formed: 1 plan, 4 goals"
+    assert figures.outcome(replace(good, result=None)) == "broke off: 1 plan, 4 goals"
 
 
 def test_records_and_labels_must_fit(record: RunRecord) -> None:
@@ -138,6 +139,24 @@ def test_records_and_labels_must_fit(record: RunRecord) -> None:
     with pytest.raises(InputError, match="known after every round"):
         figures.error_over_time([replace(record, metrics=rows)], ["free text"])
     assert "error" not in words(figures.snapshots(replace(record, metrics=rows)))
+
+
+@pytest.mark.parametrize("width", [3.5, 7.16])
+@pytest.mark.parametrize("kind", ["snapshots", "error", "comparison"])
+def test_figure_of_a_column_keeps_its_width_and_letters(
+    record: RunRecord, tmp_path: Path, kind: str, width: float
+) -> None:
+    drawn = {
+        "snapshots": lambda: figures.snapshots(record, [0, 1, 2, 3], width=width, font=9.0),
+        "error": lambda: figures.error_over_time([record], ["a"], width=width, font=9.0),
+        "comparison": lambda: figures.comparison([record, record], ["a", "b"], width=width, font=9.0),
+    }[kind]()
+    assert drawn.axes[0].xaxis.label.get_fontsize() == 9.0
+    figures.save(drawn, tmp_path / "figure.pdf")
+    content = (tmp_path / "figure.pdf").read_bytes()
+    box = re.search(rb"/MediaBox \[ ?0 0 ([0-9.]+)", content)
+    assert box is not None and float(box[1]) == pytest.approx(72 * width, abs=0.1)
+    assert b"/Subtype /Type3" not in content and b"/FontFile2" in content, "journals refuse letters of Type 3"
 
 
 def test_save_writes_by_ending_and_names_what_it_cannot(record: RunRecord, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from llm_flock_view._figures.style import LINES, MARKERS, SERIES, SERIES_ON_DARK
 
 # What is seen of linear RGB without one kind of cone (Machado, Oliveira, Fernandes 2009, severity 1).
 SEEN = {
+    "any": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
     "protanopia": [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]],
     "deuteranopia": [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]],
     "tritanopia": [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]],
@@ -38,6 +39,12 @@ def distances(palette: Sequence[str], vision: str) -> NDArray[np.float64]:
 def test_adjacent_colours_can_be_distinguished(palette: Sequence[str], vision: str) -> None:
     table = distances(palette, vision)
     assert min(table[k, k + 1] for k in range(len(palette) - 1)) > LEAST
+
+
+@pytest.mark.parametrize("vision", SEEN)
+def test_any_two_of_ten_plans_can_be_told_apart(vision: str) -> None:
+    table = distances(PALETTE, vision) + np.diag([np.inf] * len(PALETTE))
+    assert len(PALETTE) == 10 and table.min() > 15.0, "each of ten robots may have a plan of its own"
 
 
 def test_measure_sees_two_colours_as_one_without_a_cone() -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import asyncio
 import json
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from llm_flock.errors import AnswerError, InputError
-from llm_flock.llm._mission_words import MissionReader, draft_of
+from llm_flock.errors import InputError
+from llm_flock.llm import MissionReader
 from llm_flock.runtime._config import RunConfig
 from llm_flock_view._viewer import launcher
+from llm_flock_view._viewer.form import options
 from llm_flock_view._viewer.launcher import Launcher
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.orders import PageOrders
@@ -28,6 +30,13 @@ def test_a_form_is_checked_as_the_command_line_checks_it() -> None:
         config_of({"model": "simulated:nonsense"})
     with pytest.raises(InputError, match="n_robots"):
         config_of({"n_robots": 2000, "start": "separated"})
+
+
+def test_what_becomes_of_gaps_is_a_choice_of_the_form(tmp_path: Path) -> None:
+    offered = [name for name, _ in options(Launcher(Library(), tmp_path))["gaps"]]
+    assert [config_of({"gaps": name}).protocol.gaps for name in offered] == ["report", "replan"]
+    with pytest.raises(InputError, match="expected one of report, replan"):
+        config_of({"gaps": "fill"})
 
 
 @pytest.mark.parametrize(
@@ -90,28 +99,45 @@ def test_fields_of_the_page_are_fields_of_the_configuration() -> None:
     assert set(FIELDS) <= known
 
 
-def test_an_answer_becomes_a_mission_to_confirm() -> None:
-    draft = draft_of('Sure: {"shape": "square", "n_robots": 8, "center": [40, 60], "spacing": 8}')
-    assert draft.in_words == "8 robots · square · centre 40, 60 · 8 units apart"
-    assert draft.fields == {"shape": "square", "n_robots": 8, "center": (40.0, 60.0), "spacing": 8.0}
+def test_starts_are_shown_before_a_run_and_can_be_moved(tmp_path: Path) -> None:
+    library = Library()
+    orders = PageOrders(library, Launcher(library, tmp_path))
+    fields = {"shape": "square", "n_robots": 4, "center": [40, 60], "model": "geometry", "rounds": 1}
+    shown = asyncio.run(orders.carry_out({"order": "preview", "fields": fields}))
+    assert shown["center"] == (40.0, 60.0) and len(shown["starts"]) == len(shown["places"]) == 4
+    moved = [[10.0, 10.0], *shown["starts"][1:]]
+    again = asyncio.run(orders.carry_out({"order": "preview", "fields": {**fields, "start_positions": moved}}))
+    assert again["starts"] == moved and not library.runs, "nothing flies"
+    for wrong in ([[500.0, 0.0], *moved[1:]], moved[:3]):
+        order = {"order": "start", "pace": 1.0, "fields": {**fields, "start_positions": wrong}}
+        said = asyncio.run(orders.carry_out(order))
+        assert said["field"] == "start_positions" and not library.runs
 
 
-@pytest.mark.parametrize("answer", ["", "no", "{", "}{", '{"shape": 3}', '{"shape":"circle","n_robots":4,"out":"/x"}'])
-def test_an_answer_of_another_form_is_refused(answer: str) -> None:
-    with pytest.raises(AnswerError, match="not of the form"):
-        draft_of(answer)
+def test_what_a_reader_made_of_words_flies_once_confirmed(tmp_path: Path) -> None:
+    part = {"shape": "square", "center": [40, 60], "spacing": 8}
+    table = {"a square": {"answer": "mission", "robots": 8, "stages": [{"parts": [part]}]}, "again": 3}
+    (tmp_path / "table.json").write_text(json.dumps(table), encoding="utf-8")
+    reader = MissionReader(f"simulated:reader:{tmp_path / 'table.json'}")
+    started_by = Launcher(Library(), tmp_path / "runs", reader=reader)
+    orders = PageOrders(started_by.library, started_by)
 
+    def said(**asked: object) -> dict[str, Any]:
+        return asyncio.run(orders.carry_out(asked))
 
-@pytest.mark.parametrize(
-    ("answer", "cause"),
-    [
-        ('{"shape":"circle","n_robots":0}', "expected at least 1"),
-        ('{"shape":"points:/etc/passwd","n_robots":4}', "expected a shape with a name"),
-    ],
-)
-def test_an_answer_that_cannot_be_flown_is_refused(answer: str, cause: str) -> None:
-    with pytest.raises(InputError, match=cause):
-        draft_of(answer)
+    found = said(order="read", words="a square")
+    assert found["in_words"].startswith("simulated: 8 robots · a square around 40, 60, neighbours 8 apart")
+    assert "refused" in said(order="read", words="a circle")["error"].casefold()
+    assert "not of the form" in said(order="read", words="again")["error"]
+    assert "no longer known" in said(order="start", draft="x", pace=100, fields={})["error"]
+    assert "takes no orders" in said(order="read", words="a square", runs=["x"])["error"]
+    started = said(order="start", draft=found["draft"], pace=100, fields={"shape": "line", "model": "geometry"})
+    (run,) = started_by.runs.values()
+    assert started["address"] and (run.config.mission.shape, run.config.mission.n_robots) == ("square", 8)
+    deadline = time.monotonic() + 60
+    while not run.over and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert run.over
 
 
 def test_a_stand_in_cannot_read() -> None:

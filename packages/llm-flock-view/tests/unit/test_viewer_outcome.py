@@ -9,11 +9,12 @@ import pytest
 from sample_records import FakeRun, llm_entry, make_record
 
 import llm_flock
+from llm_flock.record._outcome import mission_parts
 from llm_flock.record._schema import MissionInfo, ProtocolEvent, RoundEnd, State, SummaryMessage
 from llm_flock.record._words import formed_in
 from llm_flock_view._viewer.data import frames, news
 from llm_flock_view._viewer.library import Library, load
-from llm_flock_view._viewer.outcome import mission_parts, outcome
+from llm_flock_view._viewer.outcome import outcome
 from llm_flock_view._viewer.recording import Recording, close_pairs
 from llm_flock_view._viewer.run_rows import run_row
 
@@ -75,8 +76,6 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     # While it flies there is no result: what was measured says the same.
     run.history.result, run.open = None, True
     assert [part.formed for part in mission_parts(run.history)] == [given[0]["formed"], given[1]["formed"]]
-    run.write(ProtocolEvent(round=run.history.last_round, comm_round=0, robot=1, kind="killed", detail={}))
-    assert mission_parts(run.history)[1].formed is None, "the team has to form again"
     # Older records count from the last mission only.
     run.history.result = {"formed": True, "rounds_to_formed": took}
     assert mission_parts(run.history)[1].formed == 13 + took
@@ -88,9 +87,61 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     assert mission_parts(run.history)[1].formed is None and told(run)["tone"] == "bad"
 
 
+def after(run: Recording, count: int, **changes: Any) -> dict[str, Any]:
+    """What is told once a run has flown on for some rounds without a result, each like its last one with changes."""
+    run.open, run.history.result = True, None
+    for number in range(run.history.last_round + 1, run.history.last_round + 1 + count):
+        state, row = run.history.states[-1], run.history.rows[-1]
+        changed = {name: value for name, value in changes.items() if name != "since"}
+        run.write(state.model_copy(update={"round": number, **changed}))
+        run.write(row.model_copy(update={"round": number, "in_order_since": changes.get("since")}))
+        run.write(RoundEnd(round=number))
+    return told(run)
+
+
+def test_the_banner_says_what_is_true_now_and_what_was(tmp_path: Path) -> None:
+    run = flown(tmp_path, model="simulated:ideal")
+    when, last = told(run)["missions"][0]["formed"], run.history.states[-1]
+    slot = last.slots[3]
+
+    def without(values: list[Any], other: Any) -> list[Any]:
+        return [other if robot == 3 else value for robot, value in enumerate(values)]
+
+    found = after(run, 2, since=when)
+    assert (found["headline"], found["tone"]) == (f"Formed in round {when}", "good")
+    until, was = run.history.last_round, f"Formed in rounds {when} to {run.history.last_round}, then robot 3"
+    dead = {"phases": without(last.phases, "dead"), "plan_ids": without(last.plan_ids, None)}
+    dead["slots"] = without(last.slots, None)
+    found = after(run, 2, **dead, since=until + 1)
+    assert (found["headline"], found["tone"]) == (f"{was} died; place {slot} is empty", "open")
+    found = after(run, 1, **dead, since=until + 1)
+    again = f"formed again in round {until + 1}; place {slot} is empty"
+    assert (found["headline"], found["tone"]) == (f"{was} died; {again}", "part")
+    # Another robot leaves its place: the past is told, and nothing is green.
+    far = [[0.0, 0.0] if robot == 5 else place for robot, place in enumerate(last.positions)]
+    found = after(run, 1, **dead, positions=far)
+    gone = f"Formed in rounds {until + 1} to {until + 3}, then robot 5 left its place; place {slot} is empty"
+    assert (found["headline"], found["tone"], found["formed"]) == (gone, "open", False)
+    # The same at the end of the run, which had formed by its result.
+    run.open, run.history.result = False, {"formed": True, "rounds_to_formed": until + 1}
+    assert (told(run)["headline"], told(run)["tone"]) == (gone, "part")
+    run.history.result = {"formed": False, "stopped": "rounds"}
+    late = told(run)["headline"]
+    assert late == f"Not formed: all {until + 4} rounds were used up; {gone[0].lower()}{gone[1:]}"
+
+
+def test_a_team_that_takes_another_plan_has_to_form_again(tmp_path: Path) -> None:
+    run = flown(tmp_path, model="simulated:ideal")
+    when = told(run)["missions"][0]["formed"]
+    until = run.history.last_round
+    found = after(run, 1, plan_ids=["another"] * 6)
+    assert found["headline"] == f"Formed in rounds {when} to {until}, then the team took another plan"
+    assert after(run, 3, since=until + 2)["missions"][0]["formed"] == until + 2
+
+
 def test_a_run_that_flies_has_not_failed(tmp_path: Path) -> None:
     run = replayed(make_record(tmp_path / "run.mcap", n=4, rounds=5, finish=False, agree=False))
-    assert told(run)["headline"] == "Not formed: the record ends early"
+    assert told(run)["headline"] == "Broke off: the record ends early"
     run.open = True
     found = told(run)
     assert (found["tone"], found["headline"], found["why"]) == ("open", "Not formed yet", "")
@@ -144,9 +195,8 @@ def test_run_without_a_round_blames_no_robot(tmp_path: Path) -> None:
 
 def test_outcome_tells_empty_places_and_geometry_alone(tmp_path: Path) -> None:
     found = told(flown(tmp_path / "gap", model="simulated:ideal", kill="1@3"))
-    assert found["headline"].endswith(", with 1 place empty") and found["by"].startswith(
-        "Robot 1 died in round 3 · plan by robot "
-    )
+    assert found["headline"].endswith("; place 2 is empty") and found["tone"] == "part"
+    assert found["by"].startswith("Robot 1 died in round 3 · plan by robot ")
     run = flown(tmp_path / "geometry", model="geometry", places=4)
     found = told(run)
     assert found["headline"].endswith(", by geometry without models")

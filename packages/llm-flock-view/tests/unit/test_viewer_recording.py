@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from llm_flock.record._schema import BodySample, FlightEvent, ProtocolEvent, Rou
 from llm_flock.record._stream import RecordStream
 from llm_flock.record._words import understood, verdict, work_text
 from llm_flock.record._writer import RecordWriter
+from llm_flock_view._viewer import library as viewer_library
 from llm_flock_view._viewer.data import answer, frames, news
 from llm_flock_view._viewer.events import in_words
 from llm_flock_view._viewer.library import Library, load
@@ -92,31 +95,70 @@ def test_records_are_found_where_they_are_named(tmp_path: Path) -> None:
 
 def test_a_page_gets_its_run_by_its_key(tmp_path: Path) -> None:
     library = Library()
-    load(library.add("one", make_record(tmp_path / "run.mcap", n=4, rounds=3), live=False))
+    run = library.add("one", make_record(tmp_path / "run.mcap", n=4, rounds=3), live=False)
+    load(run)
 
     def asked(path: str, **query: str) -> Any:
-        found = answer(library, path, query)
+        found = answer(library, path.replace("KEY", run.key), query)
         return None if found is None else json.loads(found)
 
-    about = asked("/data/1/about")
+    about = asked("/data/KEY/about")
     assert about["robots"] == 4 and about["live"] is False
-    news = asked("/data/1/news", rounds="0", plans="0", missions="0")
+    news = asked("/data/KEY/news", rounds="0", plans="0", missions="0")
     assert news["last"] == 3 and len(news["figures"]["procrustes_mean"]) == 4
-    assert [frame["r"] for frame in asked("/data/1/frames", first="1", count="2")] == [1, 2]
-    mind = asked("/data/1/mind", robot="2", round="1")
+    assert [frame["r"] for frame in asked("/data/KEY/frames", first="1", count="2")] == [1, 2]
+    mind = asked("/data/KEY/mind", robot="2", round="1")
     assert mind["calls"][0]["verdict"] == "used: next waypoint (1, 2)"
-    assert asked("/data/1/mind", robot="9", round="1") is None
-    assert asked("/data/1/events", round="1")["total"] == 4
-    assert isinstance(asked("/data/1/frames", first="x", count="-3"), list)
-    for nothing in ("/data/2/about", "/data/1/secret", "/data/../run.mcap", "/run.mcap"):
+    assert asked("/data/KEY/mind", robot="9", round="1") is None
+    assert asked("/data/KEY/events", round="1")["total"] == 4
+    found = asked("/data/KEY/events", find="Robot 2", round="1")
+    assert [(who, number) for who, _, number in found["lines"]] == [("robot 2", k) for k in (1, 2, 3)]
+    assert found["more"] is False and asked("/data/KEY/events", find="robot 2 nonsense")["lines"] == []
+    assert isinstance(asked("/data/KEY/frames", first="x", count="-3"), list)
+    for nothing in ("/data/1/about", f"/data/{run.key}/secret", "/data/../run.mcap", "/run.mcap"):
         assert answer(library, nothing, {}) is None, nothing
 
 
 def test_keys_are_all_that_a_page_can_name() -> None:
     library = Library()
-    library.add("a")
-    assert library.runs.get("1") is not None
-    assert library.runs.get("../../etc/passwd") is None and library.runs.get("2") is None
+    run = library.add("a")
+    assert library.find(run.key) is run
+    assert library.find("../../etc/passwd") is None and library.find("1") is None
+
+
+def test_address_of_a_record_outlives_viewer_and_folder(tmp_path: Path) -> None:
+    path = make_record(tmp_path / "runs" / "one" / "run.mcap", n=2, rounds=2)
+    other = make_record(tmp_path / "runs" / "two" / "run.mcap", n=3, rounds=2, seed=1)
+    first = Library().add("one", path, live=False)
+    path.parent.rename(tmp_path / "runs" / "moved")
+    later = Library(tmp_path / "runs")
+    assert later.add("two", other, live=False).key != first.key
+    found = later.find(first.key)
+    assert found is not None and found.title == "moved" and found.ready
+    copies = [later.add(name, other, live=False).key for name in ("copy", "again")]
+    assert len({*copies, first.key}) == 3, "a copy has an address of its own"
+
+
+def test_records_made_while_a_viewer_runs_appear_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer_library, "WATCH_S", 0.02)
+    make_record(tmp_path / "runs" / "before" / "run.mcap", n=2, rounds=2)
+    library = Library(tmp_path / "runs")
+    library.expect(tmp_path / "runs" / "own" / "run.mcap")
+    threading.Thread(target=library.watch, args=([tmp_path / "named"],), daemon=True).start()
+    time.sleep(0.2)
+    for folder in ("runs/own", "runs/new", "named/new"):
+        make_record(tmp_path / folder / "run.mcap", n=2, rounds=2, seed=len(folder))
+    (tmp_path / "named" / "flies").mkdir()
+    with RecordWriter(tmp_path / "named" / "flies" / "run.mcap") as writer:
+        fake = FakeRun(n=2, rounds=2, seed=9)
+        fake.write(writer, finish=False)
+        end = time.monotonic() + 20
+        while sum(run.ready for run in library.runs.values()) < 3 and time.monotonic() < end:
+            time.sleep(0.02)
+        states = {(run.path.parent.name if run.path else "", run.open) for run in library.runs.values()}
+        assert states == {("new", False), ("flies", True)} and len(library.runs) == 3
+        said = json.loads(answer(library, "/data/runs", {}) or b"")
+        assert len(said["rows"]) == 3 and said["changes"] == library.changes
 
 
 def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:

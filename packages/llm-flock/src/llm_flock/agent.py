@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from functools import cached_property
 from typing import TYPE_CHECKING, assert_never
 
 from llm_flock import events
@@ -25,10 +26,10 @@ from llm_flock.protocol._breaker import CircuitBreaker, Fallback, QuestionKind
 from llm_flock.protocol._motion.pilot import Observation, Pilot
 from llm_flock.protocol._parts import Parts
 from llm_flock.protocol._proposals import Proposals
-from llm_flock.protocol._stages import Stages
 
 if TYPE_CHECKING:
     from llm_flock.protocol._agreement.judgement import Judgement
+    from llm_flock.protocol._stages import Stages
 
 
 class IllegalEvent(AssertionError):
@@ -70,7 +71,7 @@ class Agent:
         self._messaging = Messaging(robot, self._agreement, parts, self._judgement)
         self._pilot = Pilot(robot, mission, parts, noise_bound=noise_bound, on_event=on_event, fallback=fallback)
         self._proposals = Proposals(robot, self._agreement, parts, fallback)
-        self._stages = Stages(self._agreement, parts.membership, noise_bound)
+        self._noise_bound = noise_bound
         self._breakers: dict[QuestionKind, CircuitBreaker] = {
             "plan": self._proposals.breaker,
             "step": self._pilot.breaker,
@@ -79,6 +80,12 @@ class Agent:
         self._scene: Observation | None = None
         self._last_sensed: tuple[int, events.Sensed] | None = None
         self._asked_about: object = None
+
+    @cached_property
+    def _stages(self) -> Stages:
+        from llm_flock.protocol._stages import Stages  # few missions have stages
+
+        return Stages(self._agreement, self._membership, self._noise_bound)
 
     def _new_judgement(self, parts: Parts) -> Judgement:
         from llm_flock.protocol._agreement.judgement import Judgement
@@ -126,6 +133,11 @@ class Agent:
     def plan(self) -> Plan | None:
         """The plan it follows [units; frame of the mission, whose centre is at `center`]."""
         return self._agreement.plan
+
+    @property
+    def replans(self) -> bool:
+        """Whether it will leave that plan, which does not fit the robots that it knows to be alive."""
+        return self._membership.replans
 
     @property
     def provenance(self) -> Provenance | None:
@@ -212,7 +224,7 @@ class Agent:
         if not self._own_clock:
             self._begin_period(event.round)
         judgement, effects = self._judgement, list[Effect]()
-        if (stage := self._stages.next(event.round)) is not None:
+        if self.mission.then and (stage := self._stages.next(event.round)) is not None:
             effects = self._give_mission(events.MissionGiven(mission=stage, ordered_at=self.ordered_at + 1))
             self._sense(event.round, event)
         if judgement is not None:

@@ -20,7 +20,7 @@ import msgspec
 from msgspec.structs import astuple, force_setattr, replace
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes
+from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes, max_places
 from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
 from llm_flock.plan import Coordinate, Plan
@@ -238,8 +238,8 @@ class Message(_OnWire, frozen=True, kw_only=True, dict=True):
             force_setattr(self, "stamp", None)
         if plan is not None and self.plan_digest != plan.digest:
             force_setattr(self, "plan_digest", plan.digest)
-        if plan is not None and self.places != len(plan.points):
-            force_setattr(self, "places", len(plan.points))
+        if plan is not None and self.places != len(plan):
+            force_setattr(self, "places", len(plan))
 
     @cached_property
     def mission(self) -> MissionStamp:
@@ -383,9 +383,8 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
         raise MessageError("malformed", "a plan and its provenance go together")
     if (message.claims is None) != (message.table_digest is None):
         raise MessageError("malformed", "claims and their digest go together")
-    plans = [*([] if plan is None else [plan]), *(one.plan for one in message.proposals or ())]
-    if any(len(one.points[0]) != dim for one in plans):
-        raise MessageError("wrong_length", f"a plan has points of {dim} coordinates")
+    for one in [*([] if plan is None else [plan]), *(one.plan for one in message.proposals or ())]:
+        check_plan_sent(one, n_robots, dim)
     if message.plan_digest is None:
         if places or message.slot is not None or message.claims is not None or offer is not None:
             raise MessageError("malformed", "claims without a plan")
@@ -397,6 +396,18 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
     slots += [] if offer is None else [offer.give, offer.take]
     if slots and max(slots) >= places:
         raise MessageError("wrong_length", f"slot {max(slots)} of a plan of {places} places")
+
+
+def check_plan_sent(plan: Plan, n_robots: int, dim: int) -> None:
+    """Check a plan from a stranger, and draw it; `MessageError` with reason `wrong_length` or `malformed`."""
+    if set(map(len, plan.given if plan.drawing is None else [plan.drawing.center])) != {dim}:
+        raise MessageError("wrong_length", f"a plan has points of {dim} coordinates")
+    if len(plan) > max_places(n_robots, dim):
+        raise MessageError("wrong_length", f"a plan of {len(plan)} places for {n_robots} robots")
+    try:
+        _ = plan.points
+    except InputError as error:
+        raise MessageError("malformed", f"a plan that cannot be drawn: {error}") from None
 
 
 def received_mission(message: Message, own: Mission) -> Mission:

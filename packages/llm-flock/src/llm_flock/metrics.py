@@ -127,15 +127,28 @@ class FormedTracker:
     A team is in order if all robots follow one plan; as many robots as there are places (or all robots, if they are
     fewer) have different goals and are within 5 % of the spacing of them; and the mean error to the ideal shape, if
     known, is at most 10 % of the spacing. The team has formed after three consecutive rounds in order. The first of
-    the three counts, and later disorder does not change it.
+    the three counts. Later disorder does not change it, but a team that leaves its plan for another one has to form
+    again.
     """
 
     spacing: float
-    in_order: bool = field(default=False, init=False)  #: Whether the team was in order in the last round.
-    #: First of the first three consecutive rounds in order; None before.
+    #: First of the consecutive rounds in order up to the last round; None if that was not in order.
+    since: int | None = field(default=None, init=False)
+    left: bool = field(default=False, init=False)  #: Whether robots have left the plan of the last round in order.
+    #: First of the first three consecutive rounds in order; None before, and after the team has left their plan.
     formed_at: int | None = field(default=None, init=False)
-    _since: int | None = field(default=None, init=False)
+    _plan: str | None = field(default=None, init=False)  # of the last round in order
     _last: int = field(default=-1, init=False)
+
+    @property
+    def in_order(self) -> bool:
+        """Whether the team was in order in the last round."""
+        return self.since is not None
+
+    @property
+    def held(self) -> bool:
+        """Whether the team has been in order for three consecutive rounds up to the last one."""
+        return self.since is not None and self._last - self.since + 1 >= HELD_ROUNDS
 
     def update(
         self,
@@ -151,7 +164,7 @@ class FormedTracker:
 
         Args:
             round_number: higher than in the last call; a missing round breaks the series.
-            plan_ids: each robot's plan.
+            plan_ids: each robot's plan; None for a robot that has none, or is about to leave it.
             slots: each robot's slot in its plan.
             goal_distances: each robot's distance from its goal [units].
             residual: mean error to the ideal shape [units]; None if no ideal is known.
@@ -163,7 +176,7 @@ class FormedTracker:
         assert round_number > self._last, f"round {round_number} after round {self._last}"
         n = len(plan_ids)
         owners = sum(slot is not None for slot in slots)
-        self.in_order = (
+        in_order = (
             None not in plan_ids
             and plans_in_use(plan_ids) == 1
             and owners == (n if usable is None else min(n, usable))
@@ -171,13 +184,16 @@ class FormedTracker:
             and robots_at_goal(goal_distances, self.spacing) == owners
             and (residual is None or residual <= IN_SHAPE * self.spacing)
         )
-        if not self.in_order:
-            self._since = None
-        elif self._since is None or round_number != self._last + 1:
-            self._since = round_number
+        self.left = self._plan is not None and {*plan_ids} != {self._plan}
+        if not in_order:
+            self.since = None
+        elif self.since is None or self.left or round_number != self._last + 1:
+            self.since, self._plan = round_number, plan_ids[0]
         self._last = round_number
-        if self.formed_at is None and self._since is not None and round_number - self._since + 1 >= HELD_ROUNDS:
-            self.formed_at = self._since
+        if self.left:
+            self.formed_at = None
+        if self.formed_at is None and self.held:
+            self.formed_at = self.since
         return self.formed_at is not None
 
 

@@ -38,6 +38,25 @@ def test_those_left_form_a_smaller_shape(seed: int) -> None:
     assert result.summary.procrustes_mean is not None and result.summary.procrustes_mean <= 0.1 * CIRCLE.spacing
 
 
+ORDER = {"round": 64, "robot": 0, "set": {"center": (20, 50)}}
+
+
+@pytest.mark.parametrize("rounds", [73, 79, None])
+def test_a_team_that_is_about_to_replan_has_not_formed(rounds: int | None) -> None:
+    """Robot 2 misses a death: in rounds 71 to 75 all stand in a plan for three that it will replace by one for four."""
+    deaths = "3@14,4@50,5@29,6@58,7@49"
+    result = llm_flock.run(
+        CIRCLE, model="simulated:ideal", seed=103, gaps="replan", kill=deaths, changes=[ORDER], rounds=rounds
+    )
+    record = result.record()
+    assert all(row.in_order_since is None for row in record.metrics[71:76])
+    assert result.formed is (rounds is None)
+    if rounds is None:  # it ends as soon as the last plan has been held for three rounds
+        formed = result.summary.missions[-1].formed
+        assert formed is not None and [row.in_order_since for row in record.metrics[-3:]] == [formed] * 3
+        assert result.summary.rounds == formed + 2 and record.metrics[formed - 1].in_order_since is None
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_robot_that_joins_late_completes_the_shape(seed: int) -> None:
     figures = flown(CIRCLE, seed, join="2@15").summary

@@ -13,6 +13,7 @@ from scipy.spatial.distance import cdist
 from llm_flock import shapes
 from llm_flock.errors import InputError
 from llm_flock.formation import parse_program, program_points
+from llm_flock.formation._letters import GLYPHS
 
 
 def placed(n: int, *elements: dict[str, Any], dim: int = 2, spacing: float = 1.0, **more: Any) -> np.ndarray:
@@ -72,6 +73,12 @@ def test_every_end_and_junction_of_a_letter_has_a_robot() -> None:
     assert same_set(points - points.min(axis=0), np.array([(x, y) for x in (0, 7.4) for y in (0, 5.2, 10)]) / 4.8, 1e-5)
     with pytest.raises(InputError, match="n_robots = 5: expected at least 6, which show every part"):
         placed(5, {"text": "H"})
+
+
+@pytest.mark.parametrize("letter", sorted(set(GLYPHS) - set(" .:!-")))
+def test_strokes_of_a_letter_meet_where_they_should(letter: str) -> None:
+    """A stroke that ran past another by a little would need two robots there, and make the whole huge."""
+    assert np.ptp(placed(60, {"text": letter}), axis=0).max() < 60
 
 
 def test_crossing_strokes_share_a_robot() -> None:

@@ -146,6 +146,23 @@ def test_later_disorder_leaves_a_formed_team_formed() -> None:
     assert tracker.formed_at == 0
 
 
+def test_a_team_that_leaves_its_plan_has_to_form_again() -> None:
+    tracker = FormedTracker(spacing=10)
+    for t in range(4):
+        tracker.update(t, **IN_ORDER)
+    assert tracker.held and tracker.formed_at == tracker.since == 0
+    # A robot is about to leave the plan.
+    assert not tracker.update(4, **but(plan_ids=["p", None, "p"]))
+    assert tracker.left and not tracker.held and tracker.formed_at is None
+    for t in range(5, 7):
+        assert not tracker.update(t, **IN_ORDER)
+    # Another plan begins another series, though no round was out of order.
+    for t in range(7, 9):
+        assert not tracker.update(t, **but(plan_ids=["q"] * 3))
+    assert tracker.update(9, **but(plan_ids=["q"] * 3))
+    assert tracker.formed_at == tracker.since == 7 and not tracker.left
+
+
 def test_rounds_only_go_forward() -> None:
     tracker = FormedTracker(spacing=10)
     tracker.update(3, **IN_ORDER)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from llm_flock.llm._answers import MAX_CHARS
 from llm_flock.llm._port import AnswerForm
 from llm_flock.llm._program_answers import read_program
 from llm_flock.llm._prompting import PromptSet
+from llm_flock.llm._simulated.model import SimulatedModel
+from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.mission import Mission
 from llm_flock.planner import PlanQuestion
 
@@ -75,6 +78,46 @@ def test_stand_ins_draw_wrong_programs_at_their_rates() -> None:
     assert flown.formed and flown.summary.calls_rejected > 2
     unread = llm_flock.run(shape="text:a kite", n_robots=4, prompts="program", rounds=4, trace=False)
     assert not unread.formed and "draws named shapes only" in str(unread.summary.reason)
+
+
+@pytest.mark.parametrize("shape", ["letters:S", "sphere", "helix"])
+def test_stand_ins_fly_letters_and_bodies_by_programs(shape: str) -> None:
+    flown = llm_flock.run(shape=shape, n_robots=12, prompts="program", seed=3, trace=False)
+    assert flown.formed and flown.summary.calls_rejected == 0
+    assert all(plan is not None and plan.program for plan in flown.plans)
+
+
+@pytest.mark.parametrize(
+    ("shape", "fault", "reason"),
+    [
+        ("circle", "misread", "point nearest to point"),
+        ("circle", "stranger", "nearest to point|apart|off the shape|cannot be drawn"),
+        ("letters:S", "mirrored", "off the shape"),
+        ("circle", "open", "the outline is open"),
+        ("circle", "crowded", "size = 5.0: expected at least 32.29, the width that 10 robots need"),
+    ],
+)
+def test_faults_of_programs_are_found_and_named(shape: str, fault: str, reason: str) -> None:
+    options = {"shape": shape, "n_robots": 10, "prompts": "program", "seed": 3, "trace": False}
+    flown = llm_flock.run(**options, model=f"simulated:{fault}", rounds=4)
+    assert not flown.formed and all(plan is None for plan in flown.plans)
+    assert re.search(reason, str(flown.summary.reason))
+    assert llm_flock.run(**options, model=f"simulated:{fault}@0.6").formed
+
+
+def test_one_mistake_is_the_same_and_strangers_are_not() -> None:
+    """What robots draw by two kinds of a wrong shape."""
+    mission = Mission(n_robots=10)
+    prompts = PromptSet.load("program")
+    asked = PlanQuestion(mission=mission, robot=7, round=1, position=(3.0, 4.0), neighbors=())
+    talk = [("system", prompts.system(mission)), ("user", prompts.plan(asked))]
+
+    def drawn(fault: str) -> set[str]:
+        models = [SimulatedModel(parse_profile(fault), np.random.default_rng(seed)) for seed in range(20)]
+        return {json.loads(model.answer(talk))["program"]["draw"][0]["shape"] for model in models}
+
+    assert drawn("ideal") == {"circle"} and drawn("misread") == {"triangle"}
+    assert len(drawn("stranger")) > 3 and not drawn("stranger") & {"circle", "polygon"}
 
 
 def test_the_question_does_not_grow_with_the_team() -> None:

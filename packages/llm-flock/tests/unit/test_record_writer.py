@@ -23,7 +23,6 @@ from llm_flock.record._schema import (
     MissionInfo,
     NullWriter,
     PlanInfo,
-    RoundEnd,
     SummaryMessage,
     channel_schema,
 )
@@ -193,9 +192,8 @@ def test_a_full_disk_is_reported_with_its_reason(tmp_path: Path) -> None:
     writer._file.close()
     writer._file = open("/dev/full", "wb", buffering=1 << 20)  # noqa: SIM115, PTH123
     writer._mcap._Writer__stream = writer._file  # pyright: ignore[reportAttributeAccessIssue]
-    writer.write(run_info())
     with pytest.raises(RecordError, match="cannot be written"):
-        writer.write(RoundEnd(round=0))
+        writer.write(run_info())
     with pytest.raises(RecordError, match="cannot be written"):
         writer.close()
     writer.close()

@@ -247,6 +247,7 @@ def _flight_table(found: FlightFigures) -> Table:
     for reason, count in (found.poses_refused or {}).items():
         table.add_row("poses refused", f"{escape(reason)}, {count} times")
     table.add_row("off the set-points", f"rms {length(found.tracking_rms_m)}, at most {length(found.tracking_max_m)}")
+    table.add_row("behind the set-points", f"at most {found.lag_s:.2f} s, all alike")
     return table
 
 

@@ -74,7 +74,11 @@ with one bit for each base station. Firmware built without Lighthouse does not h
 
 LIGHTHOUSE_PERIOD_MS = 500
 
-STATUS = ("no base station is received", "geometry or calibration is missing", "in use")
+STATUS = (
+    "no base station is received; not checked: others may give positions",
+    "geometry or calibration is missing",
+    "in use",
+)
 """What each value of `lighthouse.status` means."""
 
 

@@ -28,12 +28,20 @@ class FlightLog:
         self.round = 0
         self.nearest_m, self.worst_m = math.inf, 0.0
         self.squares, self.counted = 0.0, 0
-        self.lag_s = 0.0
+        self._lags: dict[float, tuple[float, float]] = {}  # by the start of a motion: weighted delays, and weights
         self.fan_outs_s: list[float] = []
         self._safety = config.safety
         self._sink = sink
         self._began = time.monotonic()
         self._sampled = -math.inf
+
+    @property
+    def lag_s(self) -> float:
+        """Longest delay of a round's motion [s].
+
+        That of a motion is the mean of its delays by the squared speeds of the set-points: one that rests tells none.
+        """
+        return max((delays / weights for delays, weights in self._lags.values() if weights > 0.0), default=0.0)
 
     def note(self, kind: str, robot: int | None = None, **detail: Any) -> None:
         seconds = round(time.monotonic() - self._began, 3)
@@ -55,7 +63,11 @@ class FlightLog:
             self.worst_m = max(self.worst_m, off)
             self.squares += off * off
             self.counted += 1
-            self.lag_s = max(self.lag_s, tracking.delay_s[robot])
+            motion, delay_s = motions[robot], tracking.delay_s[robot]
+            if self.round and math.dist(motion.start, motion.target) > self._safety.tracking_m:
+                weight = math.hypot(*motion.at(states[robot].stamp_s - delay_s)[1]) ** 2
+                delays, weights = self._lags.get(motion.began_s, (0.0, 0.0))
+                self._lags[motion.began_s] = (delays + weight * delay_s, weights + weight)
         safety = self._safety
         places = scale_heights([state.position for state in states], safety.min_separation_m, safety.downwash_m)
         for robot in aloft:  # from each other, and from those that stand

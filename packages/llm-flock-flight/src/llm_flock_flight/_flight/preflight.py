@@ -32,6 +32,7 @@ CHECKS = (
 )
 """Names of the checks of a drone. The arena is within the geofence, so a drone in the arena is as well."""
 
+NOT_TOLD = "not checked: the drone does not tell"
 RADIO = "radio"  # name of the line of a radio
 PAUSES = "pauses"  # name of the check of this computer's own pauses
 NAMES = ("connected", *CHECKS, "apart", "in step", PAUSES)  # names of all checks, in order
@@ -91,10 +92,10 @@ async def preflight(
     more: Callable[[Sequence[RobotState], float], list[Check]] = lambda states, now_s: [],
 ) -> PreflightReport:
     """Connect, then repeat the checks until all pass or the time for that is over; `more` returns further checks."""
-    own_pauses().restart()
     connections, seconds = await connect(robots, config.fleet.connect_s, on_connect)
     if not all(check.passed for check in connections):
         return PreflightReport(checks=tuple(connections), connect_s=seconds)
+    own_pauses().restart()  # drivers have loaded their libraries, for which nothing else runs
     began = time.monotonic()
     while True:
         states, now_s = [robot.state() for robot in robots], time.monotonic()
@@ -117,11 +118,13 @@ def _own(robots: Sequence[Robot]) -> Iterator[Check]:
 
 
 def _pauses(config: FlightConfig) -> Iterator[Check]:
-    """How far this computer's own pauses, since the connections began, are from those that end a flight."""
+    """How far this computer's own pauses, since all were connected, are from those that end a flight."""
     if not config.fleet.watched:
         return
     own, most_s = own_pauses(), 0.8 * config.fleet.deadman_s  # a heartbeat may have been due just then
     longest_s, found = own.longest_s, f"at most {own.longest_s:.2f} s in {own.measured_for_s:.0f} s"
+    if longest_s < most_s:
+        found += f"; a flight outlives {most_s:.2g} s"
     if longest_s > most_s / 2:
         found = f"WARNING: {found}"
     asked = f"less than {most_s:.2g} s, after which the deadman takes over: end other programs, or raise deadman_s"
@@ -151,13 +154,13 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
     if state.link_lost:
         yield False, "lost", "there"
     elif state.link is None:
-        yield True, "not told", ""
+        yield True, NOT_TOLD, ""
     else:
         least = safety.ready_link
         yield state.link >= least, f"{state.link:.0%}", f"at least {least:.0%} of packets acknowledged"
 
     if state.battery_v is None:
-        yield True, "not told", ""
+        yield True, NOT_TOLD, ""
     else:
         own = None if drone is None else drone.ready_battery_v
         least = safety.ready_battery_v if own is None else own
@@ -175,7 +178,7 @@ def _findings(config: FlightConfig, robot: int, state: RobotState, now: float) -
 
     start = None if drone is None else drone.start
     if start is None:
-        yield True, "not given", ""
+        yield True, "not checked: no start is given", ""
     else:
         off, most = math.dist(start[:2], (x, y)), safety.start_tolerance_m
         yield off <= most, f"{off:.2f} m off", f"within {most:g} m of ({start[0]:g}, {start[1]:g}) m"
@@ -190,7 +193,7 @@ def _controller(config: FlightConfig, equipment: Equipment) -> tuple[bool, str, 
     """Whether a drone's controller is known, and follows set-points as fast as they are."""
     name, lag_s, most = equipment.controller, equipment.lag_s, equipment.max_speed_m_s
     if name is None:
-        return True, "not told", ""
+        return True, NOT_TOLD, ""
     if lag_s is None and config.safety.lag_s is None:
         return False, name, "a controller whose lag is known, or lag_s in the flight file"
     if most is not None and config.safety.max_speed_m_s > most * (1 + 1e-6):
@@ -223,7 +226,7 @@ def _in_step(config: FlightConfig, names: Sequence[str], states: Sequence[RobotS
     named_states = zip(states, names, strict=True)
     lags = [(lag_s, name) for state, name in named_states if (lag_s := state.equipment.lag_s) is not None]
     if not lags:
-        return Check("in step", "team", True, "not told")
+        return Check("in step", "team", True, NOT_TOLD)
     (least, first), (longest, last) = min(lags), max(lags)
     gap_m, most = config.fastest_m_s * (longest - least), config.safety.tracking_m
     detail = "yes" if longest == least else f"{first} is {gap_m:.2f} m ahead of {last}, at {config.fastest_m_s:.2f} m/s"

@@ -1,6 +1,7 @@
 """An autopilot's own failsafes and its own fence: judges its parameters before a flight.
 
-Parameters and their values: ardupilot.org/copter/docs/parameters.html (4.5), docs.px4.io (1.14, parameter reference).
+Parameters and their values: ArduCopter's Parameters.cpp, events.cpp, AP_BattMonitor_Params.cpp and AC_Fence.cpp (4.3 to
+4.7); PX4's commander and navigator parameters and failsafe.cpp (1.14 and newer).
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ ARDUPILOT_FAILSAFES: Mapping[str, tuple[str, Sequence[str], Collection[int]]] = 
 PX4_FAILSAFES: Mapping[str, tuple[str, Sequence[str], Collection[int]]] = {
     "NAV_RCL_ACT": ("radio control lost", _LINK, (3, 0, 1)),
     "NAV_DLL_ACT": ("ground station lost", _LINK, (3, 0, 1)),
-    "COM_LOW_BAT_ACT": ("battery low", ("a warning", "Return", "Land", "Return, then Land"), (2, 0)),
+    "COM_LOW_BAT_ACT": ("battery critical", ("a warning", "Return", "Land", "Return, then Land"), (2, 0)),
 }
 """What each is for, its actions by value, and those allowed, the advised one first: none flies home by itself, where no
 shield keeps it from the others, and none stops the motors in the air."""
@@ -43,10 +44,11 @@ ARDUPILOT_NAMES = (
     "FENCE_TYPE",
     "FENCE_RADIUS",
     "FENCE_ALT_MAX",
+    "FENCE_ALT_MIN",
     "FENCE_MARGIN",
     *ARDUPILOT_FAILSAFES,
 )
-MAX_HEIGHT, CIRCLE, POLYGON = 1, 2, 4  # bits of FENCE_TYPE
+MAX_HEIGHT, CIRCLE, POLYGON, MIN_HEIGHT = 1, 2, 4, 8  # bits of FENCE_TYPE
 
 MAX_DELAY_S = 5.0
 """Longest silence of this computer after which an autopilot has to act [s]."""
@@ -81,12 +83,17 @@ def judge(
     reach = math.hypot(*far), limits.high[2] - home[2]
     if flavour.takes_off_by_command:
         kinds, margin = int(values.get("FENCE_TYPE", MAX_HEIGHT | CIRCLE)), values.get("FENCE_MARGIN", 2.0)
-        on, around, up = (values.get(name) for name in ("FENCE_ENABLE", "FENCE_RADIUS", "FENCE_ALT_MAX"))
-        around, up = around if kinds & CIRCLE else None, up if kinds & MAX_HEIGHT else None
-        fence = _fence(on, around, up, margin, reach, drawn=bool(kinds & POLYGON and "FENCE_TYPE" in values))
+        sides = [(CIRCLE, "FENCE_RADIUS", reach[0], "around"), (MAX_HEIGHT, "FENCE_ALT_MAX", reach[1], "up")]
+        limits_m = [(values[name], far_m, where) for bit, name, far_m, where in sides if kinds & bit and name in values]
+        if kinds & MIN_HEIGHT and "FENCE_ALT_MIN" in values:
+            limits_m.append((-values["FENCE_ALT_MIN"], 0.0, "down"))  # set-points land it
+        drawn = bool(kinds & POLYGON and "FENCE_TYPE" in values)
+        fence = _fence(values.get("FENCE_ENABLE"), limits_m, margin, drawn=drawn)
         return (_ground_station(values), _failsafes(ARDUPILOT_FAILSAFES, values), fence)
-    on, around, up = (values.get(name) for name in ("GF_ACTION", "GF_MAX_HOR_DIST", "GF_MAX_VER_DIST"))
-    return (_stream(values), _failsafes(PX4_FAILSAFES, values), _fence(on, around, up, 0.0, reach, drawn=False))
+    sides = (("GF_MAX_HOR_DIST", reach[0], "around"), ("GF_MAX_VER_DIST", reach[1], "up"))
+    limits_m = [(values[name], far_m, where) for name, far_m, where in sides if values.get(name)]
+    fence = _fence(values.get("GF_ACTION"), limits_m, 0.0, drawn=False)
+    return (_stream(values), _failsafes(PX4_FAILSAFES, values), fence)
 
 
 def _failsafes(
@@ -112,8 +119,8 @@ def _stream(values: Mapping[str, float]) -> DriverCheck:
         return DriverCheck(name=name, passed=True, found="not told")
     word = _word(LOSS_ACTIONS, action)
     found = f"{word} after {after:g} s" + (", which needs a pilot" if action < 3 else "")
-    asked = f"COM_OBL_RC_ACT neither 6 nor 7, COM_OF_LOSS_T at most {MAX_DELAY_S:g} s; 4 lands it"
-    return DriverCheck(name=name, passed=0 <= action < 6 and after <= MAX_DELAY_S, found=found, asked=asked)
+    asked = f"COM_OBL_RC_ACT none of 3, 6 and 7, COM_OF_LOSS_T at most {MAX_DELAY_S:g} s; 4 lands it"
+    return DriverCheck(name=name, passed=action in (0, 1, 2, 4, 5) and after <= MAX_DELAY_S, found=found, asked=asked)
 
 
 def _ground_station(values: Mapping[str, float]) -> DriverCheck:
@@ -124,25 +131,21 @@ def _ground_station(values: Mapping[str, float]) -> DriverCheck:
         return DriverCheck(name=name, passed=True, found="not told")
     station = values.get("SYSID_MYGCS", values.get("MAV_GCS_SYSID", float(GROUND_STATION)))
     found = f"{_word(GCS_ACTIONS, action)} after {after:g} s without system {station:g}"
-    asked = f"FS_GCS_ENABLE not 0, and SYSID_MYGCS (or MAV_GCS_SYSID) {GROUND_STATION}; 5 lands it"
-    return DriverCheck(name=name, passed=action >= 1 and station == GROUND_STATION, found=found, asked=asked)
+    asked = f"FS_GCS_ENABLE 5 or 7, and SYSID_MYGCS (or MAV_GCS_SYSID) {GROUND_STATION}; 5 lands it"
+    return DriverCheck(name=name, passed=action in (5, 7) and station == GROUND_STATION, found=found, asked=asked)
 
 
 def _fence(
-    on: float | None,
-    around: float | None,
-    up: float | None,
-    margin: float,
-    reach: tuple[float, float],
-    *,
-    drawn: bool,
+    on: float | None, limits_m: Sequence[tuple[float, float, str]], margin: float, *, drawn: bool
 ) -> DriverCheck:
-    """Its own fence has to hold ours: set-points outside it would be dropped without an answer, or end the flight."""
+    """Its own fence has to hold ours: set-points outside it would be dropped without an answer, or end the flight.
+
+    `limits_m` has each side's limit, how far set-points may lead, and its name.
+    """
     name = "its own fence"
     if not on:
         return DriverCheck(name=name, passed=True, found="not told" if on is None else "off")
-    sides = [(limit, far, where) for limit, far, where in ((around, reach[0], "around"), (up, reach[1], "up")) if limit]
-    limits = ", ".join([f"{limit:g} m {where}" for limit, _, where in sides] + ["a polygon, not compared"] * drawn)
-    wrong = [f"at least {far + margin:.1f} m {where}" for limit, far, where in sides if far > limit - margin]
+    sides = ", ".join([f"{limit:g} m {where}" for limit, _, where in limits_m] + ["a polygon, not compared"] * drawn)
+    wrong = [f"at least {far + margin:.1f} m {where}" for limit, far, where in limits_m if far > limit - margin]
     asked = f"{', '.join(wrong)}, for our geofence and its margin of {margin:g} m" if wrong else ""
-    return DriverCheck(name=name, passed=not wrong, found=f"on{': ' if limits else ''}{limits}", asked=asked)
+    return DriverCheck(name=name, passed=not wrong, found=f"on{': ' if sides else ''}{sides}", asked=asked)

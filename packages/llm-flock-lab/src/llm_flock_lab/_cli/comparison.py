@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -19,6 +20,13 @@ from llm_flock.errors import InputError, unknown
 if TYPE_CHECKING:
     from llm_flock_lab._experiments.grid import Cell
     from llm_flock_lab._experiments.trial import TrialResult
+
+
+WIDE = 140
+"""Columns of a terminal that take all of the table."""
+
+FIRST_S = 3.0
+"""Time after the first trial of a comparison, after which the rest is estimated [s]."""
 
 
 @with_config_flags(
@@ -41,6 +49,7 @@ def compare(
     out: Annotated[Path | None, typer.Option(help="CSV file to write, with a line for each trial")] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print a JSON list of rows instead of a table")] = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the table in Markdown")] = False,
+    as_latex: Annotated[bool, typer.Option("--latex", help="Print the table in LaTeX")] = False,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress")] = False,
     **flags: Any,
 ) -> None:
@@ -52,8 +61,9 @@ def compare(
     from llm_flock_lab._experiments import compare as comparison
     from llm_flock_lab._experiments.grid import parse_teams
 
-    if json_output and as_markdown:
-        raise InputError("as_markdown", None, says="has no effect with --json")
+    for field, value, other in (("as_markdown", as_markdown, "--latex"), ("as_latex", as_latex, "--markdown")):
+        if value and (json_output or (as_markdown and as_latex)):
+            raise InputError(field, None, says=f"has no effect with {'--json' if json_output else other}")
     presets = [name.strip() for name in protocols.split(",")]
     for name in presets:
         if name not in PRESETS:
@@ -61,13 +71,18 @@ def compare(
     found = comparison.build_cells(parse_teams(cells), presets, file=config, fit_arena=fit_arena, **flags)
     for cell in found:  # before the file is there: it would be in the way of the next try
         check_planners(cell.config)
-    finished = formed = 0
+    finished = formed = every = 0
+    began, told = 0.0, quiet
     try:
         with ExitStack() as stack:
             add = None if out is None else stack.enter_context(comparison.trial_file(out))
 
             def note(cell: Cell, seed: int, result: TrialResult) -> None:
-                nonlocal finished, formed
+                nonlocal finished, formed, every, began, told
+                every, began = every + 1, began or time.monotonic()  # workers take a while to begin
+                if not told and (spent := time.monotonic() - began) > FIRST_S:
+                    left, told = trials * len(found) - every, True
+                    say(f"{left} more trials: about {_time_words(spent / (every - 1) * left)}", error=True)
                 if add is not None:
                     add(cell, seed, result)
                 finished, formed = finished + 1, formed + result.formed
@@ -84,14 +99,23 @@ def compare(
         raise typer.Exit(EXIT_INTERRUPTED) from None
     if json_output:
         say(json.dumps([asdict(row) for row in rows], allow_nan=False))
-    elif as_markdown:
-        say(comparison.markdown(rows))
+    elif as_markdown or as_latex:
+        say((comparison.markdown if as_markdown else comparison.latex)(rows))
     else:
-        table = Table(*(name for name, _ in comparison.COLUMNS))
-        for row in rows:
-            table.add_row(*(escape(text(row)) for _, text in comparison.COLUMNS))
-        Screen().show(table)
+        screen, columns = Screen(), comparison.COLUMNS
+        # In a narrow terminal, two tables are read better than columns of a few letters.
+        for part in (columns,) if screen.width >= WIDE else (columns[:7], columns[:3] + columns[7:]):
+            table = Table(*(name for name, _ in part))
+            for row in rows:
+                table.add_row(*(escape(text(row)) for _, text in part))
+            screen.show(table)
         for line in comparison.notes(rows):
             say(line)
     if any(row.broken for row in rows):
         raise typer.Exit(EXIT_FAILED)
+
+
+def _time_words(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

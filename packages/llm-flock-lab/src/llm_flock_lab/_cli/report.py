@@ -42,8 +42,9 @@ def report(
 ) -> None:
     """Write the report of a sweep: one HTML page that needs nothing else, the same in Markdown, and all figures.
 
-    `draft.md` and `draft.tex` are a draft of an experimental section, with figures for a page of two columns. The
-    command can be called while the sweep runs, and then shows the finished trials. An older report is replaced.
+    `draft.md` and `draft.tex` are a draft of an experimental section, with figures for a page of two columns, and
+    `tables.tex` has all tables. The command can be called while the sweep runs, and then shows the finished trials. An
+    older report is replaced.
     """
     require("sweep", "report")
     if not folder.is_dir():  # at once, before anything heavy is loaded

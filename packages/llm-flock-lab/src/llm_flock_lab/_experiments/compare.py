@@ -29,6 +29,7 @@ from llm_flock_lab._experiments.statistics import (
     restricted_mean,
     wilson,
 )
+from llm_flock_lab._experiments.tex import tex_table
 from llm_flock_lab._experiments.trial import TrialResult
 
 FIGURES = (
@@ -226,6 +227,12 @@ def markdown(rows: Sequence[Comparison]) -> str:
     texts = ["| " + " | ".join(text.ljust(w) for text, w in zip(line, widths, strict=True)) + " |" for line in lines]
     texts.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
     return "\n".join([*texts, *notes(rows)])
+
+
+def latex(rows: Sequence[Comparison]) -> str:
+    """The rows as a table in LaTeX, as `tex_table` makes it, and the notes below it as comments."""
+    table = tex_table([name for name, _ in COLUMNS], [[text(row) for _, text in COLUMNS] for row in rows], 2)
+    return "\n".join([table, *(f"% {note}" for note in notes(rows) if note)])
 
 
 def notes(rows: Sequence[Comparison]) -> list[str]:

@@ -81,6 +81,7 @@ def summary_of(record: RunRecord) -> dict[str, Any]:
         "mission": mission,
         "result": result,
         "beware": caveats(result, mission),
+        "outcome": record.outcome().headline,
         "why_not_formed": record.diagnosis().why,
         "last_rounds": [{name: getattr(row, name) for name in columns} for row in record.metrics[-MAX_LISTED:]],
     }

@@ -5,7 +5,6 @@ The words are in `templates/draft.j2`, for Markdown and for LaTeX.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, cast
@@ -109,17 +108,3 @@ def _verdicts(claims: Sheet) -> Sheet:
     rows = tuple((*key, *(row.get(name, "") for name in (*every, ONCE))) for key, row in table.items())
     header = ("claim", "lines", *every, ONCE)
     return Sheet(title=claims.title, header=header, rows=rows, words=len(header), note=claims.note)
-
-
-TEX = {sign: f"\\{sign}" for sign in "{}$&#%_"} | {
-    "\\": "\\textbackslash{}", "^": "\\textasciicircum{}", "~": "\\textasciitilde{}", '"': "\\textquotedbl{}",
-    "<": "\\textless{}", ">": "\\textgreater{}", "|": "\\textbar{}", "[": "{[}", "]": "{]}",
-    "\N{MIDDLE DOT}": "$\\cdot$", "\N{MINUS SIGN}": "$-$", "\N{SUPERSCRIPT TWO}": "$^2$",
-}  # fmt: skip
-"""Letters that LaTeX reads as something else, or lacks."""
-
-
-def to_tex(text: object) -> str:
-    """Plain text for LaTeX: special signs are escaped, what a plain LaTeX lacks is a question mark, names may break."""
-    plain = "".join(TEX.get(sign, sign if ord(sign) < 0x100 else "?") for sign in " ".join(str(text).split()))
-    return re.sub(r"(?<=[,:@/])(?=\S)", r"\\allowbreak{}", plain)

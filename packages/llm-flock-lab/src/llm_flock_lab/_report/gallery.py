@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 
 from llm_flock.errors import FlockError, InputError
 from llm_flock.metrics import ROUNDING, segment_separation
-from llm_flock.record import Cause, ChatLine, RunRecord, read_record
+from llm_flock.record import ENDINGS, Cause, ChatLine, RunRecord, read_record
 from llm_flock.runtime import RECORD_NAME, RunConfig, run
 from llm_flock_lab._experiments.store import TRIALS, is_inside, read_trial
-from llm_flock_lab._report.results import OUTCOMES, Results, TrialRow
+from llm_flock_lab._report.results import Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
 
 LONGEST = 6000
@@ -76,7 +76,7 @@ def gallery(results: Results, most: int, *, fly_again: bool = True) -> Iterator[
 
 
 def _failure(results: Results, trial: TrialRow, fly_again: bool) -> Failure:
-    reason = OUTCOMES[trial.outcome] if not trial.formed else "it formed, but two robots came too near"
+    reason = ENDINGS[trial.outcome] if not trial.formed else "it formed, but two robots came too near"
     if trial.outcome == "broke off":
         reason = f"it broke off: {trial.figures['error'] or trial.figures['reason']}"
     record, source = record_of(results, trial, fly_again)

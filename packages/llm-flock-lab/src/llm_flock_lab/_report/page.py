@@ -20,16 +20,17 @@ from matplotlib.figure import Figure
 
 from llm_flock.errors import InputError, unknown
 from llm_flock.printable import csv_cell, printable
-from llm_flock.record import answers_of_others, read_record
+from llm_flock.record import ENDINGS, answers_of_others, read_record
 from llm_flock_lab._experiments.store import write_whole
+from llm_flock_lab._experiments.tex import to_tex
 from llm_flock_lab._report import sheets
 from llm_flock_lab._report.claims import claims_sheet
-from llm_flock_lab._report.draft import draft_values, to_tex
+from llm_flock_lab._report.draft import draft_values
 from llm_flock_lab._report.drawings import Drawing, draw_all
 from llm_flock_lab._report.findings import caveats, cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import Failure, gallery
 from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
-from llm_flock_lab._report.results import OUTCOMES, Results
+from llm_flock_lab._report.results import Results
 from llm_flock_lab._report.sheets import Sheet
 from llm_flock_view._figures.figures import save
 from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, SERIES_ON_DARK, house_style
@@ -37,6 +38,9 @@ from llm_flock_view._figures.style import FAINT, GRID, INK, PAPER, RC, SERIES, S
 FORMATS = ("svg", "pdf", "png")
 
 DRAFT = "A draft, written by llm-flock report from the results alone. Check every sentence before you use it."
+
+TABLES = "draft_tables.j2"
+"""Template of all tables of the page in LaTeX."""
 
 SECTIONS = {
     "success": "Success",
@@ -91,7 +95,8 @@ def write_report(
     reference is the baseline by default, where it was flown. The gallery of failures shows `most` trials; for it, those
     of simulated models without a record can be flown again. Where the paper's teams were flown with and without
     consensus, its figures and claims are a section of their own, with the records of `flights`. `draft.md` and
-    `draft.tex` are a draft of an experimental section. `on_step` is called with the name of everything made.
+    `draft.tex` are a draft of an experimental section, and `tables.tex` has the tables of the page. `on_step` is called
+    with the name of everything made.
 
     Returns:
         the page, the Markdown, and every figure.
@@ -159,7 +164,7 @@ def write_report(
     drawings = [drawing for section in sections.values() for drawing in section.drawings]
     page |= draft_values(results, lines, pairs, drawings, claims)
     page |= {"banner": DRAFT, "reference": reference, "failures": sections["paper"].failures}
-    files = {"draft.tex": "draft_tex.j2"} if "pdf" in formats else {}
+    files = {"draft.tex": "draft_tex.j2", "tables.tex": TABLES} if "pdf" in formats else {}
     files |= {"draft.md": "draft_md.j2", "report.html": "page.html.j2", "report.md": "page.md.j2"}
     for name, template in files.items():
         text = _template(template).render({"kind": template} | page)
@@ -233,7 +238,7 @@ def _warnings(results: Results) -> Iterator[str]:
     yield from caveats(results)
     bad = {name: n for name, n in results.outcomes().items() if name not in ("formed", "not formed") and n}
     if bad:
-        words = "; ".join(f"{n} {name} ({OUTCOMES[name]})" for name, n in bad.items())
+        words = "; ".join(f"{n} {name} ({ENDINGS[name]})" for name, n in bad.items())
         yield f"Trials that came to no proper end: {words}. They are counted as not formed."
     missing = (results.planned or 0) - len(results.trials)
     if missing > 0:
@@ -272,7 +277,9 @@ def _template(name: str) -> jinja2.Template:
     filters |= {"breakable": _breakable, "md": _markdown, "fenced": _fence, "svg": _svg, "data": _data_address}
     filters["tex"] = to_tex
     if name.startswith("draft"):
-        return environment.overlay(trim_blocks=True, lstrip_blocks=True).get_template("draft.j2")
+        return environment.overlay(trim_blocks=True, lstrip_blocks=True).get_template(
+            TABLES if name == TABLES else "draft.j2"
+        )
     return environment.get_template(name)
 
 

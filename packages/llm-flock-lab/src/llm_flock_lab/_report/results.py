@@ -17,22 +17,11 @@ from numpy.typing import NDArray
 from llm_flock.errors import InputError, RecordError
 from llm_flock.metrics import ROUNDING
 from llm_flock.protocol import PRESET_RULES
-from llm_flock.record import protocol_text
+from llm_flock.record import ENDINGS, ending, protocol_text
 from llm_flock_lab._experiments import tables
 from llm_flock_lab._experiments.statistics import horizon
 from llm_flock_lab._experiments.store import is_inside, read_json
 from llm_flock_lab._experiments.sweep import PLAN_NAME, SWEEP_NAME
-
-OUTCOMES: Mapping[str, str] = {
-    "formed": "the formation was built",
-    "not formed": "all rounds were flown",
-    "budget": "a budget was used up first",
-    "no plan": "no model proposed an acceptable plan, and none is asked any more",
-    "no answers": "no model answered any more",
-    "interrupted": "the run was stopped from outside",
-    "broke off": "an error ended the run",
-}
-"""Outcomes of trials; each trial has exactly one."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -61,7 +50,7 @@ class ResultCell:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrialRow:
-    """One trial; its outcome is one of `OUTCOMES`, and `figures` is its row in the table."""
+    """One trial; its outcome is one of `ENDINGS`, and `figures` is its row in the table."""
 
     id: str
     cell: ResultCell
@@ -150,7 +139,7 @@ class Results:
                     ),
                 ),
                 seed=row["seed"],
-                outcome=_outcome(row),
+                outcome=ending(None if row["error"] is not None or row["stopped"] is None else row),
                 figures=row,
             )
             for row in rows
@@ -227,7 +216,7 @@ class Results:
     def outcomes(self) -> dict[str, int]:
         """Number of trials by outcome; every outcome is there, and they add up to all trials."""
         counts = Counter(trial.outcome for trial in self.trials)
-        return {name: counts[name] for name in OUTCOMES}
+        return {name: counts[name] for name in ENDINGS}
 
     @cached_property
     def _errors(self) -> dict[tuple[str, str], NDArray[np.float64]]:
@@ -259,15 +248,6 @@ class Results:
     def longest(self) -> int:
         """Rounds of the longest trial, the start counted too; 0 without any."""
         return max((len(self._errors.get((trial.id, "error"), ())) for trial in self.trials), default=0)
-
-
-def _outcome(row: Mapping[str, Any]) -> str:
-    if row["error"] is not None or row["stopped"] in (None, "failed"):
-        return "broke off"
-    if row["formed"]:
-        return "formed"
-    stopped = str(row["stopped"]).replace("_", " ")
-    return stopped if stopped in OUTCOMES.keys() - {"formed"} else "not formed"
 
 
 def as_number(text: str) -> float | None:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
+from llm_flock.record import ENDINGS
 from llm_flock_lab._experiments.paired import PairedMeans, PairedShares
 from llm_flock_lab._experiments.statistics import (
     NOT_KNOWN,
@@ -17,7 +18,7 @@ from llm_flock_lab._experiments.statistics import (
     restricted_mean,
 )
 from llm_flock_lab._report.findings import BIT_RATE, COMPARED, INTERVAL, SPEED_M_S, UNIT_M, CellLine, PairLine, known
-from llm_flock_lab._report.results import OUTCOMES, ResultCell, Results
+from llm_flock_lab._report.results import ResultCell, Results
 
 T = TypeVar("T")
 P = TypeVar("P", PairedMeans, PairedShares)
@@ -35,7 +36,7 @@ class Sheet:
 
 
 def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
-    ends = [name for name in OUTCOMES if name != "formed" and any(line.outcomes[name] for line in lines)]
+    ends = [name for name in ENDINGS if name != "formed" and any(line.outcomes[name] for line in lines)]
     columns: dict[str, Callable[[CellLine], str]] = {
         "trials": lambda line: str(line.trials),
         "formed % [95 %]": lambda line: interval(line.formed, 1, 100.0),
@@ -52,7 +53,7 @@ def success_sheet(results: Results, lines: Sequence[CellLine]) -> Sheet:
         "At half and twice the tolerance: the share if robots had to be within 2.5 or 10 % of the spacing of their "
         "goals, and the team within 5 or 20 % of its shape, in runs that end when the usual 5 and 10 % are met. "
         "Too near: trials in which two robots were nearer than the safe distance. "
-    ) + " ".join(f"{name.capitalize()}: {OUTCOMES[name]}." for name in ends)
+    ) + " ".join(f"{name.capitalize()}: {ENDINGS[name]}." for name in ends)
     return _sheet(results, "How the trials ended", columns, {line.cell: line for line in lines}, note)
 
 

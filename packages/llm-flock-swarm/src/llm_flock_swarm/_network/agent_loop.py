@@ -283,7 +283,7 @@ class AgentLoop:
             self._known.clear()
         self._reports += 1
         known, plan, origin, mission, move = self._known, agent.plan, agent.provenance, agent.mission, self._moving
-        points = plan.points if plan is not None and plan.digest not in known else None
+        told = plan if plan is not None and plan.digest not in known else None
         shape = None if mission.digest in known else mission.model_dump(mode="json")
         known.update({mission.digest} if plan is None else {mission.digest, plan.digest})
         notes, self.notes = self.notes, []
@@ -298,9 +298,10 @@ class AgentLoop:
             mission=(agent.ordered_at, mission.digest),
             order=agent.authorization,
             plan_id=None if plan is None else plan.digest,
-            points=points,
+            plan=told,
             proposer=None if origin is None else origin.proposer,
             slot=agent.claim.slot,
+            replans=agent.replans,
             blocked=tuple(a for a, entry in enumerate(agent.claim.table or ()) if entry[2] < NO_OWNER),
             waypoint=None if move is None else move.waypoint,
             origin="start" if move is None else move.origin.value,

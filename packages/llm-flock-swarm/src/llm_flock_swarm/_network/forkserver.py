@@ -100,7 +100,7 @@ def _child(order: dict[str, Any]) -> int:
         elif kind == "robot":
             run(run_robot(config, order["id"]))
         else:
-            run(run_watch(config, Path(order["record"])))
+            run(run_watch(config, Path(order["record"]), told=Path(order["told"])))
     except FlockError as error:
         sys.stderr.write(printable(f"error: {order['name']}: {error}\n"))
         return 2

@@ -22,11 +22,10 @@ from llm_flock.arrays import Point, Points
 from llm_flock.errors import FlockError, MessageError
 from llm_flock.events import Origin
 from llm_flock.llm import parse_models
-from llm_flock.message import MissionStamp
+from llm_flock.message import MissionStamp, check_plan_sent
 from llm_flock.mission import Mission
-from llm_flock.plan import Plan
 from llm_flock.record import ASLEEP, DEAD, Guarded, MetricsRow, PlanInfo, RecordSink, RoundEnd, State
-from llm_flock.runtime import TrialProgress, commonest, finite, mission_info
+from llm_flock.runtime import TrialProgress, commonest, finite, fits, mission_info
 from llm_flock.validation import input_error
 from llm_flock_swarm._network.accusations import Judge
 from llm_flock_swarm._network.config import SwarmConfig
@@ -45,19 +44,21 @@ class _FormedClock:
     def __init__(self, spacing: float, held_s: float) -> None:
         self.formed_s: float | None = None
         self.tracker = metrics.FormedTracker(spacing=spacing)
+        self.since_row = 0  # first row of the record in which it was in order, while it is
         self._held_s = held_s
-        self._since_s: float | None = None
+        self._since_s = math.inf
         self._checks = 0
 
-    def update(self, now: float, **team: Any) -> None:
-        """Add the state of the team at a time, as `FormedTracker.update` takes it."""
+    def update(self, now: float, row: int, **team: Any) -> None:
+        """Add the state of the team at a time, before a row of the record, as `FormedTracker.update` takes it."""
         self._checks += 1
+        before = self.tracker.since
         self.tracker.update(self._checks, **team)
-        if not self.tracker.in_order:
-            self._since_s = None
-            return
-        self._since_s = now if self._since_s is None else self._since_s
-        if self.formed_s is None and now - self._since_s >= self._held_s:
+        if self.tracker.since != before:
+            self._since_s, self.since_row = now, row
+        if self.tracker.left:
+            self.formed_s = None
+        if self.formed_s is None and self.tracker.in_order and now - self._since_s >= self._held_s:
             self.formed_s = self._since_s
 
 
@@ -188,14 +189,12 @@ class Observer:
     def _check_report(self, robot: int, report: RobotReport) -> None:
         """A MessageError if a report is none of this robot's in this team, or no record has room for it."""
         dim = self.mission.dim
-        for point in (report.waypoint, *(report.points or ())):
-            if point is not None and len(point) != dim:
-                raise MessageError("wrong_length", f"a position of {len(point)} coordinates, not {dim}")
-        places = len(report.points or ())
-        if places > max(self.mission.n_robots, self.mission.n_places):
-            raise MessageError("wrong_length", f"a plan of {places} places")
-        if report.points is not None and not (places and Plan(report.points).digest == report.plan_id):
-            raise MessageError("malformed", "places of another plan than the digest names")
+        if report.waypoint is not None and len(report.waypoint) != dim:
+            raise MessageError("wrong_length", f"a position of {len(report.waypoint)} coordinates, not {dim}")
+        if report.plan is not None:
+            check_plan_sent(report.plan, self.mission.n_robots, dim)
+            if report.plan.digest != report.plan_id:
+                raise MessageError("malformed", "places of another plan than the digest names")
         if any(entry.robot != robot for entry in (*report.happened, *report.calls)):
             raise MessageError("impostor", f"robot {robot} reports an event or a call of another robot")
         try:
@@ -218,10 +217,10 @@ class Observer:
 
     def _take_places(self, robot: int, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""
-        plan_id, points = report.plan_id, report.points
-        if plan_id is None or points is None or not self.said.take_places(robot, plan_id, points):
+        plan_id, plan = report.plan_id, report.plan
+        if plan_id is None or plan is None or not self.said.take_places(robot, plan_id, plan.points):
             return
-        places, proposer = [list(point) for point in points], report.proposer or 0
+        places, proposer = [list(point) for point in plan.points], report.proposer or 0
         self._sink.write(PlanInfo(round=self._current_row, plan_id=plan_id, proposer=proposer, points=places))
 
     def _take_mission(self, report: RobotReport) -> None:
@@ -345,10 +344,12 @@ class Observer:
         places = self.said.places.get((reports[0].plan_id if reports else None) or "", ())
         witnesses = Counter(slot for report in reports for slot in set(report.blocked))
         blocked = [slot for slot, count in witnesses.items() if count >= min(self._witnesses, len(reports))]
-        stamp = (self._counter, self.mission.digest)
+        stamp, replans = (self._counter, self.mission.digest), self._config.protocol.gaps == "replan"
+        fit = not replans or fits(self.mission, len(places), len(robots))
         self._formed.update(
             now,
-            plan_ids=[report.plan_id if tuple(report.mission) == stamp else None for report in reports],
+            self._row + 1,
+            plan_ids=[r.plan_id if fit and tuple(r.mission) == stamp and not r.replans else None for r in reports],
             slots=[report.slot for report in reports],
             goal_distances=distances,
             residual=error,
@@ -373,6 +374,7 @@ class Observer:
             plans_in_use=metrics.plans_in_use(plan_ids),
             distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),
             robots_at_goal=metrics.robots_at_goal(distances, self.mission.spacing),
+            in_order_since=self._formed.since_row if self.in_order else None,
             connected=graph.is_connected(near[np.ix_(robots, robots)]) if robots else False,
             model_calls=self.said.calls,
             tokens=self.said.tokens,

@@ -10,18 +10,20 @@ import random
 import signal
 import socket
 import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from llm_flock.errors import FlockError
 from llm_flock.llm import parse_model, parse_models
 from llm_flock.members import WORLD
 from llm_flock.record import Guarded, NullWriter, RecordSink
-from llm_flock.runtime import TeamPlanners, TrialProgress, by_origin, warn_of_mission, waypoint_shares
+from llm_flock.runtime import TeamPlanners, TrialProgress, by_origin, finite, warn_of_mission, waypoint_shares
 from llm_flock_swarm._network.config import SwarmConfig, check_models, warn_of_spacing
 from llm_flock_swarm._network.connection import load_keys
 from llm_flock_swarm._network.observer import Observer
@@ -97,6 +99,7 @@ class Swarm:
         self.pids: dict[str, int] = {}  # by name: `world`, `recorder`, `robot-3`
         self.ended: dict[str, int] = {}  # exit codes
         self.observer: Observer
+        self.told: Path  # file with the result, from when it is known
         self.ready: set[str] = set()
         self._forkserver = forkserver
         self._unheard = False  # whether nothing tells of starts and ends any more
@@ -177,6 +180,11 @@ class Swarm:
                 return "ended"
             await asyncio.sleep(CHECK_S)
         return "time"
+
+    def tell(self, result: SwarmResult) -> None:
+        """Let the record end with this result: its recorder sees the end from elsewhere, a little earlier or later."""
+        told = result.to_dict() | {"min_separation": finite(result.min_separation)}
+        self.told.write_text(json.dumps(told), encoding="utf-8")
 
     def result(self, stopped: str) -> SwarmResult:
         observer, reports, began = self.observer, self.observer.reports.values(), self.observer.began_s
@@ -264,8 +272,9 @@ async def launch_swarm(
             await swarm.wait_until(lambda: "forkserver" in swarm.ready)
             await swarm.start_world()
             swarm.observer = watching.enter_context(observing(config, sink or NullWriter(), on_row))
+            swarm.told = Path(watching.enter_context(tempfile.TemporaryDirectory())) / "result.json"
             if config.record is not None:
-                await swarm.start("recorder", "watch", record=str(config.record))
+                await swarm.start("recorder", "watch", record=str(config.record), told=str(swarm.told))
             for robot in range(config.mission.n_robots):
                 if robot not in absent:
                     await swarm.start_robot(robot)
@@ -301,6 +310,7 @@ async def run_swarm(
     """
     async with launch_swarm(config, on_row=on_row, sink=sink, on_launch=on_launch) as swarm:
         on_start(swarm)
-        if config.ros2.ros_missions or not config.trial.stop_when_formed:
-            return swarm.result(await swarm.run(lambda _: False))
-        return swarm.result(await swarm.run())
+        flies_on = config.ros2.ros_missions or not config.trial.stop_when_formed
+        result = swarm.result(await (swarm.run(lambda _: False) if flies_on else swarm.run()))
+        swarm.tell(result)
+        return result

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, closing, contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from llm_flock.members import OPERATOR, WATCHER, WORLD
 from llm_flock.message import MissionStamp, OperatorClock
@@ -77,8 +79,12 @@ async def run_watch(
     on_row: Callable[[TrialProgress], None] | None = None,
     sink: RecordSink | None = None,
     show: Callable[[SwarmConfig, Observer], None] | None = None,
+    told: Path | None = None,
 ) -> None:
-    """Watch, and with a path write a record, until the process is stopped; `show` is called with the observer first."""
+    """Watch, and with a path write a record, until the process is stopped; `show` is called with the observer first.
+
+    The record ends with the result in the file `told`, if it is there by then, else with what was seen here.
+    """
     with ExitStack() as stack:
         writer = stack.enter_context(recording(config, record, sink))
         observer = stack.enter_context(observing(config, writer, on_row))
@@ -86,13 +92,18 @@ async def run_watch(
             show(config, observer)
         await until_stopped(look(observer))
         result = {
+            "stopped": "interrupted",
             "formed": observer.formed_s is not None,
             "mission_s": observer.mission_s,
             "min_separation": finite(observer.min_separation),
             "model_calls": observer.said.calls,
             "tokens": observer.said.tokens,
         }
-        writer.write(SummaryMessage(result=result))
+        writer.write(SummaryMessage(result=_result(told) or result))
+
+
+def _result(told: Path | None) -> dict[str, Any] | None:
+    return json.loads(told.read_bytes()) if told is not None and told.exists() else None
 
 
 async def present_mission(config: SwarmConfig) -> Mission | None:

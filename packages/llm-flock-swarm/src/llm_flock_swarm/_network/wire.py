@@ -9,11 +9,12 @@ import msgspec
 from llm_flock.bounds import LATEST, MAX_DISTANCE, MAX_INTEGER, MAX_REASON, MAX_ROBOTS, MAX_ROUND, MAX_WORD
 from llm_flock.errors import MessageError
 from llm_flock.message import Coordinate, Id, OrderTime
+from llm_flock.plan import Plan
 from llm_flock.printable import one_line
 from llm_flock.record import Entry, LlmEntry, ProtocolEvent
 from llm_flock_swarm._signed.certificates import Signature
 
-WIRE_VERSION = 4
+WIRE_VERSION = 5
 
 MAX_EVENTS = 4096  # most events or calls in one report
 MAX_WORDS = 64  # most entries of a dictionary by origin or by reason
@@ -28,7 +29,6 @@ Word = Annotated[str, msgspec.Meta(max_length=MAX_WORD)]
 Reason = Annotated[str, msgspec.Meta(max_length=MAX_REASON)]
 
 Slots = Annotated[tuple[Id, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
-Places = Annotated[tuple[Place, ...], msgspec.Meta(max_length=MAX_ROBOTS)]
 Words = Annotated[tuple[Word, ...], msgspec.Meta(max_length=MAX_WORDS)]
 Latency = Annotated[float, msgspec.Meta(ge=0.0, le=MAX_LATENCY_S)]
 Latencies = Annotated[tuple[Latency, ...], msgspec.Meta(max_length=MAX_EVENTS)]
@@ -94,10 +94,11 @@ class RobotReport(msgspec.Struct, frozen=True, kw_only=True):
     mission: tuple[OrderTime, Word]  # time of the order, digest of the mission
     order: Signature  # of the operator, on that time and digest; empty for the first mission, and without keys
     plan_id: Word | None  # digest of the plan it follows
-    points: Places | None  # that plan's places, in the first report that names it
+    plan: Plan | None  # that plan, in the first report that names it
     proposer: Id | None  # robot that proposed it
     slot: Id | None  # index of its place in the plan
     blocked: Slots  # slots that it knows to be out of every robot's reach
+    replans: bool = False  # whether it will leave the plan, which does not fit the robots that it knows to be alive
     waypoint: Place | None  # where it is flying to
     origin: Word  # what chose that waypoint
     neighbors: Id  # |N_i|

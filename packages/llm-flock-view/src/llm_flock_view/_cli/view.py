@@ -119,6 +119,7 @@ def view(
     run_viewer(
         address,
         records=found,
+        folders=[] if live else [path for path in records or [] if path.is_dir()],
         live=live,
         swarm=watched,
         runs=runs,

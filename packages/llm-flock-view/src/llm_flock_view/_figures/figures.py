@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 import scipy
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.backend_bases import RendererBase
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -22,11 +23,12 @@ from numpy.typing import NDArray
 
 from llm_flock.errors import InputError
 from llm_flock.printable import one_line
-from llm_flock.record import PALETTE, RunRecord, formed_in
+from llm_flock.record import PALETTE, RunRecord, ending, formed_text
 from llm_flock_view._figures.charts import DPI, PAGE, fold, new_figure
 from llm_flock_view._figures.key import Entry, columns_of, key_of
-from llm_flock_view._figures.panel import Box, Panel, close_up, view
+from llm_flock_view._figures.panel import ABOVE, SIDE, Box, Panel, close_up, view
 from llm_flock_view._figures.style import (
+    FONT,
     GRID,
     INK,
     LINES,
@@ -47,6 +49,8 @@ Column: TypeAlias = NDArray[np.float64]
 
 PANELS_A_ROW = 4
 PANEL_INCHES = 2.75
+LEAST_PANEL = 1.6
+"""Least width of a panel, where the width of the whole figure is given [inches]."""
 
 BETWEEN_INCHES = 0.3
 """Between two rows of panels, for the label of an axis and a title."""
@@ -64,10 +68,14 @@ UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"Creation
 """No date goes into a file, so that the same figure is always the same file."""
 
 
-def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
+def snapshots(
+    record: RunRecord, rounds: Sequence[int] | None = None, *, width: float | None = None, font: float = FONT
+) -> Figure:
     """The team at chosen rounds: paths, discs by plan, influence, radio links and goals (paper, section 4.1).
 
-    By default, these are the start, the first (when there are plans to see), half-way and the last.
+    By default, these are the start, the first (when there are plans to see), half-way and the last. Space is shown
+    twice, from above and below that from the side. The figure is as wide as its panels need, or has a `width` [inches];
+    `font` is the size of its letters [points].
 
     Raises:
         InputError: the record has no such round, or no round is asked for.
@@ -76,27 +84,37 @@ def snapshots(record: RunRecord, rounds: Sequence[int] | None = None) -> Figure:
     chosen = sorted({0, min(1, last), last // 2, last}) if rounds is None else list(rounds)
     if not chosen or any(not 0 <= k <= last for k in chosen):
         raise InputError("rounds", chosen, f"rounds of this record, 0 to {last}")
-    with house_style():
-        rows = -(-len(chosen) // PANELS_A_ROW)
+    with house_style(font):
+        most = PANELS_A_ROW if width is None else max(1, int(width / LEAST_PANEL))
+        rows = -(-len(chosen) // most)
         columns = -(-len(chosen) // rows)
-        whole = view(record)
-        width = max(columns * PANEL_INCHES, 5.5)
-        figure = new_figure(width, rows * PANEL_INCHES * _tallness(whole) + 0.85 + BETWEEN_INCHES * (rows - 1))
+        sides = [ABOVE, SIDE][: record.positions.shape[2] - 1]
+        inches = PANEL_INCHES if width is None else (width - 0.4) / columns
+        whole = max(columns * PANEL_INCHES, 5.5) if width is None else width
+        tall = [inches * _tallness(view(record, seen=seen)) for seen in sides]
+        between = BETWEEN_INCHES * (rows * len(sides) - 1)
+        title = heading(record, 0.8 * whole * FONT / font)
+        # In a narrow figure the title has more lines, and labels take a larger share.
+        more = 0.0 if width is None else 0.2 * (title.count("\n") + rows * len(sides)) * font / FONT
+        figure = new_figure(whole, rows * sum(tall) + 0.85 + between + more)
         # Two columns a panel: a last row with fewer panels stands in the middle.
-        grid = figure.add_gridspec(rows, 2 * columns)
+        grid = figure.add_gridspec(rows * len(sides), 2 * columns, height_ratios=tall * rows)
         known = all(record.metrics[k].procrustes_mean is not None for k in chosen)
         panels: list[tuple[Panel, Axes, int]] = []
         for place, k in enumerate(chosen):
             row, column = divmod(place, columns)
             first = 2 * column + columns - min(columns, len(chosen) - row * columns)
-            axes = figure.add_subplot(grid[row, first : first + 2])
-            axes.set_title(_moment(record, k, with_error=known))
-            axes.set_xlabel("x [units]")
-            if column == 0:
-                axes.set_ylabel("y [units]")
-            panels.append((_frame(record, axes, k), axes, k))
-        figure.suptitle(heading(record, 0.8 * width), fontsize=10)
-        _legend(figure, key_of((panel, [k]) for panel, _, k in panels), width)
+            for below, seen in enumerate(sides):
+                axes = figure.add_subplot(grid[row * len(sides) + below, first : first + 2])
+                if not below:
+                    axes.set_title(_moment(record, k, with_error=known))
+                axes.set_xlabel("x [units]")
+                if column == 0:
+                    axes.set_ylabel(f"{'xyz'[seen[1]]} [units]")
+                size: dict[str, Any] = {} if width is None else {"width": 72 * (inches - 0.3), "letters": 0.7 * font}
+                panels.append((_frame(record, axes, k, seen, **size), axes, k))
+        figure.suptitle(title)
+        _legend(figure, key_of((panel, [k]) for panel, _, k in panels), whole)
         _draw_teams(figure, panels)
         return figure
 
@@ -125,25 +143,30 @@ def sheet(rows: Sequence[tuple[str, RunRecord, Sequence[int]]]) -> Figure:
         return figure
 
 
-def _frame(record: RunRecord, axes: Axes, k: int, *, width: float = 165.0, letters: float = 0.0) -> Panel:
+def _frame(
+    record: RunRecord, axes: Axes, k: int, seen: list[int] = ABOVE, *, width: float = 165.0, letters: float = 0.0
+) -> Panel:
     """A framed panel for a round: near enough to see the team, with all of the arena in its corner."""
-    near = close_up(record, k)
-    panel = Panel(record, window=near or view(record), width=width, letters=letters)
+    near = close_up(record, k, seen)
+    panel = Panel(record, window=near or view(record, seen=seen), width=width, letters=letters, seen=seen)
     panel.frame(axes)
     if near is not None:
-        panel.inset(axes, k, view(record, 0.0))
+        panel.inset(axes, k, view(record, 0.0, seen))
     return panel
 
 
 def _legend(figure: Figure, entries: Sequence[Entry], inches: float) -> None:
     """A legend below the panels. A long one makes the figure taller: panels and titles keep their room."""
-    columns = columns_of(entries, inches, RC["legend.fontsize"])
+    size = float(rcParams["legend.fontsize"])
+    columns = columns_of(entries, inches, size)
     rows = -(-len(entries) // columns)
-    figure.set_figheight(figure.get_figheight() + ROW_INCHES * max(0, rows - ROWS))
+    figure.set_figheight(figure.get_figheight() + ROW_INCHES * size / RC["legend.fontsize"] * max(0, rows - ROWS))
     figure.legend(handles=list(entries), loc="outside lower center", ncols=columns)
 
 
-def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
+def error_over_time(
+    records: Sequence[RunRecord], labels: Sequence[str], *, width: float | None = None, font: float = FONT
+) -> Figure:
     """Mean shape error of all records that share a label, with 95 % Student-t intervals (paper, section 4.2).
 
     A run that ended early keeps its last error, so that all means are over the same runs.
@@ -152,16 +175,19 @@ def error_over_time(records: Sequence[RunRecord], labels: Sequence[str]) -> Figu
         InputError: no records, not one label a record, or a record without errors.
     """
     groups = _groups(records, labels)
-    with house_style():
-        figure = new_figure(5.2, 3.4)
+    with house_style(font):
+        inches = width or 5.2
+        figure = new_figure(inches, min(3.4, max(2.2, 0.65 * inches)))
         axes = figure.add_subplot()
         _curves(axes, groups)
         axes.legend(loc="upper right")
-        figure.suptitle(fit_title(model_names(records), 5.2), fontsize=8)
+        figure.suptitle(fit_title(model_names(records), inches * FONT / font), fontsize=font)
         return figure
 
 
-def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
+def comparison(
+    records: Sequence[RunRecord], labels: Sequence[str], *, width: float | None = None, font: float = FONT
+) -> Figure:
     """Runs side by side: how each ended, and below it the error of all over time.
 
     Where a run has no known ideal, as a described shape has none, the curves are left out.
@@ -171,16 +197,18 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
     """
     _check_labels(records, labels)
     known = all(_error_known(record) for record in records)
-    with house_style():
+    with house_style(font):
         whole = _around([view(record) for record in records])
         near = [box for record in records if (box := close_up(record, record.rounds)) is not None]
         window = _around(near) if len(near) == len(records) else whole
         columns = len(records)
-        tall = PANEL_INCHES * _tallness(window)
-        width = max(columns * (PANEL_INCHES + 0.2), 5.5)
-        figure = new_figure(width, tall + (3.3 if known else 1.2))
+        inches = PANEL_INCHES if width is None else (width - 0.4) / columns
+        tall = inches * _tallness(window)
+        broad = max(columns * (PANEL_INCHES + 0.2), 5.5) if width is None else width
+        figure = new_figure(broad, tall + (3.3 if known else 1.2))
         grid = figure.add_gridspec(2, columns, height_ratios=[tall, 2.1]) if known else figure.add_gridspec(1, columns)
-        panels = [Panel(record, window=window) for record in records]
+        size: dict[str, Any] = {} if width is None else {"width": 72 * (inches - 0.3), "letters": 0.7 * font}
+        panels = [Panel(record, window=window, **size) for record in records]
         teams: list[tuple[Panel, Axes, int]] = []
         for column, (panel, label) in enumerate(zip(panels, labels, strict=True)):
             axes = figure.add_subplot(grid[0, column])
@@ -191,15 +219,15 @@ def comparison(records: Sequence[RunRecord], labels: Sequence[str]) -> Figure:
             if column == 0:
                 axes.set_ylabel("y [units]")
             teams.append((panel, axes, panel.record.rounds))
-            axes.set_title(f"{fit_title(label, PANEL_INCHES)}\n{outcome(panel.record)}", linespacing=1.4)
+            axes.set_title(f"{fit_title(label, inches * FONT / font)}\n{outcome(panel.record)}", linespacing=1.4)
         if known:
             below = figure.add_subplot(grid[1, :])
             _curves(below, _groups(records, labels))
             below.legend(loc="upper right")
         robots = records[0].mission.mission["n_robots"]
         title = f"{shapes(records[0])} · {robots} robots · {model_names(records)}"
-        figure.suptitle(fit_title(title, 0.8 * width), fontsize=10)
-        _legend(figure, key_of((panel, [k]) for panel, _, k in teams), width)
+        figure.suptitle(fit_title(title, 0.8 * broad * FONT / font))
+        _legend(figure, key_of((panel, [k]) for panel, _, k in teams), broad)
         _draw_teams(figure, teams)
         return figure
 
@@ -227,12 +255,12 @@ def png(figure: Figure) -> bytes:
 def outcome(record: RunRecord) -> str:
     """How a run ended, in a few words."""
     last = record.metrics[-1]
-    formed = formed_in(record.result or {})
-    if formed is not None:
-        return f"formed in round {formed}"
+    if formed := formed_text(record.result or {}):
+        return formed
     plans = "1 plan" if last.plans_in_use == 1 else f"{last.plans_in_use} plans"
     goals = "1 goal" if last.distinct_goals == 1 else f"{last.distinct_goals} goals"
-    return f"not formed: {plans}, {goals}"
+    how = "broke off" if ending(record.result) == "broke off" else "not formed"
+    return f"{how}: {plans}, {goals}"
 
 
 def mean_and_interval(curves: Sequence[Column]) -> tuple[Column, Column, Column]:

@@ -12,7 +12,7 @@ from typing import Any
 from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS, require
 from llm_flock.printable import one_line, shape_title
-from llm_flock.record import RunRecord, caveats, formed_in, protocol_text, work_text
+from llm_flock.record import RunRecord, caveats, protocol_text, work_text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ def record_html(record: RunRecord) -> str:
     title = _title(record)
     rows = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(value)}</td></tr>"
-        for name, value in _rows(record)
+        for name, value in end_figures(record)
     )
     picture = _picture(record, title)
     return f"<div><p><b>{escape(title)}</b></p>{picture}<table>{rows}</table></div>"
@@ -84,22 +84,17 @@ def _title(record: RunRecord) -> str:
     return one_line(f"{shape}, {mission['n_robots']} robots, seed {record.run.seed}{simulated}")
 
 
-def _rows(record: RunRecord) -> Sequence[tuple[str, str]]:
+def end_figures(record: RunRecord) -> Sequence[tuple[str, str]]:
     """The result as rows of text; records may come from anywhere, so nothing in them is trusted."""
     result: Mapping[str, Any] = record.result or {}
     last = record.metrics[-1]
-    if record.result is None:
-        formed = "not known: the run was stopped"
-    elif result.get("formed"):
-        when = formed_in(result)  # None for a swarm, whose clock is no round
-        formed = "yes" if when is None else f"yes, in round {when} (lower bound {result.get('lower_bound_rounds')})"
-    else:
-        formed = f"no: {result.get('stopped')}" + (f" ({result['reason']})" if result.get("reason") else "")
+    came, bound = record.outcome(), result.get("lower_bound_rounds")
+    more = result.get("reason") if came.ending != "formed" else "" if bound is None else f"lower bound {bound}"
     free = record.run.simulated and not result.get("cost_usd")
     cost = "none (simulated)" if free else _number(last.cost_usd, "{:.4f} USD")
     rows = [
         ("protocol", protocol_text(record.run.config)),
-        ("formed", formed),
+        ("outcome", f"{came.headline} ({more})" if more else came.headline),
         ("why not", record.diagnosis().why),
         ("rounds", str(record.rounds)),
         ("plans in use", str(last.plans_in_use)),

@@ -56,19 +56,30 @@ TIMES = "\u00d7"
 Box = tuple[float, float, float, float]
 """Left, right, bottom, top [units]."""
 
+ABOVE, SIDE = [0, 1], [0, 2]
+"""Coordinates that are seen from above, and of space from the side."""
+
 
 class Panel:
-    """Draws moments of one record in a `window` [units], from above; robots and words fit its `width` [points].
+    """Draws moments of one record in a `window` [units]; robots and words fit its `width` [points].
 
-    Words have letters of at least `letters` [points]; discs have room for them.
+    It shows two coordinates, by default those seen from above. Words have letters of at least `letters` [points]; discs
+    have room for them.
     """
 
     def __init__(
-        self, record: RunRecord, *, width: float = 165.0, window: Box | None = None, letters: float = 0.0
+        self,
+        record: RunRecord,
+        *,
+        width: float = 165.0,
+        window: Box | None = None,
+        letters: float = 0.0,
+        seen: list[int] = ABOVE,
     ) -> None:
         self.record = record
+        self.seen = seen
         self.looks = plan_looks(record)
-        self.window = view(record) if window is None else window
+        self.window = view(record, seen=seen) if window is None else window
         n = record.positions.shape[1]
         self._scale = width / (self.window[1] - self.window[0])
         self._safe = float(record.mission.mission["safe_distance"])
@@ -77,7 +88,7 @@ class Panel:
         self._font = min(7.5, 0.6 * self._disc)
         self.labelled = n <= MAX_LABELLED and self._disc >= MIN_LABELLED
         self.mapped = False
-        self._path = record.positions[:, :, :2]
+        self._path = record.positions[:, :, seen]
         self._offsets: dict[int, tuple[float, float] | None] = {}
 
     def close_pairs(self, positions: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -89,7 +100,7 @@ class Panel:
         if not self.labelled:
             return set()
         positions = self.record.positions[round_number]
-        _, crowds = spread(positions[:, :2] * self._scale, self._disc / 2)
+        _, crowds = spread(positions[:, self.seen] * self._scale, self._disc / 2)
         return {bool(self.close_pairs(positions[one.members]).size) for one in crowds}
 
     def frame(self, axes: Axes) -> None:
@@ -99,16 +110,17 @@ class Panel:
         axes.set_ylim(bottom, top)
         axes.set_aspect("equal")
         axes.tick_params(length=2)
-        # Obstacles of 3D space are shown by their projection on the plane.
+        # Obstacles of space, which are balls, are shown by their projection.
         mission = self.record.mission.mission
-        (left, bottom, *_), (right, top, *_) = mission["arena"]
+        (left, bottom), (right, top) = ([corner[k] for k in self.seen] for corner in mission["arena"])
         look: dict[str, Any] = {"edgecolor": FAINT, "linewidth": 0.8, "zorder": 0.5}
         axes.add_patch(Frame((left, bottom), right - left, top - bottom, facecolor="none", **look))
         for obstacle in mission.get("obstacles", ()):
             if obstacle.get("polygon") is not None:
                 axes.add_patch(Polygon(obstacle["polygon"], closed=True, facecolor=FAINT, **look))
             else:
-                axes.add_patch(Circle(obstacle["center"][:2], obstacle["radius"], facecolor=FAINT, **look))
+                x, y = (obstacle["center"][k] for k in self.seen)
+                axes.add_patch(Circle((x, y), obstacle["radius"], facecolor=FAINT, **look))
 
     def inset(self, axes: Axes, round_number: int, whole: Box) -> None:
         """A small map of the whole view in the corner with the fewest robots; shows this window and every robot."""
@@ -117,9 +129,9 @@ class Panel:
         edge = 0.02 * (whole[1] - whole[0])
         left, bottom = max(self.window[0], whole[0] + edge), max(self.window[2], whole[2] + edge)
         right, top = min(self.window[1], whole[1] - edge), min(self.window[3], whole[3] - edge)
-        at = self.record.positions[round_number, :, :2]
+        at = self._path[round_number]
         small = axes.inset_axes((*_corner(at, self.window)[0], INSET, INSET), zorder=7)
-        Panel(self.record, window=whole).frame(small)
+        Panel(self.record, window=whole, seen=self.seen).frame(small)
         small.set_xticks([])
         small.set_yticks([])
         small.scatter(at[:, 0], at[:, 1], s=1.5, c=INK, linewidths=0, zorder=5)
@@ -130,7 +142,7 @@ class Panel:
         state = self.record.states[round_number]
         before = self.record.positions[max(0, round_number - 1)]
         positions = before + part * (self.record.positions[round_number] - before)
-        places = positions[:, :2]
+        places = positions[:, self.seen]
         looks = [
             NOT_BEGUN if phase == ASLEEP else self.looks[plan_id]
             for plan_id, phase in zip(state.plan_ids, state.phases, strict=True)
@@ -184,7 +196,9 @@ class Panel:
         silent = [robot for robot, phase in enumerate(state.phases) if phase in SILENT]
         adjacent[silent, :] = adjacent[:, silent] = False
         pairs = np.argwhere(np.triu(adjacent))
-        axes.add_collection(LineCollection(list(positions[:, :2][pairs]), colors=FAINT, linewidths=0.8, zorder=2))
+        axes.add_collection(
+            LineCollection(list(positions[:, self.seen][pairs]), colors=FAINT, linewidths=0.8, zorder=2)
+        )
 
     def _trails(self, axes: Axes, round_number: int, places: Points) -> None:
         """Each leg in the colour of the plan that was followed on it."""
@@ -202,7 +216,7 @@ class Panel:
         pairs = zip(state.goals, looks, strict=True)
         rings = [(goal, look.line, look.rim) for goal, look in pairs if goal is not None]
         if rings:
-            points = np.array([goal[:2] for goal, *_ in rings])
+            points = np.array([goal for goal, *_ in rings])[:, self.seen]
             axes.scatter(
                 points[:, 0],
                 points[:, 1],
@@ -301,9 +315,9 @@ class Panel:
             flat = np.asarray(places, dtype=np.float64)
             return points * np.asarray(axes.transData.transform(flat.reshape(-1, 2))).reshape(flat.shape)
 
-        goals = to_pixels([goal[:2] for goal in state.goals if goal is not None] or np.empty((0, 2)))
+        goals = to_pixels([[goal[k] for k in self.seen] for goal in state.goals if goal] or np.empty((0, 2)))
         rings = [np.column_stack([goals, np.full(len(goals), RING * self._disc / 2)])]
-        (left, bottom, *_), (right, top, *_) = mission["arena"]
+        (left, bottom), (right, top) = ([corner[k] for k in self.seen] for corner in mission["arena"])
         legs = np.stack([self._path[: state.round], self._path[1 : state.round + 1]], axis=2).reshape(-1, 2, 2)
         walls = _edges([(left, bottom), (right, bottom), (right, top), (left, top)])
         lines = [legs[(legs[:, 0] != legs[:, 1]).any(axis=1)], walls]
@@ -311,9 +325,8 @@ class Panel:
             if obstacle.get("polygon") is not None:
                 lines.append(_edges(obstacle["polygon"]))
                 continue
-            middle, edge = to_pixels(
-                [obstacle["center"][:2], [obstacle["center"][0] + obstacle["radius"], obstacle["center"][1]]]
-            )
+            x, y = (obstacle["center"][k] for k in self.seen)
+            middle, edge = to_pixels([[x, y], [x + obstacle["radius"], y]])
             rings.append(np.array([[*middle, np.linalg.norm(edge - middle)]]))
         return Outlines(np.concatenate(rings), to_pixels(np.concatenate(lines)))
 
@@ -347,11 +360,11 @@ def short(share: float) -> str:
     return f"{share:.0f}" if share in (0.0, 1.0) else f"{share:.2f}".removeprefix("0")
 
 
-def close_up(record: RunRecord, round_number: int) -> Box | None:
+def close_up(record: RunRecord, round_number: int, seen: list[int] = ABOVE) -> Box | None:
     """A window on the team and its goals in one round; None where they fill most of the whole view anyway."""
-    state, whole = record.states[round_number], view(record)
-    goals = [goal[:2] for goal in state.goals if goal is not None]
-    points = np.concatenate([record.positions[round_number, :, :2], np.array(goals).reshape(-1, 2)])
+    state, whole = record.states[round_number], view(record, seen=seen)
+    goals = [[goal[k] for k in seen] for goal in state.goals if goal is not None]
+    points = np.concatenate([record.positions[round_number][:, seen], np.array(goals).reshape(-1, 2)])
     low, high = points.min(axis=0), points.max(axis=0)
     tall = (whole[3] - whole[2]) / (whole[1] - whole[0])
     wide = max(float(high[0] - low[0]), float(high[1] - low[1]) / tall)
@@ -376,11 +389,11 @@ def _corner(points: NDArray[np.float64], window: Box) -> tuple[tuple[float, floa
     return corners[int(room.argmax())], float(room.max()) - MARGIN
 
 
-def view(record: RunRecord, margin: float = 0.08) -> Box:
+def view(record: RunRecord, margin: float = 0.08, seen: list[int] = ABOVE) -> Box:
     """The arena, extended to every robot and goal outside, with a margin [units]."""
-    low, high = (np.array(corner[:2], dtype=np.float64) for corner in record.mission.mission["arena"])
-    goals = [goal[:2] for state in record.states for goal in state.goals if goal is not None]
-    points = np.concatenate([record.positions[:, :, :2].reshape(-1, 2), np.array(goals).reshape(-1, 2)])
+    low, high = (np.array(corner, dtype=np.float64)[seen] for corner in record.mission.mission["arena"])
+    goals = [[goal[k] for k in seen] for state in record.states for goal in state.goals if goal is not None]
+    points = np.concatenate([record.positions[:, :, seen].reshape(-1, 2), np.array(goals).reshape(-1, 2)])
     low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
     pad = margin * float((high - low).max())
     return (float(low[0]) - pad, float(high[0]) + pad, float(low[1]) - pad, float(high[1]) + pad)

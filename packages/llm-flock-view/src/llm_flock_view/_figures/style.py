@@ -49,6 +49,7 @@ RC: dict[Any, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
     "axes.labelsize": 8.0,
+    "figure.titlesize": 10.0,
     "axes.edgecolor": "#888888",
     "axes.linewidth": 0.8,
     "axes.spines.top": True,
@@ -71,12 +72,16 @@ RC: dict[Any, Any] = {
 """Settings of all figures; a user's own settings do not change them."""
 
 
-def house_style() -> AbstractContextManager[None]:
-    """Settings in force while a figure is made."""
+FONT = RC["font.size"]
+"""Size of letters [points]; those of titles are larger, those at axes smaller, in proportion."""
+
+
+def house_style(font: float = FONT) -> AbstractContextManager[None]:
+    """Settings in force while a figure with letters of a size [points] is made."""
     # Matplotlib is slow to load, and the viewer needs only the looks of plans.
     from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]
 
-    return rc_context(RC)
+    return rc_context({name: value * font / FONT if name.endswith("size") else value for name, value in RC.items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -141,7 +146,7 @@ def heading(record: RunRecord, inches: float) -> str:
     """Shape, N, protocol and model, and whether the model was simulated; broken to fit a width."""
     n = record.mission.mission["n_robots"]
     robots = "1 robot" if n == 1 else f"{n} robots"
-    above = "seen from above" if record.positions.shape[2] > 2 else ""
+    above = "from above and from the side" if record.positions.shape[2] > 2 else ""
     named = protocol_text(record.run.config)
     protocol = f"protocol: {named}" if named else ""
     parts = (shapes(record), robots, protocol, model_names([record]), above)

@@ -13,10 +13,9 @@ from starlette.applications import Starlette
 from llm_flock_view._viewer.connections import PatientConnection
 from llm_flock_view._viewer.guard import RequestGuard
 from llm_flock_view._viewer.launcher import Launcher
-from llm_flock_view._viewer.library import Library, load
+from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.orders import PageOrders
 from llm_flock_view._viewer.paths import title_of
-from llm_flock_view._viewer.recording import Recording
 from llm_flock_view._viewer.routes import Routes
 from llm_flock_view._viewer.server import Address
 from llm_flock_view._viewer.swarm import SwarmSource
@@ -31,6 +30,7 @@ def run_viewer(
     address: Address,
     *,
     records: Sequence[Path],
+    folders: Sequence[Path] = (),
     live: bool,
     swarm: WatchedTeam | None,
     runs: Path,
@@ -44,6 +44,7 @@ def run_viewer(
     Args:
         address: where.
         records: files.
+        folders: their new records are shown as well.
         live: whether the records are still being written.
         swarm: a swarm to watch.
         runs: folder for the records of runs that are started from the page.
@@ -52,11 +53,10 @@ def run_viewer(
         reader: reads missions as text; without one the page takes none.
         foxglove: takes the newest run as well.
     """
-    library = Library()
+    library = Library(runs)
     found = [library.add(title_of(path), path, live=live) for path in records]
-    # Growing records are read at the same time, finished ones one after another.
-    for batch in [[run] for run in found] if live else [found]:
-        threading.Thread(target=_load_all, args=(batch,), daemon=True).start()
+    threading.Thread(target=library.read, args=(found,), daemon=True).start()
+    threading.Thread(target=library.watch, args=(folders,), daemon=True).start()
     source = None if swarm is None else SwarmSource(swarm, library.add(swarm.name))
     launcher = Launcher(library, runs, models, base_url, reader)
     if foxglove is not None:
@@ -75,8 +75,3 @@ def run_viewer(
     if source is not None:
         threading.Thread(target=source.watch, daemon=True).start()
     server.run(sockets=[address.sock])
-
-
-def _load_all(runs: Sequence[Recording]) -> None:
-    for run in runs:
-        load(run)

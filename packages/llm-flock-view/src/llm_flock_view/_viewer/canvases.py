@@ -53,6 +53,8 @@ CHARTS: tuple[dict[str, Any], ...] = (
 
 
 PAGE_NAME = "replay.html"
+FIGURES = ("png", "svg", "pdf")
+"""Kinds of figures that a page saves."""
 
 
 def export_kinds() -> list[tuple[str, str]]:
@@ -60,7 +62,7 @@ def export_kinds() -> list[tuple[str, str]]:
     found = [
         ("Record (MCAP)", RECORD_NAME),
         ("Replay (HTML)", PAGE_NAME),
-        ("Figure (PNG)", "snapshots.png"),
+        *((f"Figure ({ending.upper()})", f"snapshots.{ending}") for ending in FIGURES),
         ("Animation (GIF)", "animation.gif"),
     ]
     return [*found, ("Animation (MP4)", "animation.mp4")] if shutil.which("ffmpeg") else found

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from pydantic_core import to_json
 
 from llm_flock.printable import printable
-from llm_flock.record import ASLEEP, DEAD, RunHistory, State, sentence
+from llm_flock.record import ASLEEP, DEAD, RunHistory, State, sentence, shape_text
 from llm_flock_view._figures.style import plan_look
 from llm_flock_view._viewer.events import in_words
 from llm_flock_view._viewer.library import Library
 from llm_flock_view._viewer.mind import mind, prompt
-from llm_flock_view._viewer.outcome import outcome, shape_text
+from llm_flock_view._viewer.outcome import outcome
 from llm_flock_view._viewer.recording import Recording, box
 from llm_flock_view._viewer.run_rows import run_row
 
@@ -38,15 +39,18 @@ FIGURES = (
     "segment_separation",
     "model_calls",
     "cost_usd",
+    "in_order_since",
 )
-"""Measurements for the plots, by their names in the record."""
+"""Measurements for the plots and the words about a round, by their names in the record."""
 
 
 def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | None:
     """The JSON for a path such as /data/1/news; None if there is no such path. Invalid numbers get their defaults."""
     parts = path.strip("/").split("/")
     if parts == ["data", "runs"]:
-        return to_json([run_row(run) for run in list(library.runs.values())])
+        changes, runs = library.changes, list(library.runs.values())
+        same = query.get("seen") == str(changes) and not any(run.open for run in runs)
+        return to_json({"changes": changes, "rows": None if same else [run_row(run) for run in runs]})
     run = library.runs.get(parts[1]) if len(parts) == 3 and parts[0] == "data" else None
     if run is None:
         return None
@@ -63,6 +67,8 @@ def answer(library: Library, path: str, query: Mapping[str, str]) -> bytes | Non
         case "prompt":
             return to_json(prompt(run.history, number("robot"), number("round"), number("call")))
         case "events":
+            if words := query.get("find", "").lower().split():
+                return to_json(events_with(run.history, words))
             return to_json(event_lines(run.history, number("round"), MAX_TOLD_LENGTH))
         case "about":
             return to_json(about(run))
@@ -89,7 +95,7 @@ def about(run: Recording) -> dict[str, Any]:
         "robots": history.n_robots,
         "space": len(fields["arena"][0]) > 2,
         **{name: fields[name] for name in ("safe_distance", "comm_range", "spacing")},
-        "arena": [list(corner)[:2] for corner in fields["arena"]],
+        "arena": [list(corner) for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }
 
@@ -124,7 +130,7 @@ def _frame(run: RunHistory, state: State) -> dict[str, Any]:
     return {
         "r": state.round,
         "x": [[round(part, DECIMALS) for part in row] for row in state.positions],
-        "g": [None if row is None else _from_above(row) for row in state.goals],
+        "g": [None if row is None else [round(part, DECIMALS) for part in row] for row in state.goals],
         "p": [-1 if plan_id is None else run.plan_numbers[plan_id] for plan_id in state.plan_ids],
         "s": list(state.slots),
         "i": [round(share, 2) for share in state.influence],
@@ -137,6 +143,21 @@ def _frame(run: RunHistory, state: State) -> dict[str, Any]:
         ],
         "b": [k for k, kinds in enumerate(state.open_breakers) if "step" in kinds or (kinds and not state.plan_ids[k])],
     }
+
+
+def events_with(run: RunHistory, words: Sequence[str]) -> dict[str, Any]:
+    """The first MAX_EVENTS events of all rounds whose sentences hold all words, in lower case; each with its round."""
+    lines: list[list[Any]] = []
+    for number in sorted(run.events):
+        for event in run.events[number]:
+            line = [f"robot {event.robot}", sentence(in_words(event, run.plan_name), MAX_WORDS), number]
+            text = f"{line[0]} {line[1]}".lower()
+            # A number is meant as a whole: 7 is robot 7, and no coordinate with a 7 in it.
+            if all(word in (re.split(r"[\s,()]+", text) if word.isdigit() else text) for word in words):
+                lines.append(line)
+        if len(lines) > MAX_EVENTS:
+            return {"round": None, "more": True, "lines": lines[:MAX_EVENTS]}
+    return {"round": None, "more": False, "lines": lines}
 
 
 def event_lines(run: RunHistory, number: int, most: int = MAX_WORDS) -> dict[str, Any]:
@@ -155,10 +176,6 @@ def _printable(value: Any) -> Any:
     if isinstance(value, list):
         return [_printable(one) for one in cast("list[Any]", value)]
     return value
-
-
-def _from_above(row: Sequence[float]) -> list[float]:
-    return [round(row[0], DECIMALS), round(row[1], DECIMALS)]
 
 
 def _round(value: float | None) -> float | None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from llm_flock.errors import FieldError, RecordError
 from llm_flock.record import read_record
-from llm_flock_view._viewer.canvases import PAGE_NAME, export_kinds
+from llm_flock_view._viewer.canvases import FIGURES, PAGE_NAME, export_kinds
 from llm_flock_view._viewer.paths import RECORD_NAME
 from llm_flock_view._viewer.replay_page import write_page
 
@@ -30,7 +30,7 @@ def export(record: Path, name: str) -> bytes:
         target = Path(folder) / name
         if name == PAGE_NAME:
             write_page(record, target)
-        elif target.suffix == ".png":
+        elif target.suffix[1:] in FIGURES:
             figures.save(figures.snapshots(read_record(record)), target)
         else:
             animate(read_record(record), target)

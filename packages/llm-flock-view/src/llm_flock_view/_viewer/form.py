@@ -16,6 +16,7 @@ PROTOCOLS = {
     "paper": "the paper's, to the letter: the most influential robot's plan, the nearest place",
     "baseline": "the paper's baseline: every robot follows its own plan",
 }
+GAPS = {"report": "stay empty: the others hold theirs", "replan": "the others make a smaller formation"}
 STARTS = ("separated", "uniform", "connected")
 MODELS = {
     "simulated:ideal": "always right",
@@ -35,6 +36,7 @@ def options(launcher: Launcher) -> dict[str, Any]:
         "needs": NEEDS_A_MODEL,
         "protocols": [[name, about] for name, about in PROTOCOLS.items()],
         "models": [*allowed, *([name, about] for name, about in MODELS.items() if name not in launcher.models)],
+        "gaps": list(GAPS.items()),
         "starts": STARTS,
     }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
@@ -12,8 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from llm_flock.errors import InputError
 from llm_flock.printable import shape_title
-from llm_flock_view._viewer.library import Library
+from llm_flock_view._viewer.library import Library, identity
 from llm_flock_view._viewer.paths import RECORD_NAME
+from llm_flock_view._viewer.recording import Recording
 
 if TYPE_CHECKING:
     from llm_flock.llm import MissionDraft, MissionReader
@@ -26,6 +28,9 @@ NEEDS_A_MODEL = (
 MAX_RUNS = 4
 """Runs that fly at the same time: they share the processor with the pages."""
 
+
+BEGINS_S = 10.0
+"""Longest time until the record of a run has begun [s]."""
 
 WARM_AFTER_S = 0.3
 """The form is shown first [s]."""
@@ -82,7 +87,10 @@ class Launcher:
         if flying + len(configs) > MAX_RUNS:
             asked = f"{len(configs)} more than {flying}"
             raise InputError("run", asked, f"at most {MAX_RUNS} at once: end some of them first")
-        return [self._launch(config, pace) for config in configs]
+        runs = [self._launch(config, pace) for config in configs]
+        for run in runs:
+            self._show(run)
+        return runs
 
     def _launch(self, config: RunConfig, pace: float) -> SteeredRun:
         from llm_flock_view._viewer.steered_run import SteeredRun
@@ -94,8 +102,16 @@ class Launcher:
         trial = config.trial.model_copy(update={"out": str(out)})
         config = config.model_copy(update={"trial": trial})
         title = f"{shape_title(mission.shape)} of {mission.n_robots}, {protocol}, seed {config.trial.seed}"
-        recording = self.library.add(title, out / RECORD_NAME)
-        run = self.runs[recording.key] = SteeredRun(config, recording, pace)
+        recording = Recording("", title, out / RECORD_NAME, live=True)
+        self.library.expect(out / RECORD_NAME)
+        run = SteeredRun(config, recording, pace)
         recording.steer = run.state
         run.start()
         return run
+
+    def _show(self, run: SteeredRun) -> None:
+        """Add a run under the key of its record, which has to begin first; one that fails at once has another key."""
+        path, end = run.recording.path, time.monotonic() + BEGINS_S
+        while path is not None and identity(path) is None and not run.over and time.monotonic() < end:
+            time.sleep(0.01)
+        self.runs[self.library.put(run.recording).key] = run

@@ -32,8 +32,10 @@ LABELS: Mapping[str, str] = {
     "model": "Model",
     "seed": "Seed",
     "rounds": "Rounds at most",
+    "gaps": "Places of the dead",
     "loss": "Messages lost",
     "start": "Starts",
+    "start_positions": "Starts",
     "pace": "Rounds a second",
     "words": "Mission in words",
 }
@@ -69,12 +71,17 @@ class PageOrders:
             # Neither form has a field for the arena: the centre is what moves a formation away from its walls.
             field = "center" if field == "arena" else field
             said = printable(_in_form_words(error, at_field=field is not None))
+            # In flight the number of robots is as it is: another shape is what can be chosen.
+            if field == "n_robots" and isinstance(error, InputError) and order.get("order") == "change":
+                field, said = "shape", f"{said}; this team has {printable(str(error.value))}"
             return {"error": said, "field": field if field is None else printable(field)}
 
     async def _order(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         order = asked.get("order")
         if order == "start":
             return await asyncio.to_thread(self._start, asked)
+        if order == "preview":
+            return await asyncio.to_thread(self._preview, asked.get("fields"))
         if order == "read":
             return await self._read(asked)
         if order == "delete":
@@ -101,6 +108,23 @@ class PageOrders:
         started = self.launcher.start(cast("dict[str, Any]", fields), pace=pace, protocols=names, draft=draft)
         where = "run" if len(started) == 1 else "pair"
         return {"address": "/".join(["", where, *(one.recording.key for one in started)])}
+
+    def _preview(self, fields: object) -> dict[str, Any]:
+        """Arena, starts and places of a run of the form's fields, which does not fly yet [units]."""
+        from llm_flock_view._viewer.steered_run import config_of, starts_of
+
+        if not isinstance(fields, dict):
+            raise FieldError("fields", None, says="a picture needs the fields of a run")
+        config = config_of(cast("dict[str, Any]", fields), self.launcher.models, self.launcher.base_url)
+        mission = config.mission
+        places = [] if mission.ideal is None else mission.ideal
+        return {
+            "arena": mission.arena,
+            "center": mission.center,
+            "safe": mission.safe_distance,
+            "starts": starts_of(config).round(1).tolist(),
+            "places": places,
+        }
 
     async def _read(self, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What a model makes of words, for a new run, or for one in flight; it is kept until it is confirmed."""

@@ -37,11 +37,11 @@ PLAYER = (
         "timeline",
         "plots",
     ),
-    *("banner", "legend", "mind", "steer", "transport", "player"),
+    *("banner", "legend", "mind", "steer", "transport", "moment", "player"),
 )
 """Scripts that a replay needs, each after those that it imports."""
 
-ALL = (*PLAYER, "shapes", "cockpit", "runs", "pages")
+ALL = (*PLAYER, "shapes", "ground", "cockpit", "runs", "pages")
 
 _IMPORT = re.compile(r'^import \{([^}]*)\} from "([^"]+)";$', re.MULTILINE)
 _EXPORT = re.compile(r"^export (?:async )?(?:class|function|const) (\w+)", re.MULTILINE)

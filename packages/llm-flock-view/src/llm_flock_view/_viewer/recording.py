@@ -28,15 +28,14 @@ def close_pairs(positions: Sequence[Sequence[float]], safe: float) -> int:
 
 
 def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
-    """Lower left and upper right of some points, seen from above [units]; None stands for no point."""
-    seen = [row for row in rows if row is not None]
-    columns, lines = [row[0] for row in seen], [row[1] for row in seen]
-    return [min(columns), min(lines), max(columns), max(lines)]
+    """The lowest and then the highest coordinates of some points, 2d numbers [units]; None stands for no point."""
+    axes = list(zip(*(row for row in rows if row is not None), strict=True))
+    return [*map(min, axes), *map(max, axes)]
 
 
 def in_unit_square(rows: Sequence[Sequence[float]]) -> list[list[float]]:
     """Points seen from above, in the middle of a picture whose sides are 1 and whose second axis points down."""
-    left, bottom, right, top = box(rows)
+    left, bottom, right, top = box([row[:2] for row in rows])
     size = max(right - left, top - bottom, 1e-9)
     middle, centre = (left + right) / 2, (bottom + top) / 2
     return [[round((x - middle) / size + 0.5, 3), round(0.5 - (y - centre) / size, 3)] for x, y, *_ in rows]
@@ -66,7 +65,7 @@ class Recording:
         self.failure: str | None = None
         self.version: tuple[int, ...] | None = None  # of the file as it was read
         self.marks: defaultdict[int, Counter[str]] = defaultdict(Counter)  # of each timeline track, by round
-        self.extent: list[float] = []  # where robots and goals have been, seen from above: two corners [units]
+        self.extent: list[float] = []  # where robots and goals have been: two corners [units]
         self.steer: Callable[[], dict[str, Any]] | None = None  # what can be ordered of it now
 
     def write(self, entry: Entry) -> None:
@@ -99,7 +98,8 @@ class Recording:
             pairs = close_pairs(state.positions, safe)
             if pairs:
                 self.marks[number][TOO_CLOSE] = pairs
-        known = [self.extent[:2], self.extent[2:]] if self.extent else []
+        half = len(self.extent) // 2
+        known = [self.extent[:half], self.extent[half:]] if self.extent else []
         self.extent = box([*known, *state.positions, *state.goals])
 
     def fail(self, error: Exception) -> None:

@@ -38,6 +38,7 @@ def write_page(record: Path, target: Path) -> int:
         # The page has no conversations, which are most of a record.
         no_text: dict[str, Any] = {"messages": [], "text": None, "parsed": None, "settings": {}}
         run.write(entry.model_copy(update=no_text) if isinstance(entry, LlmEntry) else entry)
+    run.open = False
     if not run.ready:
         raise RecordError(f"{record}: the run ended before its start was recorded; there is nothing to show")
     text = page(run).encode()
@@ -77,7 +78,7 @@ def _content(run: Recording) -> dict[str, Any]:
         kept += frames(history, first, MAX_FRAMES)
     return {
         "about": {**about(run), "export": False},
-        "news": {**news(run, 0, 0, 0), "open": False},
+        "news": news(run, 0, 0, 0),
         "frames": kept,
         "events": [event_lines(history, number) for number in range(history.last_round + 1)],
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Sequence
 from functools import partial
@@ -113,23 +114,18 @@ class Routes:
             asked: Any = json.loads(body)
         except (ValueError, RecursionError):
             return Response("an order is JSON", status_code=400)
-        reply = await self.orders.carry_out(asked)
+        try:
+            reply = await self.orders.carry_out(asked)
+        except asyncio.CancelledError:  # the viewer ends while a slow order waits
+            return Response("the viewer ends", status_code=503)
         content = await run_in_threadpool(partial(to_json, reply))
         return Response(content, headers=UNCACHED, media_type="application/json")
 
     def _play(self, *keys: str) -> Response:
-        runs = [self.library.runs.get(key) for key in keys]
+        runs = [self.library.find(key) for key in keys]
         if None in runs:
-            return HTMLResponse(LOST, status_code=404)
+            return HTMLResponse(html("No such run", {"page": "lost"}), status_code=404)
         return _player([run for run in runs if run is not None])
-
-
-LOST = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<meta name="color-scheme" content="light dark"><title>No such run</title><link rel="icon" href="data:,"></head>
-<body><main><h1>No such run</h1>
-<p>It was deleted, or it was shown by an earlier viewer. <a href="/runs">All runs</a></p></main></body></html>
-"""
 
 
 def _player(runs: Sequence[Recording]) -> Response:

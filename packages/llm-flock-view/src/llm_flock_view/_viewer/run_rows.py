@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from llm_flock.printable import one_line
-from llm_flock.record import RunHistory, sentence
+from llm_flock.record import DEAD, RunHistory, sentence
 from llm_flock_view._figures.style import plan_look
 from llm_flock_view._viewer.outcome import outcome, protocol_name
 from llm_flock_view._viewer.recording import Recording, in_unit_square
@@ -52,6 +52,8 @@ def run_row(run: Recording) -> dict[str, Any]:
         "why": sentence(str(found["why"]).partition(". ")[0], 300) if found["why"] else "",
         "date": "" if info is None else one_line(info.created_at[:16].replace("T", " ")),
         "seed": None if info is None else info.seed,
+        "loss": None if info is None else _number(info.config.get("links", {}).get("loss")),
+        "deaths": sum(phase == DEAD for phase in history.states[rounds].phases),
         "protocol": one_line(protocol_name(history)),
         "model": "" if info is None else one_line(str(info.config.get("model", {}).get("model", ""))),
         "mission": one_line(", then ".join(part["text"] for part in found["missions"])),

@@ -8,6 +8,7 @@ import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
+from llm_flock.arrays import Points
 from llm_flock.errors import FieldError, FlockError, InputError, unknown
 from llm_flock.events import Note
 from llm_flock.llm import MissionDraft, habits_of
@@ -24,7 +25,7 @@ from llm_flock.runtime import (
     stream,
 )
 from llm_flock.shapes import names_file
-from llm_flock.simulate import draw_start
+from llm_flock.simulate import start_positions
 from llm_flock_view._viewer.library import load
 from llm_flock_view._viewer.recording import Recording
 
@@ -45,6 +46,7 @@ FIELDS: tuple[str, ...] = (
     "rounds",
     "loss",
     "start",
+    "start_positions",
     "fallback",
     "gaps",
     "decide",
@@ -81,8 +83,14 @@ def config_of(
     if _free(config.model.model):
         # These raise now what would otherwise only be raised when the run begins.
         TeamPlanners(config)
-        draw_start(config.mission, config.trial.start, stream(config.trial.seed, Stream.START), config.trial.start_area)
+        starts_of(config)
     return config
+
+
+def starts_of(config: RunConfig) -> Points:
+    """Where the robots of a run start, shape (n, d) [units]."""
+    trial, rng = config.trial, stream(config.trial.seed, Stream.START)
+    return start_positions(config.start_scene, trial.start_positions, trial.start, rng, trial.start_area)
 
 
 def _free(model: str) -> bool:

@@ -19,7 +19,7 @@ from llm_flock.cli._terminal import Screen, say
 from llm_flock.errors import FieldError, InputError
 from llm_flock.file_lock import is_written
 from llm_flock.printable import one_line, printable, shape_title
-from llm_flock.record._words import begun, caveats, formed_in, rules_text, verdict, work_text
+from llm_flock.record._words import begun, caveats, counted, formed_text, help_text, rules_text, verdict, work_text
 
 if TYPE_CHECKING:
     from llm_flock.record._reader import RunRecord
@@ -85,7 +85,7 @@ def summary_table(result: RunResult) -> Table:
         ("formed", _formed_text(summary)),
         ("stopped", f"{summary.stopped}, after {summary.rounds} rounds"),
         ("plans in use", str(summary.plans_in_use)),
-        ("distinct goals", f"{summary.distinct_goals} of {summary.n_robots}"),
+        ("distinct goals", f"{summary.distinct_goals} of {summary.awake}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
         ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe:g})"),
         ("work", escape(work_text(summary.to_dict())) or "none"),
@@ -121,14 +121,11 @@ def summary_table(result: RunResult) -> Table:
 
 def _formed_text(summary: Summary) -> str:
     bound = "" if summary.lower_bound_rounds is None else f" (lower bound {summary.lower_bound_rounds})"
-    if summary.formed:
-        without = summary.models == ("geometry",)
-        alone = ", by geometry without models" if without else ", [bold]with help for the models[/]"
-        alone = "" if summary.formed_by_models else alone
+    if formed := formed_text(result := summary.to_dict()):
         # Bounds count from when the last mission was given, as do rounds to the formation.
         several = len(summary.missions) > 1
-        took = f", in {summary.rounds_to_formed} rounds of the last mission" if several else ""
-        return f"[bold green]yes[/], in round {formed_in(summary.to_dict())}{took}{bound}{alone}"
+        took = f", {counted(summary.rounds_to_formed, 'round')} after the last order" if several else ""
+        return f"[bold green]yes[/], {formed.removeprefix('formed ')}{took}{bound}{help_text(result)}"
     return f"[bold red]no[/]{bound}"
 
 
@@ -167,6 +164,7 @@ def show_overview(record: RunRecord) -> None:
         console.print(Text(one_line(work)))
     for caveat in caveats(record.result or {}, mission):
         console.print(Text(begun(caveat), style="bold red"))
+    console.print(Text(one_line(f"{record.outcome().headline}."), style="bold"))
     if why := record.diagnosis().why:
         console.print(Text(one_line(why)))
     table = Table("round", "at goal", "plans", "goals", "error", "separation", "calls", "tokens")

@@ -89,7 +89,7 @@ class FramedQuestion(Generic[Q]):
         if self.frame is None or isinstance(answer, JudgementAnswer):
             return answer
         if isinstance(answer, PlanAnswer):
-            return replace(answer, plan=Plan.of(map(self.frame.world, answer.plan.points), answer.plan.program))
+            return replace(answer, plan=answer.plan.mapped(self.frame.origin, self.frame.unit))
         return replace(answer, waypoint=self._waypoint(answer.waypoint), path=tuple(map(self._waypoint, answer.path)))
 
     def _waypoint(self, point: Point) -> Point:

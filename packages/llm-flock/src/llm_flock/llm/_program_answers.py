@@ -6,14 +6,12 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
-import numpy as np
-
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.formation import parse_program, program_points
+from llm_flock.formation import parse_program
 from llm_flock.llm._answers import MAX_CHARS
 from llm_flock.llm._thoughts import spoken
 from llm_flock.mission import Mission
-from llm_flock.plan import Plan
+from llm_flock.plan import Drawing, Plan
 
 FIELDS = {"reasoning", "program", "my_plan"}
 REQUIRED = 'a JSON object {"program": {...}, "my_plan": a} is required'
@@ -43,10 +41,11 @@ def read_program(text: str, mission: Mission) -> tuple[Plan, int]:
         raise AnswerError(f"my_plan is {slot!r:.40}; a whole number from 0 to {n - 1} is required.")
     try:
         program = parse_program(cast("Any", given.get("program")))
-        points = program_points(program, n, mission.dim, mission.spacing)
+        plan = Plan(drawing=Drawing(program.text, n, mission.spacing, mission.center))
+        _ = plan.points
     except InputError as error:
         raise AnswerError(f"its program cannot be drawn: {error}") from None
-    return Plan.of((points + np.array(mission.center)).tolist(), program.text), slot
+    return plan, slot
 
 
 def _objects(text: str) -> Iterator[Mapping[str, Any]]:

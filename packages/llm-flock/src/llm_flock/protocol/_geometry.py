@@ -10,7 +10,6 @@ import numpy as np
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import Points
-from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
 from llm_flock.protocol._verification.steps import towards
@@ -34,9 +33,8 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
     placements = mission.placements(angle_rad)
     if mission.velocity is not None:
-        placements = [turned(np.array(mission.ideal), mission.center, 0.0 if mission.turn is not None else angle_rad)]
-    for points in placements:
-        plan = Plan.of(points.tolist())
+        placements = [mission.plan(angle_rad if mission.turn is None else 0.0)]
+    for plan in placements:
         objection = check_proposal(mission, plan, question.still, question.position)
         if objection is None:
             return PlanAnswer(plan=plan, slot=question.robot % len(plan))

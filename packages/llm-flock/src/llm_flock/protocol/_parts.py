@@ -102,14 +102,14 @@ class Membership:
         return False
 
     @property
+    def replans(self) -> bool:
+        """Whether its plan does not fit the living team, as far as it knows, so that it will propose another one."""
+        return False
+
+    @property
     def missing(self) -> int:
         """Number of robots that were heard of and are silent."""
         return 0
-
-    @property
-    def fits(self) -> bool:
-        """Whether the plan need not be replaced by one for a team of another size."""
-        return True
 
     @property
     def known(self) -> object:

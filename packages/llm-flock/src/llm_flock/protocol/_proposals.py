@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
-from llm_flock.arrays import moved
 from llm_flock.events import AskPlan, Note, RoundBegan
 from llm_flock.message import MissionStamp
 from llm_flock.plan import Plan
@@ -96,5 +95,4 @@ class Proposals:
         mission = self._agreement.mission
         if mission.velocity is None:
             return answer
-        ahead = mission.drift(question.round)
-        return replace(answer, plan=Plan.of(moved(x, ahead, -1.0) for x in answer.plan.points))
+        return replace(answer, plan=answer.plan.mapped(tuple(-x for x in mission.drift(question.round))))

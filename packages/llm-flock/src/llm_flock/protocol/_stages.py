@@ -29,10 +29,8 @@ class Stages:
         self._there = self._formed = 0  # rounds at the own place; rounds for which the team has stood formed
 
     def next(self, round_: int) -> Mission | None:
-        """The stage to go on to at the start of a round; None to stay."""
+        """The stage to go on to at the start of a round, if the mission has one; None to stay."""
         mission = self._agreement.mission
-        if not mission.then:
-            return None
         self._look()
         when = mission.then[0].when
         due = round_ >= when if isinstance(when, int) else when == "formed" and self._formed > mission.hold
@@ -60,6 +58,6 @@ class Stages:
         owners = [bid for _, bid, owner in table if owner not in (NO_OWNER, BLOCKED)]
         usable = sum(owner != BLOCKED for _, _, owner in table)
         team = now.mission.n_robots - self._membership.missing
-        whole = len(owners) == min(usable, team) and self._membership.fits
+        whole = len(owners) == min(usable, team) and not self._membership.replans
         formed = whole and all(bid >= MAX_BID for bid in owners)
         self._formed = self._formed + 1 if formed else 0

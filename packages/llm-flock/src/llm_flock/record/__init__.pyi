@@ -1,10 +1,11 @@
-from ._diagnosis import IN_SHAPE as IN_SHAPE
 from ._diagnosis import Cause as Cause
 from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import deaths_text as deaths_text
 from ._diagnosis import diagnose as diagnose
 from ._history import CallCounts as CallCounts
 from ._history import RunHistory as RunHistory
+from ._outcome import outcome_of as outcome_of
+from ._outcome import shape_text as shape_text
 from ._reader import RunRecord as RunRecord
 from ._reader import read_record as read_record
 from ._scene import FRAME as FRAME
@@ -43,6 +44,7 @@ from ._schema import State as State
 from ._schema import SummaryMessage as SummaryMessage
 from ._schema import channel_schema as channel_schema
 from ._stream import RecordStream as RecordStream
+from ._words import ENDINGS as ENDINGS
 from ._words import MAX_PLACES as MAX_PLACES
 from ._words import NO_PLAN as NO_PLAN
 from ._words import PALETTE as PALETTE
@@ -50,7 +52,9 @@ from ._words import answers_of_others as answers_of_others
 from ._words import begun as begun
 from ._words import caveats as caveats
 from ._words import counted as counted
+from ._words import ending as ending
 from ._words import formed_in as formed_in
+from ._words import formed_text as formed_text
 from ._words import letters as letters
 from ._words import protocol_text as protocol_text
 from ._words import robots_text as robots_text

@@ -25,6 +25,9 @@ from llm_flock.record._schema import (
 )
 from llm_flock.record._words import letters
 
+HELD_ROUNDS = 3
+"""Rounds in order after which a team has formed, as in `llm_flock.metrics`."""
+
 
 class PlanOrigin(NamedTuple):
     """One hop of a plan: `robot` received it from `source` in `round`. The proposal itself has no source."""
@@ -72,7 +75,7 @@ class RunHistory:
         self.calls: defaultdict[tuple[int, int], list[LlmEntry]] = defaultdict(list)  # by round and robot
         self.accused: dict[int, str] = {}  # robots that others accused of lying, each with the last reason
         self.death_rounds: dict[int, int] = {}  # in which each robot died last
-        self.last_disturbance_round = 0  # in which a robot died or joined
+        self.formations: list[tuple[int, int]] = []  # first and last round of each time in which the team stood formed
         self.call_counts: defaultdict[int, CallCounts] = defaultdict(CallCounts)
         self._loss: float | None = None
         self._origins: defaultdict[tuple[int, str], list[PlanOrigin]] = defaultdict(list)
@@ -110,12 +113,22 @@ class RunHistory:
                 self.states.append(entry)
             case MetricsRow():
                 self.rows.append(entry)
+                self._take_row(entry)
             case RoundEnd():
                 self.last_round = entry.round
             case SummaryMessage():
                 self.result = entry.result
             case _:
                 pass  # positions between rounds, and events of a flight as a whole
+
+    def _take_row(self, row: MetricsRow) -> None:
+        since = row.in_order_since
+        if since is None or row.round - since + 1 < HELD_ROUNDS:
+            return
+        if self.formations and self.formations[-1][0] == since:
+            self.formations[-1] = since, row.round
+        else:
+            self.formations.append((since, row.round))
 
     def _take_event(self, event: ProtocolEvent) -> None:
         robot, detail = event.robot, event.detail
@@ -124,10 +137,8 @@ class RunHistory:
                 self.call_counts[robot].breaker_openings += detail.get("state") == "open"
             case "fallback":
                 self.call_counts[robot].fallbacks += 1
-            case "killed" | "joined":
-                self.last_disturbance_round = max(self.last_disturbance_round, event.round)
-                if event.kind == "killed":
-                    self.death_rounds[robot] = event.round
+            case "killed":
+                self.death_rounds[robot] = event.round
             case "accused" if isinstance(detail.get("robot"), int):
                 self.accused[detail["robot"]] = str(detail.get("reason")).replace("_", " ")
             case "injected" if isinstance(detail.get("loss"), int | float):

@@ -18,6 +18,7 @@ from llm_flock.extras import ExtraMissing, require
 from llm_flock.record import RECORD_NAME
 from llm_flock.record._diagnosis import Diagnosis, diagnose
 from llm_flock.record._history import RunHistory
+from llm_flock.record._outcome import RunOutcome, outcome_of
 from llm_flock.record._schema import (
     BodySample,
     Entry,
@@ -33,6 +34,7 @@ from llm_flock.record._schema import (
     SummaryMessage,
 )
 from llm_flock.record._stream import ROS_BAG, RawMessage, RecordStream, record_file
+from llm_flock.record._words import ending
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingTypeStubs]
@@ -88,11 +90,16 @@ class RunRecord:
 
     def diagnosis(self) -> Diagnosis:
         """Why the team did not form its last mission; empty for a run that formed, or has no round."""
-        if (self.result or {}).get("formed"):
-            return Diagnosis()
+        return Diagnosis() if ending(self.result) == "formed" else diagnose(self._history())
+
+    def outcome(self) -> RunOutcome:
+        """What came of the run: whether, when and until when its last mission was formed, or how it ended."""
+        return outcome_of(self._history())
+
+    def _history(self) -> RunHistory:
         end = () if self.result is None else (SummaryMessage(result=self.result),)
         seen = (self.run, *self.missions, *self.plans, *self.states, *self.metrics, *self.events, *self.llm)
-        return diagnose(RunHistory.of((*seen, RoundEnd(round=self.rounds), *end)))
+        return RunHistory.of((*seen, RoundEnd(round=self.rounds), *end))
 
     def animate(self, *, fps: int = 12) -> Any:
         """The run as an animation that a notebook shows, and `save` writes; `fps` frames a second, four a round."""
@@ -124,7 +131,7 @@ KINDS: dict[str, str] = {
     name: {int: "Int64", bool: "Boolean"}.get(cast("type", info.annotation), "Float64")
     for name, info in MetricsRow.model_fields.items()
     if name != "messages_rejected"
-}
+} | {"in_order_since": "Int64"}
 """Columns of the table of rounds, which are the fields of `/metrics`, and their types in polars."""
 
 KINDS_OF_ROBOTS = {"robot": "Int64", "slot": "Int64", "plan_id": "String", "origin": "String", "phase": "String"}
@@ -173,7 +180,7 @@ def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
     table_columns = columns(record, table)
     library: Any = import_module("pandas")
     frame = library.DataFrame(table_columns)
-    kinds = {name: "Int64" for name in ("slot",) if name in table_columns}
+    kinds = {name: "Int64" for name in ("slot", "in_order_since") if name in table_columns}
     kinds |= {name: "float64" for name in table_columns if _kind(name) == "Float64"}
     return cast("pandas.DataFrame", frame.astype(kinds))
 

@@ -287,6 +287,9 @@ class MetricsRow(Entry):
     plans_in_use: Whole = Field(description="Different plans followed")
     distinct_goals: Whole = Field(description="Different goals headed for")
     robots_at_goal: Whole = Field(description="Robots within 0.05 spacing of their goal")
+    in_order_since: Round | None = Field(
+        None, description="First of the rounds in order up to this one; left out when the team is not in order"
+    )
     connected: bool = Field(description="Whether the radio graph is one piece")
     model_calls: Whole = Field(description="Model calls so far")
     tokens: Whole = Field(description="Tokens in and out so far")

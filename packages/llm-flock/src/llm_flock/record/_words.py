@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 MAX_PLACES = 12
 """Number of places of a plan that are listed."""
 
-PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#7F7F7F")
-"""Colours that can be told apart with any colour vision (Okabe, Ito 2008), with grey in place of their black."""
+PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8B462E", "#7400E8", "#8B74FF", "#B9A25D")
+"""Ten colours, any two of which can be told apart with any colour vision; the first six are of Okabe and Ito (2008)."""
 
 NO_PLAN = "#FFFFFF"
 
@@ -43,15 +43,61 @@ def rules_text(consensus: str | None, assignment: str | None, *, shield: bool | 
     return f"{name} ({rules})" if name else rules
 
 
+ENDINGS: Mapping[str, str] = {
+    "formed": "the formation was built",
+    "not formed": "all rounds were flown",
+    "budget": "a budget was used up first",
+    "no plan": "no model proposed an acceptable plan, and none is asked any more",
+    "no answers": "no model answered any more",
+    "interrupted": "the run was stopped from outside",
+    "broke off": "an error ended the run",
+}
+"""How runs end; each has exactly one of these endings."""
+
+
+def ending(result: Mapping[str, Any] | None) -> str:
+    """How a run ended, one of `ENDINGS`. Without a result it broke off, whatever it had come to."""
+    if result is None or result.get("stopped") == "failed":
+        return "broke off"
+    if result.get("formed"):
+        return "formed"
+    stopped = str(result.get("stopped")).replace("_", " ")
+    return stopped if stopped in ENDINGS.keys() - {"formed"} else "not formed"
+
+
+def _last_mission(result: Mapping[str, Any]) -> Mapping[str, Any]:
+    """The outcome of a run's last mission; empty where the result, which may come from anywhere, has none."""
+    missions = result.get("missions")
+    last = cast("Sequence[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
+    return cast("Mapping[str, Any]", last) if isinstance(last, Mapping) else {}
+
+
 def formed_in(result: Mapping[str, Any]) -> int | None:
     """The round of the run in which its last mission was formed, by its result; None if it was not."""
-    if not result.get("formed"):
+    if ending(result) != "formed":
         return None
-    missions = result.get("missions")
-    last = cast("list[object]", missions)[-1] if isinstance(missions, list | tuple) and missions else None
-    formed = cast("Mapping[str, Any]", last).get("formed") if isinstance(last, Mapping) else None
+    formed = _last_mission(result).get("formed")
     number = formed if isinstance(formed, int) else result.get("rounds_to_formed")
     return number if isinstance(number, int) else None
+
+
+def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
+    """When a team formed, in round `number` if that is not in its result, or after which time a swarm did.
+
+    Empty if it did not.
+    """
+    time_s, number = result.get("mission_s"), formed_in(result) if number is None else number
+    if isinstance(time_s, int | float):
+        return f"formed after {time_s:.1f} s"
+    return f"formed in round {number}" if number is not None else "formed" if ending(result) == "formed" else ""
+
+
+def help_text(result: Mapping[str, Any]) -> str:
+    """Whether the models of a run that formed had help; older records do not say."""
+    if result.get("formed_by_models", True):
+        return ""
+    without = {*cast("Sequence[str]", result.get("models") or ())} == {"geometry"}
+    return ", by geometry without models" if without else ", with help for the models"
 
 
 def verdict(entry: LlmEntry) -> str:
@@ -93,9 +139,8 @@ def caveats(result: Mapping[str, Any], mission: Mapping[str, Any]) -> list[str]:
         found.append(f"{counted(over, 'step')} over the limit ended there")
     if off is not None and off > mission["spacing"] / 10:
         found.append(f"the team is {off:.2f} beside the centre of its mission")
-    given = cast("Sequence[Mapping[str, Any]]", result.get("missions") or [mission])
-    kind, _, drawn = str(given[-1].get("shape")).partition(":")
-    if kind == "text" and result.get("formed"):
+    kind, _, drawn = str((_last_mission(result) or mission).get("shape")).partition(":")
+    if kind == "text" and ending(result) == "formed":
         found.append(f"it formed the agreed program; nobody checked that it is {one_line(drawn, 200)}")
     return found + answers_of_others(result.get("models") or (), result.get("answered_by") or ())
 
@@ -112,8 +157,13 @@ def answers_of_others(asked: Sequence[str], answered: Sequence[str]) -> list[str
 
 def robots_text(robots: Sequence[int]) -> str:
     """Some robots by their ids, twelve at most."""
-    some = ", ".join(map(str, robots[:MAX_PLACES])) + (", …" if len(robots) > MAX_PLACES else "")
-    return f"robot{'s' if len(robots) > 1 else ''} {some}"
+    return listed("robot", robots)
+
+
+def listed(what: str, numbers: Sequence[int]) -> str:
+    """Some things by their numbers, twelve at most."""
+    some = ", ".join(map(str, numbers[:MAX_PLACES])) + (", …" if len(numbers) > MAX_PLACES else "")
+    return f"{what}{'s' if len(numbers) > 1 else ''} {some}"
 
 
 def letters(number: int) -> str:

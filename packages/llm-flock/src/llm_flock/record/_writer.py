@@ -1,8 +1,8 @@
 """Writes a record while the run happens.
 
-The file is unchunked: every message is a record of its own, so all that reached the disk can be read. Each complete
-round is handed to the operating system, so a killed process loses no complete round. A machine that loses power may.
-The file is locked while it is written, so that no program deletes the record of a run in flight.
+The file is unchunked: every message is a record of its own, so all that reached the disk can be read. The beginning and
+each complete round are handed to the operating system, so a killed process loses no complete round. A machine that loses
+power may. The file is locked while it is written, so that no program deletes the record of a run in flight.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from llm_flock.record._schema import (
     PlanInfo,
     RecordSink,
     RoundEnd,
+    RunInfo,
     State,
     SummaryMessage,
     channel_schema,
@@ -152,7 +153,7 @@ class RecordWriter:
             self._put(TOPICS[type(entry)], entry.encoded(), number)
             if self._scene is not None and isinstance(entry, State):
                 self._put(SCENE_TOPIC, self._scene.draw(entry), number)
-            elif isinstance(entry, RoundEnd | SummaryMessage | FlightEvent):
+            elif isinstance(entry, RunInfo | RoundEnd | SummaryMessage | FlightEvent):
                 self._last_round = number
                 self._file.flush()  # to the operating system, with all that came before
         except OSError as error:

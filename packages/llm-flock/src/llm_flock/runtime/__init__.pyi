@@ -11,6 +11,7 @@ from ._config import metres as metres
 from ._config import read_toml as read_toml
 from ._config import seconds as seconds
 from ._config import warn_of_mission as warn_of_mission
+from ._episode import fits as fits
 from ._finish import finish_trial as finish_trial
 from ._forecast import OUTPUT_TOKENS as OUTPUT_TOKENS
 from ._forecast import PROFILE as PROFILE

@@ -100,14 +100,6 @@ class Episode:
         """Whether a robot follows a plan that was made for this mission."""
         return agent.provenance is not None and agent.provenance.mission_digest == self.mission.digest
 
-    def fits(self, plan: Plan, robots: int) -> bool:
-        """Whether a plan has as many places as a new plan for this number of robots would have."""
-        wanted = min(robots, self.mission.n_places)
-        try:
-            return len(plan) == self.mission.resized(wanted).n_places
-        except InputError:
-            return True
-
     def close(self, awake: Sequence[int], agents: Sequence[Agent], asleep: Points) -> None:
         """End the mission: compute the rounds that a perfect central planner needs for the plan of these agents.
 
@@ -120,6 +112,14 @@ class Episode:
         blocked = blocked_places(agents, plan, asleep, self.mission)
         goals = np.array([point for slot, point in enumerate(plan.points) if slot not in blocked])
         self.bound = self._bound(awake, goals) if len(goals) else 0
+
+
+def fits(mission: Mission, places: int, robots: int) -> bool:
+    """Whether a plan has as many places as a new plan for this number of robots would have."""
+    try:
+        return places == mission.resized(min(robots, mission.n_places)).n_places
+    except InputError:
+        return True
 
 
 def blocked_places(agents: Sequence[Agent], plan: Plan, bodies: Points, mission: Mission) -> frozenset[int]:

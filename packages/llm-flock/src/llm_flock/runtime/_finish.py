@@ -49,6 +49,8 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
     waypoints = by_origin(journal.waypoints)
     journal.close_episode(roster)
     error = journal.errors[-1]
+    # A run that an error ends has formed nothing, whatever it had come to.
+    formed = episode.formed_at is not None and trial.stopped != "failed"
     return Summary(
         shape=config.mission.shape,
         n_robots=config.mission.n_robots,
@@ -61,8 +63,8 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         stopped=trial.stopped,
         reason=trial.reason,
         rounds=trial.round,
-        formed=episode.formed_at is not None,
-        formed_by_models=episode.formed_at is not None
+        formed=formed,
+        formed_by_models=formed
         and "geometry" not in (by, *planners.names)
         and not journal.breakers_opened
         and not journal.waypoints[Origin.GEOMETRY.value],
@@ -82,6 +84,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         plans_in_use=metrics.plans_in_use(plan_ids),
         distinct_goals=metrics.distinct_goals(plan_ids, slots),
         robots_without_plan=plan_ids.count(None),
+        awake=len(agents),
         model_calls=journal.calls,
         calls_rejected=journal.calls_rejected,
         calls_failed=journal.calls_failed,

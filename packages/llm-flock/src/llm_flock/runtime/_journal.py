@@ -39,7 +39,7 @@ from llm_flock.record._schema import (
     State,
 )
 from llm_flock.runtime._config import RunConfig
-from llm_flock.runtime._episode import Episode, blocked_places
+from llm_flock.runtime._episode import Episode, blocked_places, fits
 from llm_flock.runtime._roster import Roster
 from llm_flock.simulate import Bodies
 
@@ -127,7 +127,8 @@ A larger team is measured when all are at their goals, which `formed` needs anyw
 class Journal:
     """Counts and records one run; for a `NullWriter` no entries are built.
 
-    If the team `replans` after deaths, only a plan of the right size then counts as formed. With `trace`, missions,
+    If the team `replans` after deaths, only a plan of the right size, which no robot is about to leave, then counts as
+    formed. With `trace`, missions,
     plans, states and figures are also kept in memory, to draw the run. `moving` obstacles are measured, too.
     """
 
@@ -305,13 +306,14 @@ class Journal:
         if len(roster.agents) <= ERROR_EVERY_ROUND_UP_TO or at_goal == min(usable, len(agents)):
             self.measure_error(roster)
         error = self.errors[-1]
-        fits = not self._replans or plan is None or episode.fits(plan, len(agents))
+        fit = not self._replans or plan is None or fits(episode.mission, len(plan), len(agents))
         to_goals = [distance for distance, slot in zip(distances, slots, strict=True) if slot is not None]
         if error is not None or episode.mission.ideal is None or not to_goals:
             residual = None if error is None else error.mean
         else:  # with gaps, the shape is measured by the places that are filled
             residual = sum(to_goals) / len(to_goals)
-        followed = [p if fits and episode.follows(a) else None for p, a in zip(plan_ids, agents, strict=True)]
+        stays = [fit and episode.follows(a) and not a.replans for a in agents]
+        followed = [plan_id if stay else None for plan_id, stay in zip(plan_ids, stays, strict=True)]
         for tracker in episode.trackers.values():
             tracker.update(
                 round_number,
@@ -330,6 +332,7 @@ class Journal:
             plans_in_use=metrics.plans_in_use(plan_ids),
             distinct_goals=metrics.distinct_goals(plan_ids, slots),
             robots_at_goal=at_goal,
+            in_order_since=episode.tracker.since,
             connected=team.readings.connected(roster.awake),
             model_calls=self.calls,
             tokens=self.usage.total,

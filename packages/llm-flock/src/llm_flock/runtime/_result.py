@@ -45,11 +45,11 @@ class FlightFigures:
     safe: bool  # whether each drone landed, never took off, or confirmed that its motors were cut
     air_s: float  # from the first take-off until the last drone was down
     min_separation_m: float | None  # smallest of two drones, heights scaled by the vertical rule; None for one alone
-    tracking_rms_m: float | None  # root mean square distance of drones from their set-points `lag_s` ago at most
+    tracking_rms_m: float | None  # root mean square distance of drones from their set-points, the team's delay ago
     tracking_max_m: float | None  # the largest of these distances
     fan_out_ms: float | None  # longest time to send all drones their targets; None if none was sent
     poses_refused: dict[str, int] | None = None  # poses from outside that were not sent, by drone and reason
-    lag_s: float = 0.0  # longest delay of the drones behind their set-points, the same for all in a motion
+    lag_s: float = 0.0  # longest delay of the drones behind their set-points in a round, the same for all
 
 
 def by_origin(counts: Mapping[str, int]) -> dict[str, int]:
@@ -117,6 +117,7 @@ class Summary:
     plans_in_use: int  #: Different plans at the end.
     distinct_goals: int  #: Different goals at the end.
     robots_without_plan: int  #: Robots that never got a plan.
+    awake: int  #: Robots at the end that have begun and have not died.
     model_calls: int  #: Answered or failed calls, retries of rejected answers included.
     calls_rejected: int  #: Answers that could not be used.
     calls_failed: int  #: Calls that got no answer.

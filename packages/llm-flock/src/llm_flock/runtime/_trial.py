@@ -245,7 +245,7 @@ class Trial:
             return False
         if self.mission.then or self.round < tracker.formed_at + self.mission.hold:
             return False
-        return tracker.in_order and self.round >= self._notice_round
+        return tracker.held and self.round >= self._notice_round
 
     def _carry_out_schedule(self, number: int) -> None:
         """Carry out the schedule of this round: deaths, then joins, then other missions."""

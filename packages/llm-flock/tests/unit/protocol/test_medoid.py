@@ -1,6 +1,7 @@
 """The medoid of all proposals: which plan is followed, how proposals spread, and a team that is asked for a picture."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from llm_flock.llm._simulated.profiles import parse_profile
 from llm_flock.llm._simulated.prompt_reader import PLAN_MARK, read_plan
 from llm_flock.message import Message, MissionStamp, Proposal, Provenance, decode, encode
 from llm_flock.mission import Mission
-from llm_flock.plan import Plan
+from llm_flock.plan import Drawing, Plan
 from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._agreement.ballot import Ballot
 from llm_flock.protocol._agreement.consensus import Standing
@@ -42,6 +43,10 @@ PICTURES = {
     "moon": lambda t: (np.cos(t) + 0.9 * np.cos(t) ** 2, 1.2 * np.sin(t)),
     "wedge": lambda t: (np.cos(t) * (1.2 - np.sin(t)), 1.3 * np.sin(t)),
 }
+
+
+def plan_of(program: str, spacing: float = 1.0) -> Plan:
+    return Plan(drawing=Drawing(program=program, places=10, spacing=spacing, center=(50.0, 50.0)))
 
 
 def drawn(picture: str, n: int, rng: np.random.Generator) -> Points:
@@ -112,12 +117,28 @@ def test_single_places_and_heaps_can_be_compared() -> None:
 def test_a_program_counts_by_what_it_draws() -> None:
     house = {"points": [[0, 0], [4, 0], [4, 3], [2, 5], [0, 3]], "closed": True}
     text = [parse_program({"draw": [one]}).text for one in (house, house | {"scale": 7, "turn": 4}, {"shape": "star"})]
-    points = drawn("moon", 10, np.random.default_rng(0))
-    same, turned, star = (Plan.of(points * (1 + k), program) for k, program in enumerate(text))
-    assert unlikeness(same, turned) < 0.6 < 0.9 < unlikeness(same, star)
-    fixed = Plan.of(points, parse_program({"groups": [{"role": "a", "count": 10, "draw": [{"shape": "circle"}]}]}).text)
-    assert unlikeness(fixed, Plan.of(points)) == 0.0, "which draws no other number: its places count"
-    assert fixed.digest != Plan.of(points).digest
+    same, larger, star = (plan_of(program, spacing=1.0 + k) for k, program in enumerate(text))
+    assert unlikeness(same, larger) < 0.3 < 0.9 < unlikeness(same, star)
+    fixed = plan_of(parse_program({"groups": [{"role": "a", "count": 10, "draw": [{"shape": "circle"}]}]}).text)
+    assert unlikeness(fixed, Plan.of(fixed.points)) == 0.0, "which draws no other number: its places count"
+    assert fixed.digest != Plan.of(fixed.points).digest
+
+
+@pytest.mark.parametrize(
+    ("change", "alike"),
+    [
+        ({"turn": 20}, True),
+        ({"scale": [1.2, 0.9]}, True),
+        ({"turn": -15, "scale": [0.9, 1.1]}, True),
+        ({"turn": 90}, False),
+        ({"mirror": "x"}, False),
+        ({"scale": [2.5, 1]}, False),
+    ],
+)
+def test_drawings_are_fitted_within_limits(change: dict[str, Any], alike: bool) -> None:
+    boot = {"points": [[0, 0], [5, 0], [5, 2], [2, 2], [2, 6], [0, 6]], "closed": True}
+    one, other = (plan_of(parse_program({"draw": [element]}).text) for element in (boot, boot | change))
+    assert unlikeness(one, other) < 0.4 if alike else unlikeness(one, other) > 0.9
 
 
 def test_medoid_is_one_of_the_three_that_agree() -> None:
@@ -299,7 +320,7 @@ def test_robot_keeps_proposals_that_pass_its_checks() -> None:
 
 def test_message_without_room_leaves_proposals_for_later() -> None:
     mission = Mission(shape="text:a net", n_robots=12, spacing=10.0)
-    long = Plan.of((x * 1.1, y * 1.1) for x in range(12) for y in range(12))
+    long = Plan.of((x * 1.1, y * 1.1) for x in range(13) for y in range(10))
     spoken = tuple(Proposal(provenance=origin(j), plan=long) for j in range(4))
     whole = Message(sender=0, sequence=0, degree=2, stamp=MissionStamp(0, mission.digest), proposals=spoken)
     payload = Dissemination().compose(whole, None, mission)

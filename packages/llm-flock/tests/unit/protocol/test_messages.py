@@ -4,7 +4,9 @@ import math
 from typing import Any
 
 import msgspec.structs
+import numpy as np
 import pytest
+from msgspec.structs import astuple, replace
 from tables import told
 
 from llm_flock.bounds import MAX_ROBOTS, max_payload_bytes, max_places, mission_room
@@ -24,7 +26,9 @@ from llm_flock.message import (
     decode,
     encode,
 )
-from llm_flock.plan import Plan
+from llm_flock.mission import Mission
+from llm_flock.plan import Drawing, Plan
+from llm_flock.protocol import turned
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
 ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, degree=1, proposer=1, sequence=0)
@@ -77,6 +81,50 @@ def provenance(**changes: Any) -> list[Any]:
 )
 def test_encoded_message_is_decoded_unchanged(message: Message) -> None:
     assert decode(encode(message), 2, 2) == message
+
+
+@pytest.mark.parametrize(("shape", "dim", "size"), [("letters:H", 2, 111), ("sphere", 3, 126)])
+def test_the_plan_of_a_program_costs_no_bytes_for_places(shape: str, dim: int, size: int) -> None:
+    """The sizes that docs/reference/wire.md names."""
+    sizes, as_points = list[int](), list[int]()
+    arena = ((0.0,) * dim, (1000.0,) * dim)
+    for n in (10, 30, 100):
+        mission = Mission(shape=shape, n_robots=n, spacing=5.0, comm_range=60.0, center=(500.0,) * dim, arena=arena)
+        plan = mission.plan(0.3, (0.1, -0.1))
+        said = Message(sender=0, sequence=0, degree=0, plan=plan, provenance=ORIGIN, slot=1)
+        read = decode(encode(said), n, mission.dim)
+        assert read.plan == plan and read.plan.points == plan.points and read.places == len(plan.points) == n
+        assert np.allclose(plan.array, Plan.of(turned(np.array(mission.ideal), mission.center, 0.3)).array, atol=0.2)
+        sizes.append(len(encode(said)))
+        as_points.append(len(encode(replace(said, plan=Plan(plan.points)))))
+    assert sizes == [size] * 3
+    assert dim == 3 or as_points == [230, 612, 1942]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"program": "{}"}, "malformed"),
+        ({"program": '{"draw":[{"shape":"cube"}]}'}, "malformed"),
+        ({"program": "x" * 4000}, "malformed"),
+        ({"scale": 1e8}, "malformed"),
+        ({"scale": math.nan}, "malformed"),
+        ({"center": (math.nan, 0.0)}, "malformed"),
+        ({"places": 0}, "malformed"),
+        ({"places": 1500}, "wrong_length"),
+        ({"center": (1.0, 2.0, 3.0)}, "wrong_length"),
+    ],
+)
+def test_a_drawing_from_a_stranger_is_checked(changes: dict[str, Any], reason: str) -> None:
+    good = Drawing(program='{"draw":[{"shape":"circle"}]}', places=5, spacing=2.0, center=(1.0, 2.0))
+    said = Message(sender=0, sequence=0, degree=0, plan=Plan(drawing=good), provenance=ORIGIN)
+    assert decode(encode(said), 2, 2) == said
+    with pytest.raises(MessageError) as caught:
+        decode(encode(replace(said, plan=Plan(drawing=replace(good, **changes)))), 2, 2)
+    assert caught.value.reason == reason
+    both = [PLAN.points, astuple(good)]
+    with pytest.raises(MessageError, match="positions or a drawing"):
+        decode(spoiled(plan=both), 2, 2)
 
 
 def test_slots_left_out_cost_nothing() -> None:

@@ -20,6 +20,8 @@ def test_the_living_robot_with_the_lowest_id_replans_first(robot: int, waits: in
         count += 1
         beats = tuple(count + 1 if k == other else 2 * int(k == 1) for k in range(3))
         driven.round(says(other, beats))
+        if len(driven.asked) < 2:  # it knows that the plan does not fit from when robot 1 counts as dead
+            assert driven.agent.replans is (driven.number >= 4)
     assert driven.asked[1].question.mission.n_places == 2
     # Robot 1 is silent from round 4 on; then the plan must not fit for more than REPLAN_PATIENCE rounds and a rank.
     assert driven.number == 4 + REPLAN_PATIENCE + waits

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from scipy.spatial.distance import pdist
 
 from llm_flock import shapes as formations
 from llm_flock.formation import parse_program, program_points
 from llm_flock.mission import Mission, build_mission
-from llm_flock.plan import Plan
+from llm_flock.plan import Drawing, Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion
 from llm_flock.protocol._parts import Checker
 from llm_flock.protocol._verification.plans import PlanClass, blocked_within, check_plan, check_proposal, plan_class
@@ -186,15 +187,17 @@ def test_a_proposal_keeps_its_places_off_bodies_that_stand_still() -> None:
     assert check_proposal(SQUARE, plan(ideal(SQUARE)[:7]), [], (5.0, 5.0)) == "the plan holds 7 points, 8 are required."
 
 
-def test_a_program_has_to_draw_the_points_of_its_plan() -> None:
+def test_the_plan_of_a_program_is_checked_by_its_points() -> None:
     mission = Mission(shape="text:a kite", n_robots=4)
     kite = parse_program({"draw": [{"points": [[0, 0], [2, 3], [0, 5], [-2, 3]], "closed": True}]})
     points = program_points(kite, 4, 2, mission.spacing) + np.array(mission.center)
-    assert check_plan(mission, Plan.of(points.tolist(), kite.text)) is None
-    turned = Plan.of((100.0 - points).tolist(), kite.text)
-    assert "beside what its program draws" in str(check_plan(mission, turned))
-    for program, fault in (("{}", "cannot be drawn"), ('{"draw":[{"shape":"cube"}]}', "cannot be drawn")):
-        assert fault in str(check_plan(mission, Plan.of(points.tolist(), program)))
+    drawn = Drawing(program=kite.text, places=4, spacing=mission.spacing, center=mission.center)
+    assert Plan(drawing=drawn).points == Plan.of(points.tolist()).points
+    assert check_plan(mission, Plan(drawing=drawn)) is None
+    assert "away from [50, 50]" in str(check_plan(mission, Plan(drawing=replace(drawn, center=(9.0, 50.0)))))
+    assert "apart, at least 3" in str(check_plan(mission, Plan(drawing=replace(drawn, scale=0.1))))
+    turned = Plan(drawing=replace(drawn, turn_rad=np.pi))
+    assert np.allclose(turned.array, 100.0 - points, atol=1e-6)
 
 
 def test_parts_of_a_described_shape_may_be_apart() -> None:

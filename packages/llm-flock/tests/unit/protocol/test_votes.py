@@ -134,7 +134,9 @@ def test_votes_that_cannot_be_are_rejected(votes: tuple[Vote, ...], reason: str)
 
 def test_a_message_without_room_leaves_the_votes_for_later() -> None:
     mission = Mission(shape="triangle", n_robots=3)
-    positions = {0: (0, tuple([1.5] * 2), tuple([2.5] * 2))}
-    large = replace(MESSAGE, votes=(vote(2, "close"),) * MAX_VOTES, positions=positions)
-    payload = Dissemination().compose(large, None, mission)
-    assert len(decode(payload, 3, 2).votes or ()) == MAX_VOTES and len(payload) <= max_payload_bytes(3)
+    for robots, sent in ((1, MAX_VOTES), (120, 0)):
+        positions = dict.fromkeys(range(robots), (0, (1.5, 2.5), (3.5, 4.5)))
+        whole = replace(MESSAGE, votes=(vote(2, "close"),) * MAX_VOTES, positions=positions)
+        payload = Dissemination().compose(whole, None, mission)
+        assert (len(payload) > max_payload_bytes(3)) is (robots == 120)  # only positions could be left out, too
+        assert payload.count(b"close") == sent

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ from llm_flock.robots import Position
 from llm_flock_flight._mavlink.codec import GROUND_STATION, Codec
 from llm_flock_flight._mavlink.frames import Geodetic
 from llm_flock_flight._mavlink.modes import ARDUPILOT, ARDUPILOT_FLAVOUR, PX4, PX4_FLAVOUR, px4
-from llm_flock_flight._testing.mavlink.body import CLIMB_M_S, LANDING_M_S, REST, Airframe
+from llm_flock_flight._testing.mavlink.body import CLIMB_M_S, FAST_LANDING_M_S, LANDING_M_S, REST, Airframe
 
 ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = range(5)
 """Answers to a command (MAV_RESULT)."""
@@ -23,6 +24,12 @@ HEALTHY, ASTRAY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20, 0x1 | 0x80
 
 ARMED_S, SPOOL_S = 2.0, 2.0
 """A lifelike one's motors do nothing for this time after arming, and then gain speed for that [s]."""
+
+RETURN_M, NEAR_M = 15.0, 0.3
+"""Height above its home at which a vehicle returns, and a distance from it that counts as above it [m]."""
+
+PILOTED = frozenset({0, 1, 2, 5, 11, 13, 14, 15, 16, 17, 18, 22, 24})
+"""ArduPilot's modes in which a pilot flies: its failsafe for a silent ground station leaves them alone (FS_OPTIONS)."""
 
 PERIODS_S = {0: 1.0, 1: 1.0, 30: 0.0, 32: 0.0, 193: 0.0, 230: 0.0, 245: 0.0}
 """Messages by number and their default periods [s]; 0 for never."""
@@ -39,15 +46,16 @@ PX4_PARAMETERS = {
 }
 ARDUPILOT_PARAMETERS = {
     "FS_GCS_ENABLE": 5.0,
-    "FS_GCS_TIMEOUT": 2.0,
+    "FS_GCS_TIMEOUT": 3.0,
     "SYSID_MYGCS": 255.0,
     "GUID_TIMEOUT": 3.0,
     "FENCE_ENABLE": 0.0,
     "FENCE_ACTION": 1.0,
     "FENCE_TYPE": 3.0,
     "FENCE_MARGIN": 2.0,
-    "FENCE_RADIUS": 0.0,
-    "FENCE_ALT_MAX": 0.0,
+    "FENCE_RADIUS": 300.0,
+    "FENCE_ALT_MAX": 100.0,
+    "FENCE_ALT_MIN": -10.0,
     "FS_THR_ENABLE": 3.0,
     "BATT_FS_LOW_ACT": 1.0,
     "BATT_FS_CRT_ACT": 1.0,
@@ -84,6 +92,7 @@ class Autopilot:
         self._due: dict[int, float] = {}
         self._stream: tuple[float, float] | None = None  # since, until
         self._heard_s: float | None = None
+        self._deserted = False
         self._climb_to: float | None = None
         self._landed_s: float | None = None
         self._ready_s = 0.0
@@ -101,6 +110,22 @@ class Autopilot:
     def switch(self, mode: int) -> None:
         """Change the mode, as a pilot does by radio."""
         self.mode, self._climb_to = mode, None
+
+    def lose_radio(self) -> None:
+        """Do as FS_THR_ENABLE or NAV_RCL_ACT says once the pilot's radio is silent."""
+        action = int(self.parameters["NAV_RCL_ACT" if self.px4 else "FS_THR_ENABLE"])
+        returns = action == (2 if self.px4 else 1)
+        self.say("Failsafe activated: manual control lost" if self.px4 else "Radio Failsafe")
+        self.switch(self.flavour.land if action == 3 else self._home_mode if returns else self.mode)
+
+    def restart(self) -> None:
+        """Reboot: the motors stop, and nothing that it was told is known any more."""
+        self.body.motors, self.mode = False, px4(4, 3) if self.px4 else 0
+        self._periods, self._stream, self._heard_s, self._climb_to = dict(PERIODS_S), None, None, None
+
+    @property
+    def _home_mode(self) -> int:
+        return px4(4, 5) if self.px4 else 6
 
     def say(self, text: str) -> None:
         self._out.append(self._codec.encode("statustext", 4, text.encode()[:50]))
@@ -144,6 +169,8 @@ class Autopilot:
             return
         if self.mode == self.flavour.land:
             self._land(now)
+        elif self.mode == self._home_mode:
+            self._return(now)
         elif self.mode != self.flavour.guided:
             body.target = body.target if body.feed_forward == REST and body.target else body.ned
             body.feed_forward = REST
@@ -153,26 +180,41 @@ class Autopilot:
             if body.height_m >= 0.95 * self._climb_to:
                 self._climb_to, body.feed_forward = None, REST
 
+    def _return(self, now: float) -> None:
+        """Rise, fly home past whoever is in the way, and land there."""
+        body = self.body
+        (north, east, _), body.feed_forward = body.ned, REST
+        if math.hypot(north, east) <= NEAR_M:
+            self._land(now)
+        elif body.height_m < RETURN_M - NEAR_M:
+            body.target = (north, east, max(-RETURN_M, -body.height_m - 0.5))  # at 1.5 m/s: it brakes late
+        else:
+            body.target = (0.0, 0.0, -RETURN_M)
+
     def _failsafe(self, now: float) -> None:
-        if self.mode != self.flavour.guided:
-            return
         if self.px4:
+            if self.mode != self.flavour.guided:
+                return
             until = self._stream[1] if self._stream is not None else now
             if now - until > self.parameters["COM_OF_LOSS_T"]:
                 self.say("Failsafe activated: no offboard signal")
                 self.switch({4: self.flavour.land, 5: px4(4, 3)}.get(int(self.parameters["COM_OBL_RC_ACT"]), px4(3)))
             return
-        silent = self._heard_s is not None and now - self._heard_s > self.parameters["FS_GCS_TIMEOUT"]
-        if silent and self.body.motors and self.parameters["FS_GCS_ENABLE"] == 5.0:
-            self.say("GCS Failsafe")
-            self.switch(self.flavour.land)
+        silent = self._heard_s is not None and now - self._heard_s > self.parameters.get("FS_GCS_TIMEOUT", 5.0)
+        if silent != self._deserted:
+            self._deserted = silent
+            left = " - Continuing Pilot Control" if self.mode in PILOTED else ""
+            self.say(f"GCS Failsafe{left}" if silent else "GCS Failsafe Cleared")
+            if silent and not left and self.body.motors and self.parameters.get("FS_GCS_ENABLE") == 5.0:
+                self.switch(self.flavour.land)
         elif self._stream is not None and now - self._stream[1] > 3.0:
             self.body.feed_forward = REST  # GUID_TIMEOUT: it stays at its last set-point
 
     def _land(self, now: float) -> None:
         body = self.body
+        speed = FAST_LANDING_M_S if body.lifelike else LANDING_M_S
         if body.lifted and body.height_m > 0.01:
-            body.target, body.feed_forward = (body.ned[0], body.ned[1], body.ned[2]), (0.0, 0.0, LANDING_M_S)
+            body.target, body.feed_forward = (body.ned[0], body.ned[1], body.ned[2]), (0.0, 0.0, speed)
             return
         body.lifted, body.target, body.feed_forward = False, None, REST
         self._landed_s = self._landed_s or now
@@ -185,7 +227,7 @@ class Autopilot:
         since, until = self._stream or (now, now)
         self._stream = (since if now - until <= GAP_S else now, now)
         body = self.body
-        if self.mode != self.flavour.guided or not body.motors or self._climb_to is not None:
+        if self.mode != self.flavour.guided or not body.motors or self._climb_to is not None or self._fenced_off(ned):
             return
         if not body.lifted:
             if not self.px4 or ned[2] > body.ned[2] - 1e-4 or now < self._ready_s:
@@ -193,6 +235,15 @@ class Autopilot:
             body.lifted = True
         body.target = ned
         body.feed_forward = (float(message.vx), float(message.vy), float(message.vz))
+
+    def _fenced_off(self, ned: Position) -> bool:
+        """Whether ArduPilot drops a set-point, without an answer."""
+        fence = self.parameters
+        if self.px4 or not fence.get("FENCE_ENABLE"):
+            return False
+        kinds = int(fence["FENCE_TYPE"])
+        far = bool(kinds & 2) and math.hypot(ned[0], ned[1]) > fence["FENCE_RADIUS"]
+        return far or (bool(kinds & 1) and -ned[2] > fence["FENCE_ALT_MAX"])
 
     # Answering.
 

@@ -10,11 +10,12 @@ STEP_S = 0.005  # step of the integration [s]
 GAIN = 3.0  # speed towards a set-point, by distance [1/s]
 
 GRAVITY = 9.81
-LANDING_M_S = 0.7
-CLIMB_M_S = 0.8  # of a landing and of a take-off that the autopilot flies by itself [m/s]
+LANDING_M_S, FAST_LANDING_M_S = 0.7, 1.5
+CLIMB_M_S = 0.8  # of a landing, a lifelike one's with its throttle stick at zero, and of a take-off by itself [m/s]
 
 CLIMB_M_S2, CLIMB_LAG_S = 1.0, 0.2  # of a lifelike body: most vertical acceleration, and time constant of its climb
 LAG_S = 0.08  # time constant of the speed, elsewhere [s]
+DRAG = 0.3  # acceleration by the wind, by the speed of the air past the body [1/s]
 
 REST: Position = (0.0, 0.0, 0.0)
 
@@ -24,7 +25,7 @@ class Airframe:
     """Position [m] and velocity [m/s] (north, east, down) from the place where it was switched on; the ground is at 0.
 
     It flies to `target` [m], which moves with `feed_forward` [m/s]; None to stop. It has moved up to the time `at_s`. A
-    `lifelike` one climbs and sinks as sluggishly as ArduCopter's, by its own simulator.
+    `lifelike` one climbs and sinks as sluggishly as ArduCopter's, by its own simulator. `wind` [m/s] pushes it aloft.
     """
 
     ned: Position = REST
@@ -34,6 +35,7 @@ class Airframe:
     motors: bool = False
     lifted: bool = False
     lifelike: bool = False
+    wind: Position = REST
     at_s: float = field(default=0.0)
 
     @property
@@ -59,6 +61,9 @@ class Airframe:
             if self.lifelike:
                 pull = (wanted[2] - self.velocity[2]) / CLIMB_LAG_S
                 down = self.velocity[2] + STEP_S * min(max(pull, -CLIMB_M_S2), CLIMB_M_S2)
+            if any(self.wind):
+                pairs = zip((north, east, down), self.wind, self.velocity, strict=True)
+                north, east, down = (v + STEP_S * DRAG * (w - old) for v, w, old in pairs)
             self.velocity = (north, east, down)
         else:
             self.velocity = REST

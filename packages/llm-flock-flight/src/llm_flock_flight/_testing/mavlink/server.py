@@ -8,6 +8,7 @@ import selectors
 import socket
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,7 +25,8 @@ STEP_S = 0.005  # time between two steps of the vehicles [s]
 class AutopilotStandIn:
     """One vehicle: call anything here while it flies, from any thread. `autopilot` only `with vehicle.lock`.
 
-    `loss` is the share of packets lost in each direction; `silent` loses all of them, `deaf` those towards it.
+    `loss` is the share of packets lost in each direction, and `delay_s` how late the others come [s]; `silent` loses
+    all of them, `deaf` those towards it.
     """
 
     def __init__(
@@ -39,11 +41,13 @@ class AutopilotStandIn:
     ) -> None:
         self.uri, self.system_id, self.autopilot = uri, system_id, autopilot
         self.flavour = "px4" if autopilot.px4 else "ardupilot"
-        self.loss, self.silent, self.deaf = loss, False, False
+        self.loss, self.silent, self.deaf, self.delay_s = loss, False, False, 0.0
         self.lock = threading.Lock()
         self._home = home
         self._rng = rng
         self._calls = self._peer = calls
+        self._coming: deque[tuple[float, bytes]] = deque()
+        self._going: deque[tuple[float, bytes]] = deque()
         self._codec = Codec()
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
@@ -71,6 +75,12 @@ class AutopilotStandIn:
             modes = {name: number for number, name in self.autopilot.flavour.names.items()}
             self.autopilot.switch(modes[mode])
 
+    def die(self) -> None:
+        """Let the autopilot end: the vehicle falls, and is silent."""
+        self.silent = True
+        with self.lock:
+            self.autopilot.restart()
+
     # The rest is for the thread that serves it.
 
     def receive(self) -> None:
@@ -79,14 +89,19 @@ class AutopilotStandIn:
             try:
                 data, peer = self.socket.recvfrom(4096)
             except (BlockingIOError, ConnectionError):
-                return
+                break
             if self.silent or self.deaf or self._loses_packet():
                 continue
             if self._calls is None:
                 self._peer = peer
             elif peer[1] != self._calls[1]:
                 continue  # a late packet for an earlier program on this port must not turn it away from its driver
-            for message in self._codec.datagram(data):
+            self._coming.append((time.monotonic() + self.delay_s, data))
+        self._take()
+
+    def _take(self) -> None:
+        while self._coming and self._coming[0][0] <= time.monotonic():
+            for message in self._codec.datagram(self._coming.popleft()[1]):
                 if int(message.get_srcSystem()) == GROUND_STATION:
                     with self.lock:
                         answers = self.autopilot.handle(message, time.monotonic())
@@ -94,6 +109,7 @@ class AutopilotStandIn:
 
     def tick(self) -> None:
         """Fly on, and send what is due."""
+        self._take()
         with self.lock:
             due = self.autopilot.tick(time.monotonic())
         self._send(due)
@@ -102,7 +118,9 @@ class AutopilotStandIn:
         return self.loss > 0.0 and bool(self._rng.random() < self.loss)
 
     def _send(self, packets: Sequence[bytes]) -> None:
-        for packet in packets:
+        self._going.extend((time.monotonic() + self.delay_s, packet) for packet in packets)
+        while self._going and self._going[0][0] <= time.monotonic():
+            packet = self._going.popleft()[1]
             if self._peer is not None and not self.silent and not self._loses_packet():
                 with contextlib.suppress(BlockingIOError, ConnectionError):
                     self.socket.sendto(packet, self._peer)

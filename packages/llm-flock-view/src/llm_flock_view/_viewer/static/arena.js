@@ -1,5 +1,5 @@
-// The team from above: robots, goals, trails, radio links, safety discs, cells, walls and obstacles.
-import { View } from "llm-flock-viewer/arena_view.js";
+// The team from above, or in space: robots, goals, trails, radio links, safety discs, cells, walls and obstacles.
+import { View, corners } from "llm-flock-viewer/arena_view.js";
 import { closePairs, fanned, spots, tooNear } from "llm-flock-viewer/crowd.js";
 import { cells, links } from "llm-flock-viewer/geometry.js";
 import { placed } from "llm-flock-viewer/labels.js";
@@ -8,10 +8,17 @@ import { FONT, Surface, dash, look, theme } from "llm-flock-viewer/surface.js";
 
 const TRAIL = 24; // rounds
 const MANY = 250; // robots from which on letters and rims are left out
-const MAX_WORDS = [30, MANY]; // robots from which on there is no room for words, beside small disks and beside others
+export const CROWD = 30; // robots from which on plans have areas with one tag each, and words stand at chosen robots only
+const AREA = 0.75; // of the spacing: areas of neighbours meet
 const BODY = 0.8; // of a safety disc: two discs touch before two bodies do
 const SHARE = 0.36; // of the spacing: neighbours in a formation stand apart
 const BUTTONS = [290, 40]; // pixels of the buttons in the corner, which no word is to touch
+
+/** The box around boxes: lowest and then highest coordinates. */
+function union(boxes) {
+  if (boxes.length < 2) return boxes[0] || [];
+  return boxes[0].map((_, k) => Math[k < boxes[0].length / 2 ? "min" : "max"](...boxes.map((box) => box[k])));
+}
 
 /** Whether two places can be told apart. */
 function away([ax, ay], [bx, by]) {
@@ -25,14 +32,18 @@ export class Arena {
     this.pick = pick;
     this.layers = { ...options.layers };
     this.selected = [];
-    this.surface = new Surface(element, `Arena of ${options.title}: the team from above. ? lists the keys.`, () => this.draw());
-    this.view = new View(this.surface, () => this.draw());
+    this.surface = new Surface(element, `Arena of ${options.title}: the team. ? lists the keys.`, () => this.draw());
+    this.view = new View(this.surface, () => clock.changed(), options.chosen);
+    this.peers = options.peers; // runs that are drawn to the same scale
+    this.hovered = -1;
     this.drawn = 0;
     this.at = [];
-    this.forget = clock.listen(() => this.draw());
+    clock.listen(() => this.draw());
     this.view.listen((event) => this.picked(event), (event) => this.hover(event));
-    this.surface.canvas.addEventListener("pointerleave", () => this.surface.tip(null));
-    this.surface.fit();
+    this.surface.canvas.addEventListener("pointerleave", () => {
+      this.surface.tip(null);
+      this.point(-1);
+    });
   }
 
   next(by) {
@@ -58,7 +69,14 @@ export class Arena {
     if (robot >= 0) this.choose(robot, event.shiftKey);
   }
 
+  /** Mark the robot under the pointer, or -1: in a crowd it gets its number. */
+  point(robot) {
+    if (robot !== this.hovered) this.clock.changed();
+    this.hovered = robot;
+  }
+
   hover(event) {
+    if (this.frame) this.point(this.robotAt(event.offsetX, event.offsetY));
     this.surface.tip(this.frame ? this.words(event.offsetX, event.offsetY) : null, event.offsetX, event.offsetY);
   }
 
@@ -68,7 +86,7 @@ export class Arena {
     const robot = this.robotAt(x, y);
     if (robot >= 0) return describe(run, frame, robot);
     const goal = !this.layers.goals ? -1
-      : frame.g.findIndex((at) => at && Math.hypot(...this.pixel(at).map((value, axis) => value - [x, y][axis])) < this.radius * 1.5);
+      : frame.g.findIndex((at) => at && Math.hypot(this.pixel(at)[0] - x, this.pixel(at)[1] - y) < this.radius * 1.5);
     if (goal >= 0) {
       return `Goal of robot ${goal}: place ${frame.s[goal] ?? "?"} of plan ${look(run, frame.p[goal]).name || "?"}`;
     }
@@ -130,7 +148,10 @@ export class Arena {
     const { pen } = this.surface;
     this.frame = frame;
     const about = this.run.about;
-    this.view.place(about.arena, { way: this.run.extent, formation: this.run.formation }, about.safe_distance);
+    const peers = this.peers.filter((run) => run.about && run.about.space === about.space);
+    const all = (name) => union(peers.map((run) => run[name]).filter((box) => box.length));
+    const arena = union(peers.map((run) => run.about.arena.flat()));
+    this.view.place([arena.slice(0, arena.length / 2), arena.slice(arena.length / 2)], { way: all("extent"), formation: all("formation") }, about.safe_distance);
     this.scale = this.view.scale;
     // A disk is as wide as the body; where that is too small to be seen and touched it is larger, but not beside safety
     // discs, which are to be larger than bodies.
@@ -138,8 +159,10 @@ export class Arena {
     const least = frame.x.length > MANY ? 3 : Math.min(9, SHARE * about.spacing * this.scale);
     this.radius = Math.max(3, body, this.layers.safety ? 0 : least);
     const pixels = frame.x.map((at) => this.pixel(at));
-    const { at, crowds } = frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels, this.radius);
+    // Seen from an angle, robots may stand before one another: turning the picture shows them.
+    const { at, crowds } = this.deep || frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels.map(([x, y]) => [x, y]), this.radius);
     this.at = at;
+    this.foot = about.arena[0][2] || 0;
     // Between two rounds the pairs of a large team are those of the round before: counting takes longer than drawing.
     if (frame.x.length <= MANY || frame.r !== this.numbered) this.near = closePairs(frame.x, about.safe_distance);
     this.numbered = frame.r;
@@ -150,7 +173,10 @@ export class Arena {
     if (this.layers.cells && !about.space) this.cells(frame, about); // cells of space have no outline from above
     this.linked = [];
     this.ways = [];
-    if (this.layers.links) this.links(frame, about);
+    this.crowded = frame.x.length > CROWD;
+    if (this.crowded && this.layers.plans) this.areas(frame, about);
+    if (about.space) this.drops(frame);
+    if (this.layers.links) this.links(frame, about, pixels);
     if (this.layers.trails) this.trails(frame);
     if (this.layers.goals) this.goals(frame);
     crowdTies(this.surface, crowds, pixels, this.at);
@@ -162,6 +188,7 @@ export class Arena {
     this.ruler();
     this.surface.canvas.dataset.scale = this.scale.toPrecision(4);
     this.surface.canvas.dataset.crowds = crowds.map(({ members, near }) => `${members.length}${near ? " too near" : ""}`).join();
+    this.surface.canvas.dataset.at = at.length ? at[0].slice(0, 2).map(Math.round).join() : "";
     this.surface.canvas.dataset.near = String(this.near.length);
     this.surface.canvas.dataset.links = String(this.linked.length);
     this.surface.canvas.dataset.radius = this.radius.toPrecision(4);
@@ -182,19 +209,81 @@ export class Arena {
     }
   }
 
+  /** Whether space is seen in perspective. */
+  get deep() {
+    return Boolean(this.view.camera && !this.view.camera.flat);
+  }
+
+  /** How large a disk of a radius is at a place of the canvas: what is nearer in space is larger. */
+  sized(at, radius = this.radius) {
+    return radius * (at[2] || 1);
+  }
+
   walls(about) {
     const { pen } = this.surface;
     pen.strokeStyle = theme().faint;
     pen.lineWidth = 1;
     pen.setLineDash([]);
-    this.surface.polygon(this.walled(about));
-    pen.stroke();
+    if (this.deep) {
+      pen.fillStyle = theme().grid;
+      pen.globalAlpha = 0.35;
+      const [[left, bottom], [right, top]] = about.arena;
+      this.surface.polygon([[left, bottom], [right, bottom], [right, top], [left, top]].map((corner) => this.pixel([...corner, this.foot])));
+      pen.fill();
+      pen.globalAlpha = 1;
+    }
+    for (const edge of this.edges(about)) this.surface.line(...edge);
     pen.fillStyle = theme().faint;
     for (const obstacle of about.obstacles) {
       if (obstacle.polygon) this.surface.polygon(obstacle.polygon.map((corner) => this.pixel(corner)));
-      else this.surface.circle(this.pixel(obstacle.center), obstacle.radius * this.scale);
+      else this.surface.circle(this.pixel(obstacle.center), this.sized(this.pixel(obstacle.center), obstacle.radius * this.scale));
       pen.fill();
     }
+  }
+
+  /** The sides of the arena as they are seen [pixels]: corners of a box are joined where one coordinate differs. */
+  edges(about) {
+    const at = corners(...about.arena).map((corner) => this.pixel(corner));
+    return at.flatMap((one, i) => at.flatMap((other, j) => (i < j && [1, 2, 4].includes(i ^ j) ? [[one, other]] : [])));
+  }
+
+  /** The places of a plan's robots as one area of its colour. */
+  areas(frame, about) {
+    const { pen } = this.surface;
+    const silent = new Set([...frame.d, ...frame.z]);
+    pen.globalAlpha = 0.2;
+    for (const plan of new Set(frame.p)) {
+      if (plan < 0) continue;
+      pen.fillStyle = look(this.run, plan).fill;
+      pen.beginPath();
+      frame.p.forEach((own, robot) => {
+        if (own !== plan || silent.has(robot)) return;
+        const radius = Math.max(this.radius + 3, this.sized(this.at[robot], AREA * about.spacing * this.scale));
+        pen.moveTo(this.at[robot][0] + radius, this.at[robot][1]);
+        pen.arc(...this.at[robot].slice(0, 2), radius, 0, 2 * Math.PI);
+      });
+      pen.fill();
+    }
+    pen.globalAlpha = 1;
+  }
+
+  /** Lines from robots down to the ground, which tell where they are. */
+  drops(frame) {
+    if (this.view.camera.flat === "top") return;
+    const { pen } = this.surface;
+    pen.strokeStyle = pen.fillStyle = theme().soft;
+    pen.lineWidth = 1;
+    pen.setLineDash([]);
+    pen.globalAlpha = 0.7;
+    pen.beginPath();
+    const feet = frame.x.map(([x, y]) => this.pixel([x, y, this.foot]));
+    feet.forEach((foot, robot) => {
+      pen.moveTo(this.at[robot][0], this.at[robot][1]);
+      pen.lineTo(foot[0], foot[1]);
+    });
+    pen.stroke();
+    for (const [x, y] of feet) pen.fillRect(x - 2, y - 1, 4, 2);
+    pen.globalAlpha = 1;
   }
 
   cells(frame, about) {
@@ -216,7 +305,7 @@ export class Arena {
     pen.globalAlpha = 1;
   }
 
-  links(frame, about) {
+  links(frame, about, pixels) {
     const { pen } = this.surface;
     const silent = new Set([...frame.d, ...frame.z]);
     const pairs = links(frame.x, about.comm_range, silent);
@@ -227,8 +316,8 @@ export class Arena {
     pen.setLineDash([]);
     pen.beginPath();
     for (const [one, other] of pairs) {
-      pen.moveTo(...this.pixel(frame.x[one]));
-      pen.lineTo(...this.pixel(frame.x[other]));
+      pen.moveTo(pixels[one][0], pixels[one][1]);
+      pen.lineTo(pixels[other][0], pixels[other][1]);
     }
     pen.stroke();
     pen.globalAlpha = 1;
@@ -256,7 +345,7 @@ export class Arena {
       way.forEach((place, k) => pen[k ? "lineTo" : "moveTo"](...place));
       pen.stroke();
       // Robots that stand have no way; those of a large team leave no room beside them.
-      if (frame.x.length <= MAX_WORDS[0]) for (let k = 1; k < way.length; k += 1) if (away(way[k - 1], way[k])) this.ways.push([way[k - 1], way[k]]);
+      if (frame.x.length <= CROWD) for (let k = 1; k < way.length; k += 1) if (away(way[k - 1], way[k])) this.ways.push([way[k - 1], way[k]]);
     });
     pen.globalAlpha = 1;
   }
@@ -269,7 +358,7 @@ export class Arena {
       const { line, rim } = look(this.run, frame.p[robot]);
       pen.strokeStyle = line;
       pen.setLineDash(dash(rim));
-      this.surface.circle(this.pixel(goal), this.radius * 1.25);
+      this.surface.circle(this.pixel(goal), 1.25 * this.sized(this.pixel(goal)));
       pen.stroke();
     });
     pen.setLineDash([]);
@@ -289,7 +378,7 @@ export class Arena {
     pen.lineWidth = 1.5;
     pen.setLineDash([3, 3]);
     for (const at of frame.x) {
-      this.surface.circle(this.pixel(at), (about.safe_distance / 2) * this.scale);
+      this.surface.circle(this.pixel(at), this.sized(this.pixel(at), (about.safe_distance / 2) * this.scale));
       pen.stroke();
     }
     pen.setLineDash([]);
@@ -305,21 +394,25 @@ export class Arena {
     pen.textAlign = "center";
     pen.textBaseline = "middle";
     // Below all disks: no ring of one robot hides the number of another.
-    for (const robot of this.selected) if (this.at[robot]) chosenRing(this.surface, ...this.at[robot], this.radius);
-    if (few) for (const robot of frame.h) bentRim(this.surface, ...this.at[robot], this.radius);
-    this.at.forEach(([x, y], robot) => {
+    for (const robot of this.selected) if (this.at[robot]) chosenRing(this.surface, ...this.at[robot].slice(0, 2), this.sized(this.at[robot]));
+    if (few) for (const robot of frame.h) bentRim(this.surface, ...this.at[robot].slice(0, 2), this.sized(this.at[robot]));
+    const order = this.at.map((_, robot) => robot);
+    if (this.deep) order.sort((one, other) => this.at[one][2] - this.at[other][2]); // the farthest first
+    order.forEach((robot) => {
+      const [x, y] = this.at[robot];
+      const radius = this.sized(this.at[robot]);
       const { fill, ink, rim } = look(this.run, frame.p[robot]);
-      this.surface.circle([x, y], this.radius);
+      this.surface.circle([x, y], radius);
       pen.fillStyle = dead.has(robot) ? theme().ink : asleep.has(robot) ? theme().faint : fill;
       pen.fill();
       if (few || this.selected.includes(robot)) {
-        if (bent.has(robot) && !few) bentRim(this.surface, x, y, this.radius);
-        planRim(this.surface, x, y, this.radius, rim);
-        if (opened.has(robot)) breakerTag(this.surface, x, y, this.radius);
+        if (bent.has(robot) && !few) bentRim(this.surface, x, y, radius);
+        planRim(this.surface, x, y, radius, rim);
+        if (opened.has(robot)) breakerTag(this.surface, x, y, radius);
       }
       if (!few && !this.selected.includes(robot)) return;
       if (this.radius < 6) return; // the label beside it has the number
-      const size = Math.max(10, Math.min(16, this.radius * 1.05));
+      const size = Math.max(10, Math.min(16, radius * 1.05));
       pen.font = `600 ${size}px ${FONT}`;
       pen.fillStyle = dead.has(robot) || asleep.has(robot) ? theme().paper : ink;
       pen.fillText(dead.has(robot) ? "×" : String(robot), x, y + 0.5);
@@ -328,22 +421,28 @@ export class Arena {
 
   /** Letters of plans, influence and what else is said beside a disk; left out where there is no room. */
   labels(frame, crowds) {
-    if (this.at.length > MANY && !this.selected.length) return;
+    if (this.at.length > MANY && !this.selected.length && this.hovered < 0) return;
     const { width, height } = this.surface;
     const bent = new Set(frame.h);
     const opened = new Set(frame.b);
     const close = new Set(this.near.flat());
     const dead = new Set(frame.d);
+    const silent = new Set([...frame.d, ...frame.z]);
+    const { space } = this.run.about;
+    // In a crowd each plan has its tag once, at its highest robot in the picture.
+    const tagged = new Map();
+    if (this.crowded) frame.p.forEach((plan, robot) => { if (!silent.has(robot) && (!tagged.has(plan) || this.at[robot][1] < this.at[tagged.get(plan)][1])) tagged.set(plan, robot); });
     const words = this.at.map((_, robot) => {
-      if (this.at.length > MAX_WORDS[this.radius < 6 ? 0 : 1] && !this.selected.includes(robot)) return null;
-      const letters = this.layers.plans && !dead.has(robot) ? look(this.run, frame.p[robot]) : null;
+      const own = !this.crowded || this.selected.includes(robot) || robot === this.hovered;
+      const letters = this.layers.plans && !dead.has(robot) && (own || tagged.get(frame.p[robot]) === robot) ? look(this.run, frame.p[robot]) : null;
       // A disk that is too small, or has a cross in it, has its number beside it.
-      const beside = [(this.radius < 6 || dead.has(robot)) && String(robot), this.layers.influence && !dead.has(robot) && frame.i[robot].toFixed(2)];
+      const beside = [(this.radius < 6 || dead.has(robot)) && own && String(robot), space && own && `↕${frame.x[robot][2].toFixed(0)}`,
+        this.layers.influence && !dead.has(robot) && (own || this.radius >= 6) && frame.i[robot].toFixed(2)];
       return word(this.surface, letters, beside.filter(Boolean).join(" "));
     });
-    const disks = this.at.map(([x, y], robot) => [x, y, reach(this.radius,
+    const disks = this.at.map(([x, y], robot) => [x, y, reach(this.sized(this.at[robot]),
       { bent: bent.has(robot), opened: opened.has(robot), close: close.has(robot), chosen: this.selected.includes(robot) })]);
-    const corners = [[width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, this.run.about.space ? 200 : 110, height]];
+    const corners = [[width - BUTTONS[0], height - BUTTONS[1], width, height], [0, height - 34, space ? 200 : 110, height]];
     const taken = [...corners, ...spots(crowds, disks, this.radius, [width, height], corners)];
     const before = this.offsets && this.offsets.length === words.length ? this.offsets : [];
     this.offsets = placed(disks, words.map((one) => one && [one.wide, 14]), [width, height], taken, before, this.outlines(frame));
@@ -356,20 +455,15 @@ export class Arena {
   /** What words cross only where there is no other room: rings, ways, walls, ties and what is chosen. */
   outlines(frame) {
     const { about } = this.run;
-    const ends = this.walled(about);
-    const edges = (corners) => corners.map((corner, k) => [corner, corners[(k + 1) % corners.length]]);
-    const rings = this.layers.goals ? frame.g.filter(Boolean).map((goal) => [...this.pixel(goal), this.radius * 1.25]) : [];
-    const lines = edges(ends);
+    const sides = (ends) => ends.map((end, k) => [end, ends[(k + 1) % ends.length]]);
+    const ring = (at, radius) => [...at.slice(0, 2), this.sized(at, radius)];
+    const rings = this.layers.goals ? frame.g.filter(Boolean).map((goal) => ring(this.pixel(goal), this.radius * 1.25)) : [];
+    const lines = this.edges(about);
     for (const obstacle of about.obstacles) {
-      if (obstacle.polygon) lines.push(...edges(obstacle.polygon.map((corner) => this.pixel(corner))));
-      else rings.push([...this.pixel(obstacle.center), obstacle.radius * this.scale]);
+      if (obstacle.polygon) lines.push(...sides(obstacle.polygon.map((corner) => this.pixel(corner))));
+      else rings.push(ring(this.pixel(obstacle.center), obstacle.radius * this.scale));
     }
     return { rings, lines: lines.concat(this.ways) };
-  }
-
-  walled(about) {
-    const [[left, bottom], [right, top]] = about.arena;
-    return [[left, bottom], [right, bottom], [right, top], [left, top]].map((corner) => this.pixel(corner));
   }
 
   /** A length to compare with. */
@@ -384,15 +478,10 @@ export class Arena {
     pen.font = `11px ${FONT}`;
     pen.textAlign = "left";
     pen.textBaseline = "bottom";
-    const text = `${Number(units.toPrecision(3))} units${this.run.about.space ? " · seen from above" : ""}`;
+    const text = `${Number(units.toPrecision(3))} units${{ top: " · seen from above", side: " · seen from the side" }[this.view.camera?.flat] || (this.deep ? " in the middle of space" : "")}`;
     pen.strokeStyle = theme().paper;
     pen.lineWidth = 4;
     pen.strokeText(text, 14, height - 15);
     pen.fillText(text, 14, height - 15);
-  }
-
-  close() {
-    this.forget();
-    this.surface.close();
   }
 }

@@ -2,7 +2,8 @@
 import { h } from "llm-flock-viewer/dom.js";
 import { side } from "llm-flock-viewer/surface.js";
 
-const SIGNS = { good: "✓", bad: "✗", open: "…" };
+/** Of each tone; "part" is a team that formed, but does not stand whole now. */
+export const SIGNS = { good: "✓", part: "◐", bad: "✗", open: "…" };
 
 /** The mission in force in a round: its number, how many there are, and its part of the run. */
 export function missionAt(run, round) {
@@ -12,13 +13,20 @@ export function missionAt(run, round) {
   return { number: k + 1, of: parts.length, part: parts[k] || null };
 }
 
-/** Whether the mission in force has been formed by a round, in words; it counts from when it was given. */
+/** Whether the team stands formed in a round, or did before in its mission, in words. */
 export function stateAt(run, round) {
   const { number, of, part } = missionAt(run, round);
   if (!part) return run.failure || "";
   const which = of > 1 ? `mission ${number} of ${of} (${part.text}): ` : "";
-  if (part.formed === null || round < part.formed) return `${which}not formed${run.open || round < run.last ? " yet" : ""}`;
-  return `${which}formed in round ${part.formed}`;
+  const { values } = run.figures.in_order_since;
+  const told = part.formed !== null && round >= part.formed;
+  // Older records do not say in which rounds the team was in order.
+  if (told && Number.isNaN(values[part.formed])) return `${which}formed in round ${part.formed}`;
+  let last = round;
+  // Three rounds in order on end count, or what the result of a swarm calls formed.
+  while (last >= part.first && values[values[last] + 2] !== values[last] && values[last] !== part.formed) last -= 1;
+  if (last < part.first) return `${which}not formed${run.open || round < run.last ? " yet" : ""}`;
+  return `${which}formed in round${last === round ? ` ${values[last]}` : `s ${values[last]} to ${last}, not now`}`;
 }
 
 /** Which line of a plot is whose, and why it ends where it does. */

@@ -56,7 +56,6 @@ export class Clock {
   listen(listener) {
     this.listeners.add(listener);
     this.changed(); // a listener hears of earlier changes too
-    return () => this.listeners.delete(listener);
   }
 
   changed() {

@@ -1,6 +1,7 @@
 // The form that starts simulated runs, one or two side by side, and reads missions in plain words.
 import { button, choice, field, h, header, order, paceOf, paceSlider } from "llm-flock-viewer/dom.js";
 import { listenToKeys, showKeys } from "llm-flock-viewer/keys.js";
+import { Ground } from "llm-flock-viewer/ground.js";
 import { shapePictures } from "llm-flock-viewer/shapes.js";
 
 const number = (value, about = {}) => h("input", { type: "number", value, step: "any", ...about });
@@ -23,17 +24,20 @@ export function cockpit(options, place) {
     seed: field("Seed", number(0, { step: 1 }), "the same seed, the same run"),
     rounds: field("Rounds at most", number(200, { step: 1 })),
     start: field("Starts", choice(options.starts, "separated")),
+    gaps: field("Places of the dead", choice(options.gaps.map(([name]) => [name, name]), "report"), " "),
     loss: field("Messages lost", loss),
     pace: field("Rounds a second", pace),
   };
   shown(fields.loss, (value) => `${Math.round(100 * value)} %`);
   shown(fields.pace, () => `${paceOf(pace)}`);
-  const told = () => {
-    fields.protocol.box.querySelector(".flock-hint").textContent = Object.fromEntries(options.protocols)[fields.protocol.control.value];
-  };
-  fields.protocol.control.addEventListener("change", told);
-  told();
+  for (const [one, about] of [[fields.protocol, options.protocols], [fields.gaps, options.gaps]]) {
+    const told = () => { one.box.querySelector(".flock-hint").textContent = Object.fromEntries(about)[one.control.value]; };
+    one.control.addEventListener("change", told);
+    told();
+  }
   const on = h("input", { type: "checkbox", checked: true });
+  const ground = new Ground(() => values(fields, on), fields.center.control);
+  const redraw = (event) => ground.ask(["seed", "start", "n_robots"].some((name) => fields[name].control === event.target));
   const said = h("div", { class: "flock-error", role: "alert" });
   const waits = h("span", { class: "flock-hint", role: "status" });
   const starts = [];
@@ -42,14 +46,14 @@ export function cockpit(options, place) {
     said.textContent = "";
     waits.textContent = "Starting …";
     for (const one of starts) one.disabled = true;
-    const answer = await order({ order: "start", protocols, draft, pace: paceOf(pace), fields: values(fields, on) });
+    const answer = await order({ order: "start", protocols, draft, pace: paceOf(pace), fields: { ...values(fields, on), start_positions: ground.moved } });
     if (answer.address) {
       location.href = answer.address;
       return;
     }
     waits.textContent = "";
     for (const one of starts) one.disabled = false;
-    const wrong = fields[answer.field];
+    const wrong = fields[answer.field === "start_positions" ? "start" : answer.field];
     if (wrong) {
       wrong.say(answer.error);
       wrong.control.focus();
@@ -67,9 +71,10 @@ export function cockpit(options, place) {
     h("div", { class: "flock-form" }, ...Object.entries(fields).map(([name, one]) => {
       if (name === "protocol" || name === "model") one.box.classList.add("flock-wide");
       return one.box;
-    })),
+    })), ground.element,
     h("label", { class: "flock-check" }, on, "Keep flying after it has formed"), said,
     h("div", { class: "flock-row" }, ...starts, waits));
+  form.addEventListener("change", redraw);
   const spoken = words(options, (draft) => launch(null, draft));
   listenToKeys({ "?": showKeys });
   // Without a model the words cannot be read: then the form comes first.

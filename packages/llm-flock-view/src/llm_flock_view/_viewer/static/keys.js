@@ -11,6 +11,8 @@ const KEYS = [
   ["0", "show the whole way of the team"],
   ["A", "show the whole arena"],
   ["Shift and arrows", "move the picture"],
+  ["V, T, S", "see space in perspective, from above, from the side"],
+  [", . ; :", "turn space left, right, down, up"],
   ["L", "show or hide the legend"],
   ["Tab", "to the next control"],
   ["Escape", "close what is open over the page"],

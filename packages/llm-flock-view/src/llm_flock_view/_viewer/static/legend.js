@@ -8,6 +8,7 @@ const number = (text, about = {}) => ["text", { x: 14, y: 15.5, class: "k-text",
 const SIGNS = [
   [[disk(), number("3")], "robot, in its plan's colour"],
   [[["rect", { x: 7, y: 5, width: 14, height: 14, class: "k-fill" }], number("A")], "letter of its plan", "plans"],
+  [[["rect", { x: 3, y: 2, width: 22, height: 19, rx: 9, class: "k-area" }], disk({ cx: 9, r: 4 }), disk({ cx: 19, r: 4 })], "area: robots of one plan, with its letter once", "crowd"],
   [[disk({ class: "k-fill k-ink k-dashes" }), number("3")], "dashed rim: another plan, its colour used again", "repeated"],
   [[["circle", { cx: 14, cy: 12, r: 7, class: "k-none k-ink k-dots" }], number("3", { class: "k-text k-plain" })], "robot without a plan"],
   [[["circle", { cx: 14, cy: 12, r: 8, class: "k-none k-line" }]], "ring: its goal", "goals"],
@@ -22,6 +23,7 @@ const SIGNS = [
   [[["circle", { cx: 9, cy: 12, r: 7, class: "k-dead" }], number("×", { x: 9, y: 16, class: "k-text k-paper" }),
     number("3", { x: 23, class: "k-text k-plain" })], "dead, with its number"],
   [[["circle", { cx: 14, cy: 12, r: 7, class: "k-asleep k-ink k-dots" }], number("3", { class: "k-text k-onfaint" })], "has not begun yet"],
+  [[disk({ cx: 8, cy: 6, r: 4 }), ["line", { x1: 8, y1: 6, x2: 8, y2: 21, class: "k-thin" }], number("↕9", { x: 20, class: "k-text k-plain" })], "height [units]; line down to the ground", "space"],
   [[["circle", { cx: 14, cy: 11, r: 9, class: "k-none k-chosen" }], disk({ cy: 11, r: 5 })], "chosen robot"],
   [[["line", { x1: 2, y1: 12, x2: 26, y2: 12, class: "k-thin" }]], "radio link", "links"],
   [[["path", { d: "M2 17 Q12 17 16 10 T26 6", class: "k-trail" }]], "its way, last 24 rounds", "trails"],
@@ -33,6 +35,7 @@ const SIGNS = [
 ];
 
 const ROOM = "(min-width: 1100px)"; // windows with room for the legend beside the arena
+const WIDE = "(min-width: 1500px)"; // windows in which it is open at first
 
 /** A legend of the layers that are on, and the button that folds it. In wide windows it stays as the reader left it. */
 export function legend(open, layers) {
@@ -47,7 +50,7 @@ export function legend(open, layers) {
     element.hidden = !now;
     act.setAttribute("aria-expanded", String(now));
   };
-  const fit = () => turn(room.matches && (stored() === null ? open : stored() === "1"));
+  const fit = () => turn(room.matches && (stored() === null ? open && matchMedia(WIDE).matches : stored() === "1"));
   fit();
   room.addEventListener("change", fit);
   act.addEventListener("click", () => {

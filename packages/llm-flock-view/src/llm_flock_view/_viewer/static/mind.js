@@ -1,7 +1,8 @@
 // What a robot knew and asked in a round, and the events of the round: text that follows the cursor.
-import { button, choice, fill, h } from "llm-flock-viewer/dom.js";
+import { button, choice, field, fill, h } from "llm-flock-viewer/dom.js";
 
 const GONE = "The viewer does not answer: is its command still running?";
+const MANY = 30; // robots from which on one is searched by its number
 const REFRESH_MS = 400; // while the cursor runs, text follows more slowly than the picture
 
 /** Calls `show` with the round under the cursor, at once when it stands and seldom while it runs. */
@@ -36,10 +37,13 @@ export class Minds {
       return list;
     });
     this.note = h("div", { class: "flock-hint flock-first" });
+    this.find = field("Find a robot", h("input", { type: "number", min: 0, placeholder: "number", onchange: () => this.search() }));
+    this.find.box.classList.add("flock-find");
+    this.find.box.hidden = true; // a list of few is read
     this.place = h("div", { class: "flock-minds" });
     this.element = h("div", {}, h("div", { class: "flock-choose" }, ...this.lists.map((list, k) =>
       h("div", { class: "flock-labelled" }, h("label", { for: list.id, text: ["Robot", "Compare with"][k] }), list))),
-    this.note, this.place);
+    this.find.box, this.note, this.place);
     this.sizes = "";
     this.asked = 0;
     this.opened = false;
@@ -53,6 +57,7 @@ export class Minds {
     const sizes = this.runs.map((run) => (run.about ? run.about.robots : 0));
     if (String(sizes) !== this.sizes) {
       this.sizes = String(sizes);
+      this.find.box.hidden = Math.max(...sizes) <= MANY;
       const robots = sizes.flatMap((n, k) => Array.from({ length: n }, (_, robot) =>
         [`${k}:${robot}`, sizes.length > 1 ? `${this.names[k]}: ${robot}` : String(robot)]));
       for (const list of this.lists) fill(list, [["", "none"], ...robots], list.value);
@@ -65,6 +70,13 @@ export class Minds {
       this.choose(k, found.interesting.robot, false);
       this.note.textContent = `Robot ${found.interesting.robot} is shown first: ${found.interesting.why}.`;
     }
+  }
+
+  search() {
+    const { value } = this.find.control;
+    const known = value !== "" && [...this.lists[0].options].some((one) => one.value === `0:${Number(value)}`);
+    this.find.say(known || value === "" ? "" : `The team has robots 0 to ${this.runs[0].about.robots - 1}`);
+    if (known) this.choose(0, Number(value), false);
   }
 
   choose(k, robot, second) {
@@ -152,23 +164,32 @@ export class Events {
   constructor(runs, names, clock) {
     this.runs = runs;
     this.names = names;
+    this.clock = clock;
     this.asked = 0;
-    this.element = h("div", {});
+    this.list = h("div", {});
+    const find = field("Find in all rounds", h("input", { type: "search", placeholder: "such as: robot 3 died", oninput: () => this.refresh() }));
+    this.words = find.control;
+    find.box.classList.add("flock-find");
+    this.element = h("div", {}, find.box, this.list);
     this.refresh = following(clock, (round) => this.show(round));
   }
 
   async show(round) {
     const mine = (this.asked += 1);
-    const found = await Promise.all(this.runs.map((run) => run.get(`events?round=${Math.min(round, Math.max(0, run.last))}`).catch(() => null)));
+    const words = this.words.value.trim();
+    const asked = (run) => (words ? `find=${encodeURIComponent(words)}` : `round=${Math.min(round, Math.max(0, run.last))}`);
+    const found = await Promise.all(this.runs.map((run) => run.get(`events?${asked(run)}`).catch(() => null)));
     if (mine !== this.asked) return;
-    this.element.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [h("div", { class: "flock-hint", text: GONE })])));
+    this.list.replaceChildren(...found.flatMap((events, k) => (events ? this.listed(events, k) : [h("div", { class: "flock-hint", text: GONE })])));
   }
 
-  listed({ round, total, lines }, k) {
+  listed({ round, total, lines, more: cut }, k) {
     const title = this.runs.length > 1 ? [h("h2", { class: "flock-subtitle", text: this.names[k] })] : [];
     const more = total - lines.length;
-    return [...title, h("div", { class: "flock-hint", text: `${total} ${total === 1 ? "event" : "events"} in round ${round}` }),
-      ...lines.map(([who, what]) => h("div", { class: "flock-event" },
+    const count = (all) => `${all} ${all === 1 ? "event" : "events"}`;
+    const there = (at) => h("button", { type: "button", class: "flock-link", text: `Round ${at}`, onclick: () => this.clock.seek(at) });
+    return [...title, h("div", { class: "flock-hint", text: round === null ? `${cut ? "the first " : ""}${count(lines.length)} in all rounds` : `${count(total)} in round ${round}` }),
+      ...lines.map(([who, what, at]) => h("div", { class: "flock-event" }, at === undefined ? null : there(at),
         h("span", { class: "flock-who", text: who[0].toUpperCase() + who.slice(1) }), " ", h("span", { class: "flock-what", text: what }))),
       ...(more > 0 ? [h("div", { class: "flock-hint", text: `and ${more} more` })] : [])];
   }

@@ -3,7 +3,9 @@ import { button, dialog, h, header } from "llm-flock-viewer/dom.js";
 import { listenToKeys, showKeys } from "llm-flock-viewer/keys.js";
 import { Clock } from "llm-flock-viewer/clock.js";
 import { Recording } from "llm-flock-viewer/recording.js";
-import { Arena } from "llm-flock-viewer/arena.js";
+import { Arena, CROWD } from "llm-flock-viewer/arena.js";
+import { choices } from "llm-flock-viewer/arena_view.js";
+import { Moment } from "llm-flock-viewer/moment.js";
 import { Timeline } from "llm-flock-viewer/timeline.js";
 import { Plots } from "llm-flock-viewer/plots.js";
 import { Banner, Ends } from "llm-flock-viewer/banner.js";
@@ -53,30 +55,40 @@ export function player(options, place, held = null) {
     ...(steer ? [["Steer", steer.element, ""]] : []),
   ], minds && !pair ? "Mind" : "Plots", steer ? ["Steer"] : []);
   const arenas = [];
+  const chosen = choices();
+  // An exported page is its own address.
+  const moment = () => new Moment({ clock, arenas, tabs, minds }, held ? location.pathname : `/${pair ? "pair" : "run"}/${runs.map((run) => run.key).join("/")}`);
   const all = (act) => () => arenas.forEach(act);
   const show = (name, on) => {
     help.show(name, on);
     for (const one of arenas) one.layer(name, on);
   };
+  const link = h("span");
   const field = fieldOf(options, figures, help, show, all);
   place.replaceChildren(
-    header(options.title, held ? [] : [["Runs", "/runs"], ["Cockpit", "/cockpit"]], held ? [] : [exports(options, runs, names, clock)], showKeys),
+    header(options.title, held ? [] : [["Runs", "/runs"], ["Cockpit", "/cockpit"]], [link, held ? null : exports(options, runs, names, clock)], showKeys),
     h("main", { class: `flock-player${pair ? " flock-pair" : ""}` },
       field,
       h("aside", { class: "flock-side", "aria-label": "Mind, plots and events" }, tabs.element),
       h("section", { class: "flock-time", "aria-label": "Time" }, transport(runs, names, clock), line)));
   runs.forEach((run, k) => {
-    arenas.push(new Arena(figures[k].part, run, clock, { title: names[k], layers }, (robot, second) => {
+    arenas.push(new Arena(figures[k].part, run, clock, { title: names[k], layers, chosen, peers: runs }, (robot, second) => {
       if (minds) choose(k)(robot, second);
     }));
   });
-  const time = new Timeline(line, runs, clock, { tracks: options.tracks, names });
-  const charts = new Plots(plots, runs, clock, { charts: options.charts, names, note });
-  clock.listen(() => help.show("repeated", runs.some((run) => run.plans.some((plan) => plan.rim !== "-"))));
+  new Timeline(line, runs, clock, { tracks: options.tracks, names });
+  new Plots(plots, runs, clock, { charts: options.charts, names, note });
+  clock.listen(() => {
+    const space = runs.some((run) => run.about && run.about.space);
+    help.show("space", space);
+    if (space) field.inSpace();
+    help.show("crowd", runs.some((run) => run.about && run.about.robots > CROWD));
+    help.show("repeated", runs.some((run) => run.plans.some((plan) => plan.rim !== "-")));
+  });
   if (steer) clock.listen(() => steered(steer, tabs));
+  link.replaceWith(moment().act);
   keys(clock, arenas, help);
   for (const run of runs) clock.attach(run);
-  return { clock, arenas, time, charts };
 }
 
 /** The arenas with their banners, layers and legend. In narrow windows what came of the run is first. */
@@ -88,8 +100,12 @@ function fieldOf(options, figures, help, show, all) {
     button("−", all((one) => one.view.zoom(0.8)), { words: "Zoom out" }), button("+", all((one) => one.view.zoom(1.25)), { words: "Zoom in" }),
     ...[["Formation", "formation", "F"], ["Way", "way", "0"], ["Arena", "arena", "A"]].map(([text, what, key]) =>
       button(text, all((one) => one.view.fit(what)), { words: `${FITS[what]} (${key})` })));
+  const space = h("span", { class: "flock-views", hidden: true }, ...[["Space", undefined, "in perspective, turned by a drag (V)"], ["Top", "top", "seen from above (T)"], ["Side", "side", "seen from the side (S)"]]
+    .map(([text, from, how]) => button(text, all((one) => one.view.look(from)), { words: `${text}, ${how}` })));
+  zoom.prepend(space);
   const arenas = h("div", { class: "flock-arenas" }, ...figures.map((one) => one.element), zoom);
   const made = h("section", { class: "flock-field", "aria-label": "Arena" });
+  made.inSpace = () => { space.hidden = false; };
   const narrow = matchMedia(NARROW);
   const fit = () => {
     if (narrow.matches) made.append(arenas, layers, help.element);
@@ -128,6 +144,8 @@ function keys(clock, arenas, help) {
     ...both("f", all((one) => one.view.fit("formation"))), ...both("l", () => help.act.click()),
     ShiftArrowLeft: all((one) => one.view.pan(step, 0)), ShiftArrowRight: all((one) => one.view.pan(-step, 0)),
     ShiftArrowUp: all((one) => one.view.pan(0, step)), ShiftArrowDown: all((one) => one.view.pan(0, -step)),
+    ...both("v", all((one) => one.view.look())), ...both("t", all((one) => one.view.look("top"))), ...both("s", all((one) => one.view.look("side"))),
+    ",": all((one) => one.view.turn(-10, 0)), ".": all((one) => one.view.turn(10, 0)), ";": all((one) => one.view.turn(0, -5)), ":": all((one) => one.view.turn(0, 5)),
     "[": () => focused(arenas).next(-1), "]": () => focused(arenas).next(1),
     "?": showKeys,
   });
@@ -172,8 +190,12 @@ function panels(listed, first, hidden) {
   });
   open(first);
   return {
+    now: () => [...made].find(([, one]) => !one.panel.hidden)[0].toLowerCase(),
     element: h("div", { class: "flock-tabbed" }, list, ...[...made.values()].map((one) => one.panel)),
-    open: (name) => { if (made.has(name)) open(name); },
+    open: (name) => {
+      const own = [...made.keys()].find((one) => one.toLowerCase() === name.toLowerCase());
+      if (own) open(own);
+    },
     reveal: (name) => {
       const { tab } = made.get(name);
       const news = tab.hidden;

@@ -16,14 +16,13 @@ export class Plots {
     element.style.minHeight = `${this.charts.length * (LEAST + (runs.length > 1 ? LINE : 0))}px`;
     const titles = this.charts.map((chart) => chart.title).join(", ");
     this.surface = new Surface(element, `Plots over rounds: ${titles}`, () => this.draw());
-    this.forget = clock.listen(() => this.draw());
+    clock.listen(() => this.draw());
     const seek = (event) => {
       clock.playing = false;
       const share = (event.offsetX - LEFT) / Math.max(1, this.surface.width - LEFT - RIGHT);
       clock.seek(Math.round(Math.max(0, Math.min(1, share)) * Math.max(1, clock.last)));
     };
     this.surface.drag(seek, seek);
-    this.surface.fit();
   }
 
   draw() {
@@ -162,7 +161,7 @@ export class Plots {
     const unknown = last < values.length - 1;
     if (value === undefined || (!unknown && (run.open || run.last >= this.clock.last))) return;
     if (unknown && this.note) this.note.hidden = false;
-    const formed = run.outcome && run.outcome.tone === "good";
+    const formed = run.outcome && run.outcome.formed;
     pen.setLineDash([]);
     pen.font = `700 13px ${FONT}`;
     pen.textAlign = "center";
@@ -173,11 +172,6 @@ export class Plots {
     pen.lineWidth = 1.5;
     pen.stroke();
     pen.fillText(unknown ? "?" : formed ? "✓" : "×", x(last), y(value) + 0.5);
-  }
-
-  close() {
-    this.forget();
-    this.surface.close();
   }
 }
 

@@ -1,10 +1,10 @@
 // The table of runs: sort, filter, compare, delete.
+import { SIGNS } from "llm-flock-viewer/banner.js";
 import { button, dialog, h, header, order, picture } from "llm-flock-viewer/dom.js";
 import { listenToKeys, showKeys } from "llm-flock-viewer/keys.js";
 
-const SIGNS = { good: "✓", bad: "✗", open: "…" };
 const SIZE = 56;
-const REFRESH_MS = 1500; // while a run goes on
+const REFRESH_MS = 1500; // runs go on, and new records come
 
 /** Columns: title, how a row is sorted, and what its cell shows. */
 const COLUMNS = [
@@ -17,6 +17,9 @@ const COLUMNS = [
   ["Model", (row) => row.model || "", (row) => [h("div", { class: "flock-model", text: (row.model || "").replaceAll(",", ", ") })]],
   ["Rounds / bound", (row) => row.ratio ?? Infinity, (row) => [!row.ready ? "" : row.ratio === null ? `${row.rounds} flown`
     : `${row.took} / ${row.bound} = ${row.ratio.toFixed(2)}`]],
+  ["Seed", (row) => row.seed ?? -1, (row) => [String(row.seed ?? "")]],
+  ["Loss", (row) => row.loss ?? -1, (row) => [row.loss ? `${Math.round(100 * row.loss)} %` : ""]],
+  ["Deaths", (row) => row.deaths ?? -1, (row) => [row.deaths ? String(row.deaths) : ""]],
   ["Calls", (row) => row.calls ?? -1, (row) => [row.calls === undefined ? "" : String(row.calls)]],
 ];
 
@@ -43,11 +46,11 @@ export function runs(options, place) {
     });
     const wanted = state.words.split(/\s+/).filter(Boolean);
     const matches = (row) => {
-      const text = [row.title, row.outcome, row.protocol, row.model, row.mission, row.date].join(" ").toLowerCase();
+      const text = [row.title, row.outcome, row.protocol, row.model, row.mission, row.date, `seed ${row.seed}`].join(" ").toLowerCase();
       return wanted.every((word) => text.includes(word));
     };
     const key = COLUMNS[state.sort][1];
-    const order = (a, b) => (key(a) < key(b) ? -1 : key(a) > key(b) ? 1 : Number(a.key) - Number(b.key)) * (state.down ? -1 : 1);
+    const order = (a, b) => (key(a) < key(b) ? -1 : key(a) > key(b) ? 1 : a.key < b.key ? -1 : 1) * (state.down ? -1 : 1);
     const listed = state.rows.filter(matches).sort(order);
     body.replaceChildren(...listed.map((row) => line(row, state, draw, load)));
     count.textContent = state.rows.length ? `${listed.length} of ${state.rows.length} ${state.rows.length === 1 ? "run" : "runs"}` : "None yet: the cockpit starts them.";
@@ -55,25 +58,27 @@ export function runs(options, place) {
   };
   const load = async () => {
     try {
-      const answer = await fetch("/data/runs", { credentials: "same-origin" });
-      const rows = await answer.json();
-      if (JSON.stringify(rows) !== JSON.stringify(state.rows)) {
+      const answer = await fetch(`/data/runs?seen=${state.changes}`, { credentials: "same-origin" });
+      const { changes, rows } = await answer.json();
+      state.changes = changes;
+      if (rows && JSON.stringify(rows) !== JSON.stringify(state.rows)) {
         state.rows = rows;
         for (const key of state.chosen) if (!rows.some((row) => row.key === key)) state.chosen.delete(key);
         draw();
       }
-      if (rows.some((row) => row.open)) setTimeout(load, REFRESH_MS);
     } catch {
       count.textContent = "The viewer does not answer: is its command still running?";
     }
+    clearTimeout(state.next); // a row that was deleted asks at once
+    state.next = setTimeout(load, REFRESH_MS);
   };
   listenToKeys({ "?": showKeys });
   place.replaceChildren(header("Runs", [["Cockpit", "/cockpit"]], [], showKeys),
     h("main", { class: "flock-page flock-broad" }, h("section", { class: "flock-card", "aria-label": "All runs" },
-      h("div", { class: "flock-row" }, h("label", { for: "flock-filter", text: "Filter" }), filter, count),
+      h("div", { class: "flock-row" }, h("label", { for: "flock-filter", text: "Search" }), filter, count), compared,
       h("div", { class: "flock-scroll", tabindex: "0", role: "region", "aria-label": "Table of runs" }, h("table", { class: "flock-table flock-runs", role: "table" },
         h("thead", { role: "rowgroup" }, h("tr", { role: "row" }, h("th", { scope: "col", text: "Compare" }), h("th", { scope: "col", text: "Last round" }), ...heads, h("th", { scope: "col", text: "Delete" }))),
-        body)), compared)));
+        body)))));
   load();
 }
 
@@ -89,7 +94,7 @@ function line(row, state, draw, load) {
   const remove = button("Delete", () => ask(row, load), { words: `Delete ${row.title}` });
   remove.disabled = !row.deletable;
   if (!row.deletable) remove.title = row.open ? "The run is not over: end it first." : "There is no record to delete.";
-  const dots = (row.thumbnail || []).map(([x, y, fill]) => ["circle", { cx: 5 + x * (SIZE - 10), cy: 5 + y * (SIZE - 10), r: 2.5, fill }]);
+  const dots = (row.thumbnail || []).map(([x, y, fill]) => ["circle", { cx: 5 + x * (SIZE - 10), cy: 5 + y * (SIZE - 10), r: 2.5, fill, class: "k-dot" }]);
   // Roles and names of cells: on a phone a row is a card, and no table any more.
   const cell = (label, ...content) => h("td", { role: "cell", "data-label": label }, ...content);
   return h("tr", { role: "row", "data-key": row.key }, cell("Compare", box), cell("", picture(SIZE, SIZE, dots)),

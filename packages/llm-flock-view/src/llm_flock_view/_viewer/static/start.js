@@ -17,6 +17,13 @@ function answers(run) {
     if (what === "about") return run.about;
     if (what === "news") return run.news;
     const asked = new URLSearchParams(query);
+    const words = (asked.get("find") || "").toLowerCase().split(/\s+/).filter(Boolean);
+    if (what === "events" && words.length) {
+      const lines = run.events.flatMap(({ round, lines: all }) => all.map((line) => [...line, round]))
+        .map((line) => [line, `${line[0]} ${line[1]}`.toLowerCase()]) // a number is meant as a whole
+        .filter(([, text]) => words.every((word) => (/^\d+$/.test(word) ? text.split(/[\s,()]+/) : text).includes(word))).map(([line]) => line);
+      return { round: null, more: lines.length > 100, lines: lines.slice(0, 100) };
+    }
     if (what === "events") return run.events[Number(asked.get("round"))] || null;
     const first = Number(asked.get("first"));
     return run.frames.slice(first, first + Number(asked.get("count")));

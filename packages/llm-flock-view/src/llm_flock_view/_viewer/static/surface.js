@@ -43,10 +43,8 @@ export class Surface {
     this.canvas.setAttribute("aria-label", label);
     element.append(this.canvas);
     this.pen = this.canvas.getContext("2d");
-    this.sizes = new ResizeObserver(() => this.fit());
-    this.sizes.observe(element);
-    this.classes = new MutationObserver(() => this.redraw());
-    this.classes.observe(document.body, { attributes: true, attributeFilter: ["class"] });
+    new ResizeObserver(() => this.fit()).observe(element);
+    new MutationObserver(() => this.redraw()).observe(document.body, { attributes: true, attributeFilter: ["class"] });
     this.element = element;
     this.width = this.height = 0;
   }
@@ -116,11 +114,5 @@ export class Surface {
     const wide = this.words.offsetWidth;
     this.words.style.left = `${Math.max(2, Math.min(this.width - wide - 2, x + 12))}px`;
     this.words.style.top = `${y > this.height / 2 ? y - this.words.offsetHeight - 8 : y + 18}px`;
-  }
-
-  close() {
-    this.sizes.disconnect();
-    this.classes.disconnect();
-    this.canvas.remove();
   }
 }

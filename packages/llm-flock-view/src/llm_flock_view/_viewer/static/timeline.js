@@ -13,10 +13,9 @@ export class Timeline {
     this.names = options.names;
     this.surface = new Surface(element, "Round", () => this.draw());
     this.surface.canvas.setAttribute("role", "slider");
-    this.forget = clock.listen(() => this.draw());
+    clock.listen(() => this.draw());
     this.surface.drag((event) => this.jump(event, true), (event) => this.jump(event, false), (event) => this.hover(event));
     this.surface.canvas.addEventListener("pointerleave", () => this.surface.tip(null));
-    this.surface.fit();
   }
 
   get span() {
@@ -120,7 +119,7 @@ export class Timeline {
     if (pair) {
       // Whose half of the row this is, by the stroke of its side: colours alone do not tell it.
       pen.setLineDash(side(r).stroke.length ? [3, 2] : []);
-      this.surface.line([LEFT - 16, at], [LEFT - 3, at]);
+      this.surface.line([LEFT - 12, at], [LEFT - 3, at]);
       pen.setLineDash([]);
     }
     let before = -Infinity;
@@ -179,11 +178,6 @@ export class Timeline {
     pen.fillText("round", 4, y + 12);
     pen.textAlign = "center";
     for (let round = 0; round <= this.span; round += by) pen.fillText(String(round), this.x(round), y + 12);
-  }
-
-  close() {
-    this.forget();
-    this.surface.close();
   }
 }
 

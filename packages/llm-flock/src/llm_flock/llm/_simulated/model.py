@@ -19,7 +19,7 @@ from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._answer_forms import REASONING
 from llm_flock.llm._port import Call, CallSettings, Reply, Usage
 from llm_flock.llm._prompt_values import IN_PLACE
-from llm_flock.llm._simulated.profiles import FAILURES, HABITS, Profile
+from llm_flock.llm._simulated.profiles import FAILURES, NOT_IN_STEPS, Profile
 from llm_flock.llm._simulated.prompt_reader import (
     JUDGEMENT_MARK,
     PLAN_MARK,
@@ -31,6 +31,7 @@ from llm_flock.llm._simulated.prompt_reader import (
     is_clear,
     named_figure,
     numbers,
+    other_figures,
     read_judgement,
     read_plan,
     read_step,
@@ -47,11 +48,14 @@ from llm_flock.protocol._geometry import turned
 CHARS_PER_TOKEN = 4
 """For an estimate of the tokens."""
 
-ADDED_LATER = 9
+ADDED_LATER = 14
 """Number of the last `FAILURES` that were added after the first results were published."""
 
 CHANCE_WITHIN = 10.0
 """Largest distance of random coordinates from the centre [spacings] or the own position [step limits]."""
+
+OPEN = {"path": "M0 0H4V-4H0", "fill": True}
+"""What a program draws with the fault `open`."""
 
 CUT_OFF = frozenset({"cutoff", "rambling", "turns"})
 """Faults that a server reports by the reason why the answer ended."""
@@ -224,10 +228,15 @@ class SimulatedModel:
         figure |= {} if "canonical" in failures else {"turn": turn}
         if failures & {"distorted", "random"}:
             figure["scale"] = self._rng.uniform(0.4, 1.6, 2).round(2).tolist()
+        if failures & {"misread", "stranger"}:
+            others = other_figures(figure)
+            figure = others[int(self._rng.integers(len(others))) if "stranger" in failures else 0]
+        figure |= {"mirror": "x"} if "mirrored" in failures else {}
+        size = {"size": task.spacing / 2} if "crowded" in failures else {}
         index = int(self._rng.integers(task.n_places)) if failures & {"random", "any"} else robot % task.n_places
         answer = {
             REASONING: f"The shape is {task.shape[:200]}, so I draw that.",
-            "program": {"draw": [figure]},
+            "program": {"draw": [OPEN if "open" in failures else figure], **size},
             "my_plan": task.n_places if "malformed" in failures else 0 if "first" in failures else index,
         }
         return json.dumps(answer)
@@ -253,7 +262,7 @@ class SimulatedModel:
             there = here + self._rng.uniform(-CHANCE_WITHIN, CHANCE_WITHIN, here.shape) * prompt.task.max_step
             waypoint_row: list[float] = there.round(prompt.decimals).tolist()
             return repr(waypoint_row), "I go somewhere.", True
-        if failures - HABITS:
+        if failures - NOT_IN_STEPS:
             return self._faulty_step(prompt, failures)
         if prompt.objection:
             return _around(prompt), "My way is not free, so I leave it to the others.", True

@@ -26,12 +26,19 @@ PROFILES: Mapping[str, str] = {
     "first": "no answer is wrong: takes the first place of its plan, as in the paper's example (line 381)",
     "any": "no answer is wrong: takes a place of its plan by chance",
     "alike": "no answer is wrong: all robots draw the same chances, so they turn plans and err alike, as one model",
+    "misread": "programs: the named shape that follows in the list, which is the same for all robots",
+    "stranger": "programs: another named shape by chance",
+    "mirrored": "programs: mirrored, left and right in exchange",
+    "open": "programs: a filled outline that is not closed",
+    "crowded": "programs: a size without room for the robots",
     "misjudge": "judgements: another option than the right one, by chance",
 }
 """Every profile, and its failure or habit."""
 
-HABITS = frozenset({"careful", "canonical", "first", "any", "alike"})
-"""Profiles without wrong answers, which do not change how a step is made, or only where others are near."""
+PROGRAM_FAULTS = frozenset({"misread", "stranger", "mirrored", "open", "crowded"})
+
+NOT_IN_STEPS = frozenset({"careful", "canonical", "first", "any", "alike", "misjudge"}) | PROGRAM_FAULTS
+"""Profiles that do not change how a step is made, or only where others are near."""
 
 FAILURES = tuple(name for name in PROFILES if name != "ideal")
 """The failures, in the order in which they are drawn. At most one of `SEEN` comes on top."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import get_args
@@ -30,7 +30,9 @@ _ROUND = re.compile(r"of radius ([0-9.]+) around \[([^\]]+)\]")
 _CORNERS = re.compile(r"with the corners \[((?:\[[^\]]+\],? ?)+)\]")
 _CORNER = re.compile(r"\[([^\]]+)\]")
 _STILL = re.compile(r"^Robots that do not move any more stand at (\[\[.+\]\]): ", re.MULTILINE)
+_TURNED = ", turned in any direction; "
 _GIVEN = "relative to its centre its places are [["
+_LETTERS = "the letters "
 
 _WAY = re.compile(r"\b([SHLRW]) (?:tight|wide|free)")
 
@@ -277,14 +279,25 @@ def named_figure(task: Task) -> dict[str, object]:
     Raises:
         ModelError: `refused`, for other shapes, of which a stand-in knows no drawing.
     """
+    from llm_flock.formation._program import SPACE, Flat
+
+    words = task.shape.partition(_TURNED)[0]
+    if words.startswith(_LETTERS):
+        return {"text": words.removeprefix(_LETTERS)}
+    name, _, sides = (_spec(words) or "").partition(":")
+    name = next((solid for solid in SPACE if formations.describe(solid) == words), name)
+    if name not in (*get_args(Flat), *SPACE):
+        raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
+    return {"shape": name} | ({"sides": int(sides)} if sides else {})
+
+
+def other_figures(figure: Mapping[str, object]) -> list[dict[str, object]]:
+    """The named figures of the plane that are not this one, from the one that follows it in the list."""
     from llm_flock.formation._program import Flat
 
-    spec = "" if _GIVEN in task.shape else _spec(task.shape) or ""
-    name, _, sides = spec.partition(":")
-    if name not in get_args(Flat):
-        raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
-    figure: dict[str, object] = {"shape": name}
-    return figure | ({"sides": int(sides)} if sides else {})
+    names = [name for name in get_args(Flat) if name != "polygon"]
+    at = names.index(str(figure.get("shape"))) if figure.get("shape") in names else -1
+    return [{"shape": name} for name in (*names[at + 1 :], *names[: max(at, 0)])]
 
 
 def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:

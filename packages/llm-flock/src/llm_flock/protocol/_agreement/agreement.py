@@ -200,9 +200,9 @@ class Agreement(Situation):
             occupancy=occupancy,
             positions=self._membership.positions(self),
             wishes=self.mission if self.mission.prefer else None,
+            exchanges=not self.mission.prefer,
             weights=self.weights,
             retired=self.retired,
-            exchanges=not self.mission.prefer,
         )
 
     def settle(self, heard: list[Message], void: frozenset[int] = frozenset()) -> list[Note]:

@@ -15,14 +15,20 @@ from functools import lru_cache
 import numpy as np
 import scipy
 
+from llm_flock.arrays import Points
 from llm_flock.errors import InputError
 from llm_flock.message import Message
 from llm_flock.plan import Plan
 from llm_flock.protocol._agreement.consensus import PlanKey, Standing, plan_key
 
-CAP = 0.10
-"""Distance from which on two shapes are simply unlike. Fifteen readers' drawings of one icon, each turned, stretched
-and skewed on its own, are 0.06 apart in the median, and drawings of different icons 0.14."""
+CAP = 0.09
+"""Distance from which on two shapes are simply unlike. Two readers' drawings of one icon, each turned, stretched and
+skewed on its own, are 0.03 apart in the median once one is fitted to the other, at most 0.08; drawings of different
+icons are 0.15 apart, and 1 % of them less than 0.09 (`benchmarks/words.py`; 4,500 pairs)."""
+
+FITS = 6  # steps of fitting one drawing to the other
+MOST_TURN_RAD = math.radians(30.0)  # by which drawings are fitted: a described shape has an upper side
+MOST_STRETCH = 1.3  # likewise
 
 PITCH = 0.25
 """Share of the distance between neighbouring places by which the cap is larger: places that are evenly spread along
@@ -37,8 +43,9 @@ def unlikeness(a: Plan, b: Plan) -> float:
     """The distance of two shapes as a share of the cap, in [0, 1]; place and size do not count. Symmetric.
 
     It is the Chamfer distance (Barrow et al. 1977) of the places, each set moved to a mean of zero and scaled to a mean
-    square radius of 1. A program counts by what it draws, with equally many places for all teams. Turns count, up to
-    about 15 degrees, because a described shape has an upper side.
+    square radius of 1. A program counts by what it draws, with equally many places for all teams, and two programs by
+    the smallest distance while one drawing is fitted to the other (`_fitted`): readers of one word differ in turn and
+    stretch. Places that were given are too few to fit.
     """
     return _unlikeness(*sorted((a, b), key=lambda plan: plan.digest))
 
@@ -47,20 +54,43 @@ def unlikeness(a: Plan, b: Plan) -> float:
 def _unlikeness(a: Plan, b: Plan) -> float:
     if a == b:
         return 0.0
-    one, other = _scaled(a), _scaled(b)
-    away = scipy.spatial.distance.cdist(one, other)
     cap = CAP + PITCH * (_pitch(a) + _pitch(b)) / 2.0
-    return min(1.0, float(away.min(axis=0).mean() + away.min(axis=1).mean()) / 2.0 / cap)
+    return min(1.0, _fitted(_scaled(a), _scaled(b), FITS if a.program and b.program else 0) / cap)
+
+
+def _fitted(one: Points, other: Points, steps: int) -> float:
+    """The smallest Chamfer distance while `one` is turned and stretched towards `other`, both of shape (n, d).
+
+    Each step fits an affine map to pairs of nearest points (iterative closest points: Besl and McKay 1992), within
+    limits of turn and stretch, and never mirrors. Distances are rounded, so that every robot finds the same pairs.
+    """
+    moved, best = one, math.inf
+    for step in range(steps + 1):
+        away = scipy.spatial.distance.cdist(moved, other).round(DECIMALS)
+        to, back = away.argmin(axis=1), away.argmin(axis=0)
+        near = away[np.arange(len(one)), to].mean() + away[back, np.arange(len(other))].mean()
+        best = min(best, float(near) / 2.0)
+        if step == steps:
+            break
+        here, there = np.concatenate([one, one[back]]), np.concatenate([other[to], other])
+        middle, target = here.mean(axis=0), there.mean(axis=0)
+        arms = here - middle
+        left, stretch, right = np.linalg.svd(np.linalg.lstsq(arms, there - target, rcond=1e-6)[0])
+        turn = left @ right
+        if np.linalg.det(turn) < 0 or np.trace(turn) < len(turn) - 2 + 2 * math.cos(MOST_TURN_RAD):
+            break
+        moved = (one - middle) @ (left * stretch.clip(1 / MOST_STRETCH, MOST_STRETCH)) @ right + target
+    return best
 
 
 @lru_cache(maxsize=1024)
-def _scaled(plan: Plan) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _scaled(plan: Plan) -> Points:
     rows = plan.array
-    if plan.program:
+    if plan.drawing is not None:
         from llm_flock.formation import drawn_points
 
         with suppress(InputError):  # such as one that draws a fixed number of places
-            rows = drawn_points(plan.program, SAMPLES, rows.shape[1])
+            rows = plan.drawing.placed(drawn_points(plan.program, SAMPLES, rows.shape[1]))
     rows = rows - rows.mean(axis=0)
     return rows / (math.sqrt(float((rows**2).sum(axis=1).mean())) or 1.0)
 

@@ -74,12 +74,12 @@ class TeamMembership(Membership):
         return self._seeking.sets_out
 
     @property
-    def missing(self) -> int:
-        return len(self.liveness.silent)
+    def replans(self) -> bool:
+        return self._misfit > 0
 
     @property
-    def fits(self) -> bool:
-        return not self._misfit
+    def missing(self) -> int:
+        return len(self.liveness.silent)
 
     @property
     def known(self) -> object:

@@ -60,7 +60,7 @@ class Dissemination:
         plan, digest = message.plan, message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
-            return named if named is not None and len(named.points) == message.places else None
+            return named if named is not None and len(named) == message.places else None
         if len(self._plans) >= MAX_KNOWN_PLANS:
             self._plans.clear()
         self._plans[plan.digest] = plan

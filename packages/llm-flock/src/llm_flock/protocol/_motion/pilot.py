@@ -68,7 +68,7 @@ class Pilot:
             round=scene.round,
             position=scene.position,
             neighbors=scene.observed,
-            plan=Plan.of(moved(x, ahead) for x in plan.points) if ahead else plan,
+            plan=plan.mapped(ahead),
             slot=slot,
             target=None if target is None else moved(target, ahead),
             corner=None if self._leg.stop == self._leg.goal else moved(self._leg.stop, ahead),
@@ -187,7 +187,7 @@ class Pilot:
         question, scene = self._question, self._scene
         if not scene.ahead:
             return question
-        plan = Plan.of(moved(x, scene.ahead, -1.0) for x in question.plan.points)
+        plan = question.plan.mapped(tuple(-x for x in scene.ahead))
         return replace(question, position=scene.here, plan=plan, target=self._leg.goal, corner=self._leg.stop)
 
     def _next_step(self, committed: CommittedPath) -> Point | Trigger:

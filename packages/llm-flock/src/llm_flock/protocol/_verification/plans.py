@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.correspondence import quick_error
-from llm_flock.errors import InputError
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import DECIMALS, Plan
@@ -92,7 +91,7 @@ def enlarged(mission: Mission, plan: Plan) -> Plan:
         return plan
     mean = plan.array.mean(axis=0)
     share = (mission.safe_distance + 10.0 ** (1 - DECIMALS)) / nearest  # some room, for rounding to use up
-    return Plan.of((mean + share * (plan.array - mean)).tolist())
+    return plan.mapped(tuple(((1 - share) * mean).tolist()), share)
 
 
 def plan_class(mission: Mission, plan: Plan) -> PlanClass:
@@ -103,7 +102,7 @@ def plan_class(mission: Mission, plan: Plan) -> PlanClass:
 @lru_cache(maxsize=1024)
 def _verdict(mission: Mission, plan: Plan) -> tuple[PlanClass, str | None]:
     """Class and reason of a plan of the right size; cached for all robots of a process."""
-    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing, _fault_of_program):
+    for fault in (_fault_of_form, _fault_of_place, _fault_of_world, _fault_of_spacing):
         reason = fault(mission, plan)
         if reason is not None:
             return PlanClass.REFUSED, reason
@@ -215,21 +214,6 @@ def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
                 f"from {number_text(near)} to {number_text(far)} is required."
             )
     return None
-
-
-def _fault_of_program(mission: Mission, plan: Plan) -> str | None:
-    """A program that does not draw the plan's points: robots judge by it what a plan shows."""
-    if not plan.program:
-        return None
-    from llm_flock.formation import parse_program, program_points
-
-    try:
-        points = program_points(parse_program(plan.program), len(plan), mission.dim, mission.spacing)
-    except InputError as error:
-        return f"its program cannot be drawn: {error}"
-    off = float(np.abs(points + np.array(mission.center) - plan.array).max())
-    allowed = ROUNDING * mission.spacing
-    return None if off <= allowed else f"its points are up to {number_text(off)} beside what its program draws."
 
 
 def _residual(mission: Mission, plan: Plan) -> float | None:

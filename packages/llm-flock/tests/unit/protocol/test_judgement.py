@@ -1,0 +1,356 @@
+"""Judgements: what a robot asks its model about, the options that code computes, and what it does with the choice."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from llm_flock.events import AskJudgement, Note
+from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Choice, Incident, Vote
+from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
+from llm_flock.plan import Plan
+from llm_flock.planner import AIMS, JudgementAnswer, JudgementOption, NoAnswer, best_option
+from llm_flock.protocol._agreement.agreement import Agreement
+from llm_flock.protocol._agreement.assignment import Claim
+from llm_flock.protocol._agreement.judgement import PATIENCE, WEIGHT, Judgement
+from llm_flock.protocol._agreement.options import LARGEST, battery_options, closing, death_options
+from llm_flock.protocol._membership.team import TeamMembership
+from llm_flock.protocol._parts import Gaps, Parts, Situation
+
+FIVE = Mission(shape="line", n_robots=5, comm_range=60)
+SPOTS = FIVE.ideal or ()
+
+
+def table_of(*owners: int, visits: float = 0.0) -> BidTable:
+    return tuple((1, visits if owner < 0 else 0.0, owner) for owner in owners)
+
+
+def situation(*owners: int, mission: Mission = FIVE, visits: float = 0.0, **sensed: Any) -> Situation:
+    now = Situation(mission)
+    now.plan = Plan.of(mission.ideal or ())
+    now.claim = Claim(slot=0, table=table_of(*owners, visits=visits), bids=(0.0,) * len(owners))
+    now.position = now.plan.points[0]
+    now.sensed = sensed.get("sensed", {})
+    return now
+
+
+def names(options: tuple[JudgementOption, ...]) -> list[str]:
+    return [option.choice for option in options]
+
+
+def test_a_hole_in_a_line_can_be_left_closed_or_planned_away() -> None:
+    leave, close, replan = death_options(situation(0, 1, NO_OWNER, 3, 4))
+    assert (leave.choice, leave.gaps, close.choice, close.gaps, replan.choice, replan.gaps) == (
+        *("leave", 1),
+        *("close", 0),
+        *("replan", 0),
+    )
+    assert "robot 0 leaves its place" in close.does and close.distance >= 2 * FIVE.spacing
+    assert leave.rounds == 1 + 2 + 2 * 2 and leave.distance == pytest.approx(4 * FIVE.spacing)
+    assert closing(FIVE, Plan.of(SPOTS), table_of(0, 1, NO_OWNER, 3, 4)) == (0, 2)
+
+
+def test_a_missing_end_of_a_line_leaves_a_whole_one() -> None:
+    leave, replan = death_options(situation(0, 1, 2, 3, NO_OWNER))
+    assert (leave.gaps, replan.choice) == (0, "replan") and "4 places" in replan.does
+
+
+def test_what_happens_without_a_choice_comes_first() -> None:
+    assert names(death_options(situation(0, 1, NO_OWNER, 3, 4), first="replan")) == ["replan", "leave", "close"]
+
+
+@pytest.mark.parametrize("owners", [(0, 1, BLOCKED, 3, 4), (0, 1, BLOCKED, NO_OWNER, 4)])
+def test_nobody_closes_up_where_a_body_lies(owners: tuple[int, ...]) -> None:
+    options = death_options(situation(*owners))
+    assert names(options) == ["leave", "replan"]
+    assert (options[0].rounds > 0) is (NO_OWNER in owners)
+
+
+def test_places_that_were_visited_are_not_searched_again() -> None:
+    leave = death_options(situation(0, 1, NO_OWNER, 3, 4, visits=1.0))[0]
+    assert (leave.rounds, leave.distance) == (0, 0.0)
+
+
+def test_a_shape_that_has_no_smaller_size_is_left() -> None:
+    square = Mission(shape="square", n_robots=4, comm_range=60)
+    assert names(death_options(situation(0, 1, NO_OWNER, 3, mission=square))) == ["leave"]
+    assert names(death_options(situation(*[NO_OWNER] * 4, mission=square))) == ["leave"]
+
+
+def test_no_circle_and_no_crowd_closes_up() -> None:
+    circle = Mission(shape="circle", n_robots=6, comm_range=60)
+    assert names(death_options(situation(0, 1, NO_OWNER, 3, 4, 5, mission=circle))) == ["leave", "replan"]
+    side, n = 900.0, LARGEST + 2
+    crowd = Mission(shape="line", n_robots=n, center=(side / 2, side / 2), arena=((0, 0), (side, side)))
+    assert closing(crowd, Plan.of(crowd.ideal or ()), table_of(*range(n - 1), NO_OWNER)) is None
+    assert closing(FIVE, Plan.of(SPOTS), table_of(0, 1, 2, 3, 4)) is None
+
+
+WEAK = Incident(kind="battery", robot=4, left=12.0, at=(SPOTS[0][0] + 9.0, SPOTS[0][1]))
+
+
+def test_a_weak_robot_may_go_on_swap_or_leave_its_place_to_a_spare() -> None:
+    now = situation(0, 1, 2, 3, 4, sensed={1: SPOTS[1]})
+    mission = Mission(shape="line", n_robots=6, places=5, comm_range=60)
+    now.mission = mission
+    options = battery_options(WEAK, now, 0, frozenset(range(6)))
+    assert names(options) == ["continue", "swap", "spare"]
+    go_on, swap, spare = options
+    assert (go_on.lost, go_on.gaps, swap.lost, spare.lost) == (1, 1, 0, 0)
+    assert "robot 1" in swap.does and "robot 5" in spare.does
+    assert best_option(options) in ("swap", "spare")
+
+
+def test_a_robot_that_reaches_its_place_is_not_lost() -> None:
+    incident = replace(WEAK, at=(SPOTS[4][0] - 9.0, SPOTS[4][1]))
+    go_on = battery_options(incident, situation(0, 1, 2, 3, 4), 0, frozenset(range(5)))[0]
+    assert (go_on.lost, go_on.rounds, go_on.distance) == (0, 2, pytest.approx(9.0))
+
+
+def test_a_robot_at_its_place_needs_no_spare_and_none_far_away_swaps() -> None:
+    six = Mission(shape="line", n_robots=6, places=5, comm_range=60)
+    now = situation(0, 1, 2, 3, 4)
+    now.mission = six
+    assert names(battery_options(replace(WEAK, at=SPOTS[4]), now, 0, frozenset(range(6)))) == ["continue"]
+    now.mission = six.change(comm_range=1.0)
+    far = replace(WEAK, at=(SPOTS[0][0], SPOTS[0][1] + 20.0))
+    assert names(battery_options(far, now, 0, frozenset(range(5)))) == ["continue"]
+
+
+def test_ways_round_obstacles_count() -> None:
+    wall = Obstacle(polygon=((48.0, 20.0), (52.0, 20.0), (52.0, 60.0), (48.0, 60.0)))
+    mission = Mission(shape="circle", n_robots=3, center=(20, 50), comm_range=60, obstacles=(wall,))
+    now = situation(0, 1, 2, mission=mission)
+    incident = Incident(kind="battery", robot=2, left=12.0, at=(80.0, 50.0))
+    straight = 80.0 - now.plan.points[2][0] if now.plan else 0.0
+    assert battery_options(incident, now, 0, frozenset(range(3)))[0].distance > straight + 1.0
+
+
+def test_without_a_place_for_the_weak_robot_there_are_no_options() -> None:
+    assert battery_options(replace(WEAK, robot=9), situation(0, 1, 2, 3, 4), 0, frozenset(range(5))) == ()
+    now = situation(0, 1, 2, 3, 4)
+    now.plan = None
+    assert battery_options(WEAK, now, 0, frozenset(range(5))) == ()
+
+
+@pytest.mark.parametrize(("aim", "best"), [*zip(AIMS, ("replan", "leave", "leave"), strict=True)])
+def test_the_right_option_depends_on_what_counts(aim: str, best: str) -> None:
+    options = death_options(situation(0, 1, NO_OWNER, 3, 4, visits=1.0))
+    assert best_option(options, aim) == best
+
+
+class Judging:
+    """One robot's judgement, with a team that the test makes up."""
+
+    def __init__(self, robot: int = 0, gaps: Gaps = "report", mission: Mission = FIVE) -> None:
+        self.membership = TeamMembership(robot, mission, gaps=gaps)
+        self.agreement = Agreement(robot, mission, Parts(membership=self.membership))
+        self.judgement = Judgement(robot, self.agreement, self.membership)
+        self.here = SPOTS[robot]
+        self.number = 0
+        self.holds(*range(mission.n_places), slot=robot)
+        self.alive(*range(mission.n_robots))
+
+    def holds(self, *owners: int, slot: int | None) -> None:
+        self.agreement.plan = Plan.of(SPOTS)
+        self.agreement.claim = Claim(slot=slot, table=table_of(*owners), bids=(0.0,) * 5)
+
+    def alive(self, *robots: int) -> None:
+        live = self.membership.liveness
+        live.silent, live.strangers = frozenset(range(5)) - {*robots}, frozenset()
+
+    def round(self) -> list[AskJudgement | Note]:
+        self.number += 1
+        self.agreement.sense(self.here, {})
+        return self.judgement.begin_round(self.number, self.here)
+
+    def fails(self, robot: int = 2) -> list[AskJudgement | Note]:
+        """Robot 2 dies, and leaves its place empty."""
+        self.round()
+        self.alive(*({*range(5)} - {robot}))
+        self.holds(*(j if j != robot else NO_OWNER for j in range(5)), slot=self.agreement.claim.slot)
+        return self.round()
+
+    def hear(self, incident: Incident, **votes: Choice | None) -> None:
+        for voter, choice in votes.items():
+            vote = Vote(incident=incident, voter=int(voter[1:]), degree=0, choice=choice)
+            self.judgement.votes.take(vote)
+
+
+def kinds(effects: list[AskJudgement | Note]) -> list[str]:
+    return [effect.kind if isinstance(effect, Note) else "ask" for effect in effects]
+
+
+DEATH = Incident(kind="death", robot=2)
+
+
+def test_a_death_that_leaves_a_gap_is_asked_about_once() -> None:
+    team = Judging()
+    noticed, asked = team.fails()
+    assert isinstance(asked, AskJudgement) and "Robot 2 has failed" in asked.question.event
+    assert noticed == Note("incident", {"about": "death", "robot": 2, "options": ["leave", "close", "replan"]})
+    judged = team.judgement.take(JudgementAnswer(choice="replan", reason="So."))
+    assert judged == [Note("judged", {"about": "death", "robot": 2, "choice": "replan", "reason": "So."})]
+    assert kinds(team.round()) == [] and kinds(team.round()) == []
+
+
+def test_a_gap_that_a_spare_robot_fills_is_no_incident() -> None:
+    team = Judging()
+    team.round()
+    team.alive(0, 1, 3, 4)
+    team.holds(0, 1, 1, 3, 4, slot=0)
+    assert team.round() == []
+
+
+def test_a_robot_without_plan_or_table_notices_nothing() -> None:
+    team = Judging()
+    team.hear(DEATH, r1="leave")
+    team.alive(0, 1, 3, 4)
+    team.agreement.plan = None
+    assert team.round() == []
+    team.agreement.plan, team.agreement.claim = Plan.of(SPOTS), Claim(slot=0)
+    assert team.round() == []
+
+
+def test_the_choice_is_made_when_all_votes_are_in() -> None:
+    team = Judging()
+    team.fails()
+    assert team.membership.gaps == "report"
+    team.judgement.take(JudgementAnswer(choice="replan"))
+    team.hear(DEATH, r1="replan", r3="leave")
+    assert team.round() == []
+    team.hear(DEATH, r4=None)
+    (agreed,) = team.round()
+    votes = {"replan": 2, "leave": 1}
+    assert agreed == Note("agreed", {"about": "death", "robot": 2, "choice": "replan", "votes": votes})
+    assert team.membership.gaps == "replan"
+
+
+def test_missing_votes_are_waited_for_only_so_long() -> None:
+    team = Judging()
+    team.fails()
+    team.judgement.take(NoAnswer(cause="timeout", reason="late"))
+    for _ in range(PATIENCE - 1):
+        assert team.round() == []
+    (agreed,) = team.round()
+    assert isinstance(agreed, Note) and agreed.detail["choice"] is None and team.membership.gaps == "report"
+
+
+def test_later_votes_count_until_all_know_the_same() -> None:
+    team = Judging()
+    team.fails()
+    team.judgement.take(JudgementAnswer(choice="leave"))
+    for _ in range(PATIENCE):
+        team.round()
+    assert team.membership.gaps == "report"
+    team.hear(DEATH, r1="replan", r3="replan")
+    team.round()
+    assert team.membership.gaps == "replan"
+
+
+def test_without_usable_answers_the_team_does_as_configured() -> None:
+    for gaps in ("report", "replan"):
+        team = Judging(gaps=gaps)
+        assert team.membership.gaps == gaps
+        asked = team.fails()[-1]
+        assert isinstance(asked, AskJudgement)
+        assert asked.question.options[0].choice == ("replan" if gaps == "replan" else "leave")
+        assert team.membership.gaps == "report"  # until the team has chosen
+        fallback = team.judgement.take(NoAnswer(cause="answer", reason="none"))
+        expected = {"question": "judgement", "by": "rule", "cause": "answer", "reason": "none"}
+        assert fallback == [Note("fallback", expected)]
+        team.hear(DEATH, r1=None, r3=None, r4=None)
+        team.round()
+        assert team.membership.gaps == gaps
+
+
+def test_the_robot_at_the_edge_closes_up() -> None:
+    for robot, moves in ((0, True), (1, False)):
+        team = Judging(robot)
+        team.fails()
+        team.judgement.take(JudgementAnswer(choice="close"))
+        team.hear(DEATH, **{f"r{j}": "close" for j in (0, 1, 3, 4) if j != robot})
+        effects = team.round()
+        assert kinds(effects) == ["agreed", "claimed"] if moves else ["agreed"]
+        assert team.agreement.claim.slot == (2 if moves else 1)
+        if moves:
+            table = team.agreement.claim.table or ()
+            assert table[0] == (2, 0.0, NO_OWNER) and table[2] == (2, 0.0, 0)
+
+
+def test_a_robot_that_lost_its_place_meanwhile_only_takes_note() -> None:
+    team = Judging()
+    team.fails()
+    team.holds(3, 1, NO_OWNER, 3, 4, slot=None)
+    team.judgement.take(JudgementAnswer(choice="close"))
+    team.hear(DEATH, r1="close", r3="close", r4="close")
+    assert kinds(team.round()) == ["agreed"]
+
+
+def test_a_weak_robot_waits_and_gives_its_place_up() -> None:
+    team = Judging(mission=Mission(shape="line", n_robots=6, places=5, comm_range=60))
+    team.here = (SPOTS[0][0], SPOTS[0][1] + 30.0)
+    team.membership.liveness.silent = frozenset()
+    team.judgement.weaken(15.0)
+    effects = team.round()
+    assert team.judgement.waits and kinds(effects) == ["incident", "ask"]
+    incident = team.judgement.votes.incidents
+    assert not incident  # its vote tells the others
+    team.judgement.take(JudgementAnswer(choice="spare"))
+    (incident,) = team.judgement.votes.incidents.values()
+    assert (incident.left, incident.at) == (15.0, team.here)
+    team.hear(incident, **{f"r{j}": "spare" for j in range(1, 6)})
+    assert kinds(team.round()) == ["agreed", "claimed"]
+    assert team.agreement.retired and team.agreement.claim.slot is None and not team.judgement.waits
+    assert team.round() == []
+
+
+def test_others_let_the_weak_robot_have_a_nearer_place() -> None:
+    team = Judging()
+    team.hear(WEAK, r4="swap")
+    effects = team.round()
+    assert kinds(effects) == ["incident", "ask"] and team.agreement.weights == {}
+    team.judgement.take(JudgementAnswer(choice="continue"))
+    team.hear(WEAK, r1="swap", r2="swap", r3=None)
+    team.round()
+    weights = team.agreement.weights
+    assert weights == {4: WEIGHT}
+    team.round()
+    assert team.agreement.weights is weights
+
+
+def test_a_robot_that_sees_no_choice_casts_an_empty_vote() -> None:
+    team = Judging()
+    there = replace(WEAK, at=SPOTS[4])
+    team.hear(there, r4="continue")
+    assert kinds(team.round()) == ["incident"]
+    assert team.judgement.votes.voters(there) == {0, 4}
+
+
+def test_flying_uses_the_battery_up_and_a_new_mission_asks_again() -> None:
+    team = Judging()
+    team.round()
+    team.judgement.weaken(10.0)
+    team.here = (team.here[0], team.here[1] + 4.0)
+    assert kinds(team.round()) == ["incident"]
+    assert team.judgement.votes.incidents["battery", 0].left == pytest.approx(6.0)
+    team.judgement.begin_mission()
+    team.here = (team.here[0], team.here[1] + 40.0)
+    assert kinds(team.round()) == ["incident"]
+    assert team.judgement.votes.incidents["battery", 0].left == 0.0
+    team.judgement.begin_mission()
+    stale = team.judgement.take(JudgementAnswer(choice="continue"))
+    assert stale == [Note("stale_answer", {"about": "judgement"})]
+
+
+def test_no_search_begins_while_the_team_chooses() -> None:
+    team = Judging()
+    team.fails()
+    assert team.membership._connectivity.waits
+    team.judgement.take(JudgementAnswer(choice="leave"))
+    team.hear(DEATH, r1="leave", r3="leave", r4="leave")
+    team.round()
+    assert not team.membership._connectivity.waits
