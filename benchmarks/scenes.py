@@ -51,7 +51,7 @@ class Scene:
 def places_of(result: RunResult) -> Points:
     """The places of the plan that most robots follow; those of the reference shape if none does."""
     plans: Counter[Plan] = Counter(plan for plan in result.plans if plan is not None)
-    return plans.most_common(1)[0][0].array if plans else next(result.mission.placements())
+    return plans.most_common(1)[0][0].array if plans else result.mission.placed(*next(result.mission.placements()))
 
 
 def _hard(name: str) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
 from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places, mission_room
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
-from llm_flock.plan import Drawing, Plan
 from llm_flock.printable import hidden, shape_title
 from llm_flock.validation import checked
 
@@ -312,8 +311,8 @@ class Mission(BaseModel):
                 "obstacles", f"{len(self.obstacles)} obstacles", f"{room}, {clear}, and a way between any two"
             )
 
-    def placements(self, angle_rad: float = 0.0) -> Iterator[Plan]:
-        """Placements of the ideal points that keep clear of obstacles; none without an ideal.
+    def placements(self, angle_rad: float = 0.0) -> Iterator[tuple[float, Point]]:
+        """Turns [rad] and shifts [units] of the ideal points that keep clear of obstacles; none without an ideal.
 
         The first is turned about the centre by `angle_rad`. Then come `ORIENTATIONS` evenly spaced steps, then the same
         slightly shifted. Without obstacles, all orientations come.
@@ -325,27 +324,17 @@ class Mission(BaseModel):
         turns, angle_rad = (ORIENTATIONS, angle_rad) if self.turn is None else (1, 0.0)
         for shift in ((0.0, 0.0), *((reach * math.cos(a), reach * math.sin(a)) for a in around)):
             for k in range(turns):
-                plan = self.plan(angle_rad + 2 * math.pi * k / ORIENTATIONS, shift)
-                fits = all(clearance(point, self.obstacles) >= self.body_radius for point in plan.points)
-                if fits and len(self.regions_of(plan.points)) <= 1:
-                    yield plan
+                turn_rad = angle_rad + 2 * math.pi * k / ORIENTATIONS
+                rows: list[list[float]] = self.placed(turn_rad, shift).tolist()
+                fits = all(clearance(tuple(row), self.obstacles) >= self.body_radius for row in rows)
+                if fits and len(self.regions_of(map(tuple, rows))) <= 1:
+                    yield turn_rad, shift
 
-    def plan(self, angle_rad: float, shift: Point = (0.0, 0.0)) -> Plan:
-        """The ideal points turned about the centre (in space, about the third axis), then moved in the plane [units].
-
-        For shapes whose points are known. What a program draws is a plan that consists of that program.
-        """
-        if formations.is_drawn(self.shape):
-            from llm_flock.formation import program_of
-
-            program, (x, y) = program_of(self.shape), self.center[:2]
-            assert program is not None, "all shapes that are drawn are programs"
-            turn = angle_rad + math.radians(self.turn or 0.0)
-            center = (x + shift[0], y + shift[1], *self.center[2:])
-            return Plan(drawing=Drawing(program.text, self.n_places, self.spacing, center, turn_rad=turn))
+    def placed(self, turn_rad: float, shift: Point = (0.0, 0.0)) -> Points:
+        """The ideal points turned about the centre, in space about the third axis, then moved in the plane [units]."""
         points = np.array(self.ideal)
-        points[:, :2] = formations.rotated(points[:, :2], self.center[:2], angle_rad) + np.array(shift)
-        return Plan.of(points.tolist())
+        points[:, :2] = formations.rotated(points[:, :2], self.center[:2], turn_rad) + np.array(shift)
+        return points
 
     def regions_of(self, points: Iterable[Point]) -> frozenset[int]:
         """Regions of the plane between obstacles and walls in which these points are; robots cannot change regions.

@@ -28,7 +28,8 @@ def test_a_result_is_a_picture_and_a_table(flown: tuple[RunResult, Path]) -> Non
     assert html is not None
     assert "data:image/png;base64," in html and "alt=" in html
     assert "triangle, 3 robots, seed 1 (simulated language models)" in html
-    assert ">outcome</th>" in html and ">Formed in round " in html and ">none (simulated)</td>" in html
+    assert ">outcome</th>" in html and ">Not formed: all 3 rounds were used up<" in html
+    assert ">none (simulated)</td>" in html
     assert re.fullmatch(r"RunResult\(triangle, 3 robots, seed 1, .*, simulated language models\)", repr(flown[0]))
 
 

@@ -78,7 +78,7 @@ def draw_plan(rng: np.random.Generator, mission: Mission) -> Points:
     """The mission's shape in a random orientation, shape (n, d) [units; world frame]."""
     angle_rad = float(rng.uniform(0.0, 2 * math.pi))
     if mission.obstacles:
-        return next(mission.placements(angle_rad)).array
+        return mission.placed(*next(mission.placements(angle_rad)))
     assert mission.ideal is not None, "only shapes whose points are known are drawn"
     return turned(np.array(mission.ideal), mission.center, angle_rad)
 

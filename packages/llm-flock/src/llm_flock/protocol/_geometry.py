@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Points
+from llm_flock.arrays import Point, Points
+from llm_flock.mission import Mission
+from llm_flock.plan import Drawing, Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
 from llm_flock.protocol._verification.steps import towards
@@ -20,6 +22,19 @@ def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Point
     out = np.array(points, dtype=np.float64)
     out[:, :2] = formations.rotated(out[:, :2], center[:2], angle_rad)
     return out
+
+
+def ideal_plan(mission: Mission, turn_rad: float, shift: Point = (0.0, 0.0)) -> Plan:
+    """The ideal points turned and moved (`Mission.placed`). What a program draws is a plan that consists of it."""
+    if not formations.is_drawn(mission.shape):
+        return Plan.of(mission.placed(turn_rad, shift).tolist())
+    from llm_flock.formation import program_of
+
+    program = program_of(mission.shape)
+    assert program is not None, "all shapes that are drawn are programs"
+    center = tuple(c + d for c, d in zip(mission.center, (*shift, 0.0), strict=False))
+    turn_rad += math.radians(mission.turn or 0.0)
+    return Plan(drawing=Drawing(program.text, mission.n_places, mission.spacing, center, turn_rad=turn_rad))
 
 
 def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer | NoAnswer:
@@ -33,8 +48,9 @@ def geometric_plan(question: PlanQuestion, angle_rad: float = 0.0) -> PlanAnswer
         return NoAnswer(cause="answer", reason=f"geometry knows no points for shape {mission.shape!r}")
     placements = mission.placements(angle_rad)
     if mission.velocity is not None:
-        placements = [mission.plan(angle_rad if mission.turn is None else 0.0)]
-    for plan in placements:
+        placements = [(angle_rad if mission.turn is None else 0.0, (0.0, 0.0))]
+    for turn_rad, shift in placements:
+        plan = ideal_plan(mission, turn_rad, shift)
         objection = check_proposal(mission, plan, question.still, question.position)
         if objection is None:
             return PlanAnswer(plan=plan, slot=question.robot % len(plan))

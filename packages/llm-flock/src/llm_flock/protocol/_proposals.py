@@ -35,6 +35,8 @@ class Proposals:
         """Notes, and last the question for this round. None is asked if no plan is needed, or geometry answers."""
         agreement, mission = self._agreement, self._agreement.mission
         places = self._membership.places(agreement)
+        if places is None and agreement.owes_proposal and agreement.plan is not None:
+            places = len(agreement.plan)
         if places is None or not agreement.may_propose(places):
             return []
         self._asked = PlanQuestion(

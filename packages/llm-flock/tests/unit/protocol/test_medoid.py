@@ -290,6 +290,14 @@ def test_team_flies_what_most_alike_models_drew(seed: int, options: dict[str, ob
     assert nearest_picture(flown.positions[-1]) == "heart"
 
 
+def test_robots_that_come_late_have_their_say() -> None:
+    """Without the five late proposals, a group of three alike would win."""
+    wrong = [name for name in PICTURES if name != "heart"]
+    names = ["heart"] * 6 + [wrong[k % 8] for k in range(18)]
+    flown = fly_pictures(names, 4, join=",".join(f"{j}@4" for j in range(1, 6)))
+    assert flown.summary.formed and nearest_picture(flown.positions[-1]) == "heart"
+
+
 def test_robot_keeps_proposals_that_pass_its_checks() -> None:
     mission = Mission(shape="text:a row", n_robots=3, spacing=10.0)
     parts = Parts(consensus=MedoidConsensus(), verifier=Validator(shield_on=True))

@@ -29,6 +29,7 @@ from llm_flock.message import (
 from llm_flock.mission import Mission
 from llm_flock.plan import Drawing, Plan
 from llm_flock.protocol import turned
+from llm_flock.protocol._geometry import ideal_plan
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
 ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, degree=1, proposer=1, sequence=0)
@@ -90,10 +91,15 @@ def test_the_plan_of_a_program_costs_no_bytes_for_places(shape: str, dim: int, s
     arena = ((0.0,) * dim, (1000.0,) * dim)
     for n in (10, 30, 100):
         mission = Mission(shape=shape, n_robots=n, spacing=5.0, comm_range=60.0, center=(500.0,) * dim, arena=arena)
-        plan = mission.plan(0.3, (0.1, -0.1))
+        plan = ideal_plan(mission, 0.3, (0.1, -0.1))
         said = Message(sender=0, sequence=0, degree=0, plan=plan, provenance=ORIGIN, slot=1)
         read = decode(encode(said), n, mission.dim)
-        assert read.plan == plan and read.plan.points == plan.points and read.places == len(plan.points) == n
+        assert (
+            read.plan is not None
+            and read.plan == plan
+            and read.plan.points == plan.points
+            and read.places == len(plan.points) == n
+        )
         assert np.allclose(plan.array, Plan.of(turned(np.array(mission.ideal), mission.center, 0.3)).array, atol=0.2)
         sizes.append(len(encode(said)))
         as_points.append(len(encode(replace(said, plan=Plan(plan.points)))))

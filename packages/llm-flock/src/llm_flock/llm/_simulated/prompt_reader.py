@@ -288,7 +288,8 @@ def named_figure(task: Task) -> dict[str, object]:
     name = next((solid for solid in SPACE if formations.describe(solid) == words), name)
     if name not in (*get_args(Flat), *SPACE):
         raise ModelError("refused", f"a simulated model draws named shapes only, not {task.shape[:80]!r}")
-    return {"shape": name} | ({"sides": int(sides)} if sides else {})
+    figure: dict[str, object] = {"shape": name}
+    return figure | ({"sides": int(sides)} if sides else {})
 
 
 def other_figures(figure: Mapping[str, object]) -> list[dict[str, object]]:

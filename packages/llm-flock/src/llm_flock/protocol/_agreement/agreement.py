@@ -94,12 +94,19 @@ class Agreement(Situation):
         return Note("no_plan", {"cause": failure.cause, "reason": failure.reason})
 
     @property
-    def _next_epoch(self) -> int:
-        return 0 if self.provenance is None else min(self.provenance.epoch + 1, MAX_EPOCHS)
+    def owes_proposal(self) -> bool:
+        """Whether it follows a plan of an epoch in which all proposals count, and has made none of its own."""
+        return self.ballot is not None and self.provenance is not None and self._last_epoch < self.provenance.epoch
+
+    def _epoch(self, places: int) -> int:
+        """The epoch of its next proposal: the present one if it owes one of as many places, or else the next."""
+        if self.provenance is None or (self.owes_proposal and self.plan is not None and places == len(self.plan)):
+            return 0 if self.provenance is None else self.provenance.epoch
+        return min(self.provenance.epoch + 1, MAX_EPOCHS)
 
     def may_propose(self, places: int) -> bool:
         """Whether it may propose a plan of this size: once in an epoch, and in the last one only with more places."""
-        if self._robot in self._void or self._next_epoch <= self._last_epoch:
+        if self._robot in self._void or self._epoch(places) <= self._last_epoch:
             return False
         last = self.provenance is not None and self.provenance.epoch == MAX_EPOCHS
         return not last or self.plan is None or places > len(self.plan)
@@ -111,7 +118,7 @@ class Agreement(Situation):
         origin = Provenance(
             mission=self.stamp.counter,
             mission_digest=self.stamp.digest,
-            epoch=self._next_epoch,
+            epoch=self._epoch(len(answer.plan)),
             degree=self.degree,
             proposer=self._robot,
             sequence=self._proposals,

@@ -75,7 +75,8 @@ def _fitted(one: Points, other: Points, steps: int) -> float:
         here, there = np.concatenate([one, one[back]]), np.concatenate([other[to], other])
         middle, target = here.mean(axis=0), there.mean(axis=0)
         arms = here - middle
-        left, stretch, right = np.linalg.svd(np.linalg.lstsq(arms, there - target, rcond=1e-6)[0])
+        inverse: Points = np.linalg.pinv(arms, rcond=1e-6)
+        left, stretch, right = np.linalg.svd(inverse @ (there - target))
         turn = left @ right
         if np.linalg.det(turn) < 0 or np.trace(turn) < len(turn) - 2 + 2 * math.cos(MOST_TURN_RAD):
             break
