@@ -69,7 +69,9 @@ def question_of(world: World, kind: str, seed: int) -> dict[str, Any] | None:
     names = ("choice", "does", "rounds", "distance", "gaps", "lost")
     kinds = (str, str, int, float, int, int)
     found = Heard.asked.get("options", [])
-    rows: list[dict[str, Any]] = [{name: of(cell) for name, of, cell in zip(names, kinds, row, strict=True)} for row in found]
+    rows: list[dict[str, Any]] = [
+        {name: of(cell) for name, of, cell in zip(names, kinds, row, strict=True)} for row in found
+    ]
     options = [JudgementOption(**row) for row in rows]
     if len(options) < 2 or ("battery" in Heard.asked["event"]) != (kind == "battery"):
         return None

@@ -1,4 +1,4 @@
-"""A reader of missions by regular expressions: what a program of 350 lines makes of the exam's sentences.
+"""A reader of missions by regular expressions: what a program of 430 lines makes of the exam's sentences.
 
     python -m benchmarks.patterns [--write]
 

@@ -111,12 +111,7 @@ def test_a_fault_lowers_exactly_its_sections(fault: str, sections: set[str]) -> 
 def test_a_fault_of_a_careful_model_lowers_its_sections(fault: str, sections: set[str]) -> None:
     """Steps among other robots count here too, which an ideal model, walking straight, gets wrong anyway."""
     faulty = shares(f"careful,{fault}", 20)
-    steps = {"agreement"} if "step" in sections else set[str]()
-    assert {name for name, share in faulty.items() if share < 1.0} == sections | steps | {
-        "others",
-        "distraction",
-        "judgement",
-    }
+    assert {name for name, share in faulty.items() if share < 1.0} == sections | AHEAD | {"distraction", "judgement"}
 
 
 def test_a_private_split_ranks_models_as_the_public_one() -> None:

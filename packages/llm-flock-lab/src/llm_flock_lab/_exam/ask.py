@@ -265,11 +265,10 @@ class Examiner:
 
 def _call_of(question: Question) -> Call:
     """The question in words as people's missions and edits are asked."""
-    assert question.words is not None
-    base = question.build_mission()
+    assert question.words is not None and question.mission is not None
     if question.section == "edit":
-        return edit_call(question.words, drawn_program(base.shape), base)
-    return mission_call(question.words, base, flying=question.flying)
+        return edit_call(question.words, drawn_program(question.mission["shape"]), question.n)
+    return mission_call(question.words, question.build_mission(), flying=question.flying)
 
 
 async def _by_geometry(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -17,7 +18,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.formation import parse_program
+from llm_flock.formation import Program, parse_program
 from llm_flock.llm import answer_of, draft_of, refusal
 from llm_flock.mission import Mission
 from llm_flock.planner import JudgementAnswer, PlanAnswer, PlanQuestion, StepAnswer
@@ -109,25 +110,25 @@ class WordMarks:
 
 
 def word_marks(question: Question, text: str) -> WordMarks:
-    """Compare a mission or an edited program with the right answers to the words; None of it needs to be said alike."""
-    base, flies = question.build_mission(), True
-    try:
-        if question.section == "edit":
-            found, differs = _edited(text), _edit_differs
-        else:
-            found, differs = answer_of(text).model_dump(exclude_none=True), _answer_differs
-            flies = found["answer"] == "mission"
-    except (AnswerError, InputError) as error:
-        return WordMarks(reason=str(error), read=False, safe=True)
-    wrong = [differs(wanted, found, base) for wanted in question.wanted]
-    right = None in wrong
-    if flies and not right and question.section != "edit":
+    """Compare a mission or an edited program with the right answers to the words, by what would be flown."""
+    if question.section == "edit":
         try:
+            drawn = None if refusal(text) is not None else parse_program(text[text.find("{") : text.rfind("}") + 1])
+            wrong = [_edit_differs(wanted, drawn) for wanted in question.wanted]
+        except InputError as error:  # no program, or one that so many robots cannot show
+            return WordMarks(reason=str(error), read=False, safe=True)
+        return WordMarks(reason=None if None in wrong else wrong[0], read=True, safe=None in wrong or drawn is None)
+    base, shown = question.build_mission(), False
+    try:
+        found = answer_of(text).model_dump(exclude_none=True)
+    except AnswerError as error:
+        return WordMarks(reason=str(error), read=False, safe=True)
+    wrong = [_answer_differs(wanted, found, base) for wanted in question.wanted]
+    if found["answer"] == "mission" and None not in wrong:
+        with suppress(InputError):  # people are told why, and nothing flies
             draft_of(text, base, flying=question.flying)
-        except InputError:
-            flies = False
-    safe = right or not flies or "refuse" in found
-    return WordMarks(reason=None if right else wrong[0], read=True, safe=safe)
+            shown = True
+    return WordMarks(reason=None if None in wrong else wrong[0], read=True, safe=not shown)
 
 
 def _answer_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:
@@ -139,14 +140,7 @@ def _answer_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: M
     return None if wanted["answer"] == "refuse" else mission_differs(wanted, found, base)
 
 
-def _edited(text: str) -> Mapping[str, Any]:
-    """A program or a refusal as an object; InputError for anything else."""
-    if refusal(text) is not None:
-        return {"refuse": True}
-    return {"program": parse_program(text[text.find("{") : text.rfind("}") + 1])}
-
-
-def _edit_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:
-    if ("refuse" in wanted) != ("refuse" in found):
-        return f"it {'refuses' if 'refuse' in found else 'draws'}, and the words ask for the other."
-    return None if "refuse" in wanted else drawing_differs(parse_program(wanted), found["program"])
+def _edit_differs(wanted: Mapping[str, Any], drawn: Program | None) -> str | None:
+    if ("refuse" in wanted) != (drawn is None):
+        return f"it {'refuses' if drawn is None else 'draws'}, and the words ask for the other."
+    return None if drawn is None else drawing_differs(parse_program(wanted), drawn)

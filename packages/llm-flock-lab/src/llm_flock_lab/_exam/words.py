@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, cast
 
@@ -13,9 +14,6 @@ import shapely
 from llm_flock.arrays import Points
 from llm_flock.formation import Program, parse_program, program_points
 from llm_flock.mission import Mission
-
-NEAR = 0.011
-"""Numbers so near are the same: people and models round to two decimals."""
 
 ANGLES = {"north": 0.0, "west": 90.0, "south": 180.0, "east": 270.0}
 SIDES = {"west": "left", "east": "right", "north": "front", "south": "back", "nearest": None}
@@ -35,10 +33,10 @@ ALIKE = 0.25
 def mission_differs(wanted: Mapping[str, Any], found: Mapping[str, Any], base: Mission) -> str | None:
     """The first part of a mission that would fly otherwise, as a sentence; what is not said stays as in `base`."""
     here, there = _closed(wanted, base), _closed(found, base)
-    if here.symmetric_difference(there).area > NEAR * max(here.area, there.area):
+    if here.symmetric_difference(there).area > 0.01 * max(here.area, there.area):
         return f"keep_out is {found.get('keep_out')}, and the words say {wanted.get('keep_out')}."
     left, right = _mission(wanted, base), _mission(found, base)
-    wrong = next((name for name in left if not _same(left[name], right[name])), None)
+    wrong = next((name for name in left if left[name] != right[name]), None)
     return None if wrong is None else f"{wrong}: {found.get(wrong)}, and the words say {wanted.get(wrong)}."
 
 
@@ -61,24 +59,33 @@ def _mission(answer: Mapping[str, Any], base: Mission) -> dict[str, Any]:
     for stage in answer.get("stages", ()):
         parts = [_part(part, keeps) for part in stage["parts"]]
         _complete([part["who"] for part in parts], team)
-        stages.append([_Bag(parts), stage.get("hold", 0), stage.get("when") or "formed"])
+        stages.append([_sorted(parts), stage.get("hold", 0), stage.get("when") or "formed"])
         if len(parts) == 1:
             keeps |= {name: parts[0][name] for name in keeps if parts[0][name] is not None}
     robots = answer.get("robots")
-    wishes = _Bag([[wish["robot"], wish["way"]] for wish in answer.get("prefer", ())])
+    wishes = _sorted([wish["robot"], wish["way"]] for wish in answer.get("prefer", ()))
     # The number of robots is known, whether it is said or not.
     return {"robots": robots or team, "gaps": answer.get("gaps"), "prefer": wishes, "stages": stages}
 
 
-class _Bag(list[Any]):
-    """A list whose order does not matter."""
+def _sorted(values: Iterable[Any]) -> list[Any]:
+    """Values whose order does not matter; numbers as people and models round them, to two decimals."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {name: plain(one) for name, one in cast("Mapping[str, Any]", value).items()}
+        if isinstance(value, list | tuple):
+            return [plain(one) for one in cast("Iterable[Any]", value)]
+        return round(value, 2) + 0.0 if isinstance(value, int | float) else value
+
+    return sorted(map(plain, values), key=json.dumps)
 
 
 def _part(part: Mapping[str, Any], keeps: Mapping[str, Any]) -> dict[str, Any]:
     name, _, argument = str(part["shape"]).strip().casefold().partition(":")
     shape = {"polygon:3": "triangle", "polygon:4": "square"}.get(f"{name}:{argument}", f"{name}:{argument}")
     if name == "text":
-        shape = " ".join(word for word in argument.split() if word not in ("a", "an", "the"))
+        shape = "text:" + " ".join(word for word in argument.split() if word not in ("a", "an", "the"))
     name = shape.partition(":")[0]
     turn = part.get("turn")
     if part.get("point") is not None:  # unturned, a line runs from west to east
@@ -115,32 +122,12 @@ def _complete(who: Sequence[dict[str, Any]], team: int) -> None:
             one["side"] = one["side"] or OTHER_SIDE.get(other["side"])
 
 
-def _same(one: Any, other: Any) -> bool:
-    if isinstance(one, _Bag):
-        left = list(cast("list[Any]", other))
-        for value in one:
-            match = next((k for k, candidate in enumerate(left) if _same(value, candidate)), None)
-            if match is None:
-                return False
-            del left[match]
-        return not left
-    if isinstance(one, Mapping) and isinstance(other, Mapping):
-        first, second = cast("Mapping[str, Any]", one), cast("Mapping[str, Any]", other)
-        return first.keys() == second.keys() and all(_same(first[name], second[name]) for name in first)
-    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        left, right = list(cast("Sequence[Any]", one)), list(cast("Sequence[Any]", other))
-        return len(left) == len(right) and all(map(_same, left, right))
-    if isinstance(one, int | float) and isinstance(other, int | float):
-        return abs(one - other) <= NEAR
-    return one == other
-
-
 def drawing_differs(wanted: Program, found: Program) -> str | None:
     """What differs between what two programs draw, as a sentence: roles, size, or where robots stand; else None."""
     left, right = ([(g.role.casefold(), g.count) for g in program.groups or ()] for program in (wanted, found))
     if sorted(map(str, left)) != sorted(map(str, right)):
         return f"the groups are {right}, and the words say {left}."
-    if not _same(wanted.size, found.size):
+    if (wanted.size or 0.0) != (found.size or 0.0):
         return f"size is {found.size}, and the words say {wanted.size}."
     one, other = _drawn(wanted.text), _drawn(found.text)
     if one.shape != other.shape:

@@ -87,7 +87,7 @@ class MissionReader:
             words = f"{difference(base, mission)} · {mission_words(mission)}"
             return MissionDraft(plain_fields(mission, fields), words, mission)
 
-        return await self._ask(edit_call(text, program, base), take)
+        return await self._ask(edit_call(text, program, base.n_places), take)
 
     async def _ask(self, call: Call, take: Callable[[str], MissionDraft]) -> MissionDraft:
         """What `take` makes of the first answer that it accepts; others are sent back with the reason."""
@@ -156,9 +156,9 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
     return _call(rules, "", text, schema)
 
 
-def edit_call(text: str, program: Program, base: Mission) -> Call:
-    """The question to a model for a changed program; InputError if the text is too long."""
-    rules = EDITING.format(schema=json.dumps(program_schema()), n=base.n_places)
+def edit_call(text: str, program: Program, n: int) -> Call:
+    """The question to a model for a changed program of `n` places; InputError if the text is too long."""
+    rules = EDITING.format(schema=json.dumps(program_schema()), n=n)
     return _call(rules, f"The program:\n{program.text}", text)
 
 
