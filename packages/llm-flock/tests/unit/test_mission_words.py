@@ -264,9 +264,7 @@ def test_stages_and_preferences_are_checked_before_the_run(fields: dict[str, Any
 
 
 @pytest.mark.parametrize("own", [Mission(), Mission(turn=20, hold=3, then=STAGES)])
-@pytest.mark.parametrize(
-    "sent", [Mission(spacing=9), Mission(turn=30, prefer=(EDGE,), then=STAGES)]
-)
+@pytest.mark.parametrize("sent", [Mission(spacing=9), Mission(turn=30, prefer=(EDGE,), then=STAGES)])
 def test_a_mission_arrives_as_it_was_sent(own: Mission, sent: Mission) -> None:
     stamp = MissionStamp(1, sent.digest)
     message = Message(sender=0, sequence=0, degree=0, stamp=stamp, mission_text=mission_text(sent))
