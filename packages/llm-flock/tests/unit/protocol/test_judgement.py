@@ -93,7 +93,7 @@ def test_no_circle_and_no_crowd_closes_up() -> None:
 WEAK = Incident(kind="battery", robot=4, left=12.0, at=(SPOTS[0][0] + 9.0, SPOTS[0][1]))
 
 
-def test_a_weak_robot_may_go_on_swap_or_leave_its_place_to_a_spare() -> None:
+def test_a_weak_robot_may_go_on_swap_or_be_replaced() -> None:
     now = situation(0, 1, 2, 3, 4, sensed={1: SPOTS[1]})
     mission = Mission(shape="line", n_robots=6, places=5, comm_range=60)
     now.mission = mission
@@ -111,7 +111,7 @@ def test_a_robot_that_reaches_its_place_is_not_lost() -> None:
     assert (go_on.lost, go_on.rounds, go_on.distance) == (0, 2, pytest.approx(9.0))
 
 
-def test_a_robot_at_its_place_needs_no_spare_and_none_far_away_swaps() -> None:
+def test_a_robot_at_its_place_needs_no_spare() -> None:
     six = Mission(shape="line", n_robots=6, places=5, comm_range=60)
     now = situation(0, 1, 2, 3, 4)
     now.mission = six

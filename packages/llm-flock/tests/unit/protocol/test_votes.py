@@ -31,7 +31,7 @@ def test_most_votes_win_and_votes_without_an_answer_do_not_count() -> None:
     assert votes.voters(DEATH) == {0, 2, 3, 4, 5, 6} and votes.voters(WEAK) == frozenset()
 
 
-def test_ties_go_to_the_voter_with_most_neighbours_then_highest_id() -> None:
+def test_ties_go_to_most_neighbours_then_the_highest_id() -> None:
     votes = Votes()
     votes.take(vote(0, "replan", degree=3), vote(5, "leave", degree=2))
     assert votes.choice(DEATH) == "replan"
@@ -45,7 +45,7 @@ def test_only_the_first_vote_of_a_robot_counts() -> None:
     assert votes.choice(DEATH) == "replan" and len(votes.pass_on() or ()) == 2
 
 
-def test_without_usable_votes_there_is_no_choice_and_nothing_to_send() -> None:
+def test_without_usable_votes_there_is_no_choice() -> None:
     votes = Votes()
     assert votes.pass_on() is None and votes.choice(WEAK) is None
     votes.take(vote(0, None, incident=WEAK))
