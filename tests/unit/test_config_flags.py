@@ -68,7 +68,7 @@ def test_each_field_has_a_flag_or_is_refused(name: str) -> None:
             *("ros_poses", "ros_pose_topic"),
         },
         "fly": {
-            *("points", "kill", "join", "kill_random", "join_random", "noise", "start_positions"),
+            *("points", "kill", "join", "battery", "kill_random", "join_random", "noise", "start_positions"),
             *("drift", "sensing_delay", "moving_obstacles"),
             *("unit_m", "use_sim_time", "ros_missions", "ros_poses"),
         },

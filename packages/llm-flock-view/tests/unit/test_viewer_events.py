@@ -22,6 +22,8 @@ VALUES: dict[str, Any] = {
     "proposer": 2, "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
     "goal_distance": 4.5, "after": "ab12", "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
     "model": "simulated:collapse", "loss": None, "ahead_s": 3.5, "obstacle": 2,
+    "left": 12.5, "options": ["leave", "close"], "choice": "close",
+    "votes": {"close": 5, "leave": 2},
 }  # fmt: skip
 
 
@@ -47,6 +49,8 @@ def test_event_is_described_by_its_details() -> None:
     assert words("claimed", before=1) == "claimed place 3 instead of 1"
     assert words("claimed", slot=None, before=1) == "gave place 1 up"
     assert "again" in words("breaker", state="closed") and "not asked" in words("breaker")
+    assert words("agreed") == "does what the team chose about robot 4: close (votes: close 5, leave 2)"
+    assert words("agreed", votes={}) == "does as configured (votes: none)"
     assert words("injected", model=None, loss=0.4).startswith("loses 40 % of the messages")
     assert words("shielded").endswith("to (1.5, 2.25)")
     assert words("rejected_message", reason="other_mission", detail="").endswith("it heard: other mission")

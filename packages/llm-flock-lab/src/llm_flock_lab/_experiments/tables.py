@@ -101,6 +101,7 @@ TRIALS: tuple[Column, ...] = (
     _number("spacing", "distance of neighbours in the formation", "units"),
     _count("plans_in_use", "different plans at the end"),
     _count("distinct_goals", "different goals at the end"),
+    _count("awake", "robots at the end that have begun and have not died"),
     _count("robots_without_plan", "robots that never got a plan"),
     _count("gaps", "empty places at the end; null without one plan"),
     _count("spares", "robots awake at the end without a place; null without one plan"),

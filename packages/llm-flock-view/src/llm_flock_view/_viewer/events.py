@@ -27,6 +27,8 @@ _TRACKS = {
     "killed": "faults",
     "joined": "faults",
     "accused": "faults",
+    "battery": "faults",
+    "agreed": "faults",
     "gap": "faults",
     "injected": "faults",
     "rejected_message": "faults",
@@ -141,6 +143,21 @@ def _deadlock(detail: Detail) -> str:
     return f"asks for the right of way: others have kept it from its goal for {some}{away}"
 
 
+def _incident(detail: Detail) -> str:
+    what = "has failed" if detail.get("about") == "death" else "has a weak battery"
+    return (
+        f"noticed that robot {detail.get('robot')} {what}; options: {', '.join(map(str, _list(detail.get('options'))))}"
+    )
+
+
+def _agreed(detail: Detail) -> str:
+    votes = detail.get("votes")
+    given = cast("Mapping[str, int]", votes if isinstance(votes, Mapping) else {})
+    counts = ", ".join(f"{name} {count}" for name, count in given.items())
+    choice = f"does what the team chose about robot {detail.get('robot')}: {detail.get('choice')}"
+    return f"{choice if counts else 'does as configured'} (votes: {counts or 'none'})"
+
+
 def _injection(detail: Detail) -> str:
     model, loss = detail.get("model"), detail.get("loss")
     if model is not None:
@@ -192,6 +209,10 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
         f"accuses robot {detail.get('robot')} of sending what no honest robot sends: "
         f"{str(detail.get('reason')).replace('_', ' ')}"
     ),
+    "battery": lambda detail: f"has a weak battery: it can fly {_units(detail.get('left'))} at most",
+    "incident": _incident,
+    "judged": lambda detail: f"chose {detail.get('choice')} about robot {detail.get('robot')}{_because(detail)}",
+    "agreed": _agreed,
     "killed": lambda detail: "died",
     "joined": lambda detail: "joined",
     "injected": _injection,
