@@ -19,6 +19,7 @@ import json
 import math
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -178,8 +179,11 @@ def row_of(drones: str, shape: str, n: int, halved: bool, flights: Sequence[dict
     flown = [flight for flight in flights if "rms_m" in flight]
     good = [flight for flight in flown if flight["formed"] and flight["landed"]]
 
+    early = [flight["why"] for flight in flights if not (flight["formed"] and flight["landed"])]
+
     def most(name: str, digits: int, pick: Callable[..., float] = max) -> object:
-        return round(pick(flight[name] for flight in flown), digits) if flown else ""
+        values = [flight[name] for flight in flown if flight[name] is not None and flight[name] < math.inf]
+        return round(pick(values), digits) if values else ""
 
     return {
         "Drones": DRONES[drones],
@@ -187,7 +191,7 @@ def row_of(drones: str, shape: str, n: int, halved: bool, flights: Sequence[dict
         "Monitors": "halved" if halved else "as shipped",
         "Runs": len(flights),
         "Formed and landed": len(good),
-        "Ended early": " / ".join(flight["why"] for flight in flights if not (flight["formed"] and flight["landed"])),
+        "Ended early": " / ".join(f"{count} {why}" for why, count in Counter(early).items()),
         "Smallest distance [m]": most("nearest_m", 3, min),
         "Behind [s]": most("delay_s", 2),
         "Behind, as reported [s]": most("lag_s", 2),

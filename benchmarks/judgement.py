@@ -155,15 +155,27 @@ def fly(world: World, model: Any, **other: Any) -> Flown:
     )
 
 
-def models(world: World, seed: int, share: int, *, alike: bool) -> str:
+class Mixed(Fixed):
+    """A *simulated* model that judges by a profile; its plans and steps are those of a good one."""
+
+    def __init__(self, profile: str, seed: int, robot: int) -> None:
+        super().__init__("", seed, robot)
+        rng = stream(seed + 1, Stream.MODEL, 0 if "alike" in profile else robot)
+        self._judges = SimulatedModel(parse_profile(profile), rng)
+
+    async def ask(self, call: Any) -> Any:
+        return await (self._judges if call.kind == "judgement" else self._good).ask(call)
+
+
+def models(world: World, seed: int, share: int, *, alike: bool) -> list[Mixed]:
     """The models of a team of which a share judges wrongly: each on its own, or all alike."""
     n = world.mission["n_robots"]
     wrong = {*np.random.default_rng([5, seed]).permutation(n)[: round(share * n / 100)].tolist()}
-    name = "simulated:alike,misjudge" if alike else "simulated:misjudge"
-    return ",".join(f"{j}={name if j in wrong else 'simulated:ideal'}" for j in range(n))
+    name = "alike,misjudge" if alike else "misjudge"
+    return [Mixed(name if j in wrong else "ideal", seed, j) for j in range(n)]
 
 
-def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any]] | None:
+def study(kind: str, seed: int) -> dict[tuple[str, int], Any] | None:
     """One world: by case and share, the flight of the option that was chosen, and what is to be counted."""
     world = world_of(kind, seed)
     n, aim = world.mission["n_robots"], world.options["wish"]
@@ -179,7 +191,7 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], tuple[Flown | None, Any
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
     for case, shares in SHARES.items():
         for share in shares:
-            rounds = world.event + (13 if kind == "death" else 5)
+            rounds = world.event + (20 if kind == "death" else 9)
             team = asked if share == 0 else fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
             choice = team.choice or usual
             found[case, share] = (

@@ -105,7 +105,7 @@ def _star(flown: RunResult) -> float:
     ideal = np.array(
         [a + share * (b - a) for a, b in zip(corners, corners[1:] + corners[:1], strict=True) for share in (0, 0.5)]
     )
-    points = np.column_stack([ideal.real, ideal.imag])
+    points: Points = np.column_stack([np.real(ideal), np.imag(ideal)])
     scaled = points * np.linalg.norm(rows, axis=1).max() / np.linalg.norm(points, axis=1).max()
     return float(procrustes(scaled[cdist(rows, scaled).argmin(axis=1)], rows)[2])
 

@@ -52,7 +52,7 @@ def fly(n: int) -> Cost:
     before = resource.getrusage(resource.RUSAGE_SELF)
     summary = llm_flock.run(grid(n), rounds=60, seed=0, trace=False).summary
     after = resource.getrusage(resource.RUSAGE_SELF)
-    assert summary.formed and summary.distinct_goals == n and summary.min_separation >= 3 - 1e-6
+    assert summary.formed and summary.distinct_goals == n and (summary.min_separation or 0.0) >= 3 - 1e-6
     busy = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     sent = summary.bytes_per_robot_round
     cost = Cost(rounds=summary.rounds, busy_s=busy, peak_mib=after.ru_maxrss / 1024, sent=sent)

@@ -44,7 +44,7 @@ def fly(folder: Path, name: str, command: str) -> str:
     return f'{name},"{formed}",{result["wall_s"]:.1f}'
 
 
-PAGES = {"in-flight": "tutorial/tour.md", "three-rules": "tutorial/first-comparison.md"}
+PAGES = {"in-flight": "tutorial/tour.md", "three-rules": "tutorial/quickstart.md"}
 """Pages with the commands for other pictures, in the block before each."""
 
 

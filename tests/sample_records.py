@@ -153,6 +153,7 @@ class FakeRun:
                 plans_in_use=len(set(leaders)) if number else 0,
                 distinct_goals=n if number else 0,
                 robots_at_goal=n if share == 1.0 else 0,
+                in_order_since=None,
                 connected=False,
                 model_calls=n * number,
                 tokens=320 * n * number,

@@ -330,6 +330,8 @@ def test_two_protocols_fly_side_by_side(tmp_path: Path, browser: Browser) -> Non
         until(lambda: {shown_round(page, 0), shown_round(page, 1)} == {0}, "both are at their starts")
         starts = [page.evaluate(f"globalThis.flockClock('main').runs[{k}].frames.get(0).x[0]") for k in (0, 1)]
         assert starts == [started, started], "where the robot was moved to"
+        canvases = page.locator("main .flock-arena canvas")
+        until(lambda: len({canvases.nth(k).get_attribute("data-scale") for k in (0, 1)}) == 1, "both have one scale")
 
 
 def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, browser: Browser) -> None:

@@ -22,7 +22,7 @@ from llm_flock_lab._experiments.sweep_file import load_sweep
 from llm_flock_lab._experiments.tex import to_tex
 from llm_flock_lab._report import page
 from llm_flock_lab._report.claims import CLAIMS, TEAMS, PaperEvidence, _above, _verdict, claims_sheet
-from llm_flock_lab._report.drawings import Drawing, draw_all
+from llm_flock_lab._report.drawings import ReportDrawing, draw_all
 from llm_flock_lab._report.page import write_report
 from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
 from llm_flock_lab._report.results import Results
@@ -166,7 +166,7 @@ def test_stand_in_drones_are_no_drones(results: Results, tmp_path: Path) -> None
     assert sheet.rows[-1][2:] == ("flights", "cannot be tested without drones", "stand-ins: circle 5 formed in round 6")
 
 
-def fonts(drawings: Sequence[Drawing]) -> dict[str, float]:
+def fonts(drawings: Sequence[ReportDrawing]) -> dict[str, float]:
     """The smallest letters of each figure [points]."""
     sizes = {}
     for drawing in drawings:

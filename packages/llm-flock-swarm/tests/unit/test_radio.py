@@ -121,7 +121,7 @@ def test_received_messages_are_checked() -> None:
     assert unpack(BeaconedMessage, pack(BeaconedMessage(beacon=beacon, message=b"abc"))) == BeaconedMessage(
         beacon=beacon, message=b"abc"
     )
-    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x04abc", "malformed")):
+    for payload, reason in ((b"", "version"), (b"\x63abc", "version"), (b"\x05abc", "malformed")):
         with pytest.raises(MessageError) as caught:
             unpack(WorldState, payload)
         assert caught.value.reason == reason

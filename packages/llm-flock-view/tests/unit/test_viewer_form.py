@@ -140,6 +140,49 @@ def test_what_a_reader_made_of_words_flies_once_confirmed(tmp_path: Path) -> Non
     assert run.over
 
 
+def test_words_and_stages_steer_a_run_in_flight(tmp_path: Path) -> None:
+    line = {
+        "answer": "mission",
+        "stages": [{"parts": [{"shape": "line"}]}, {"parts": [{"shape": "wedge"}], "when": "order"}],
+    }
+    table = {"a line, and a wedge when I say so": line, "wider": {"draw": [{"shape": "wedge", "scale": [2, 1]}]}}
+    (tmp_path / "table.json").write_text(json.dumps(table), encoding="utf-8")
+    reader = MissionReader(f"simulated:reader:{tmp_path / 'table.json'}")
+    started_by = Launcher(Library(), tmp_path / "runs", reader=reader)
+    orders = PageOrders(started_by.library, started_by)
+    fields = {"n_robots": 5, "rounds": 2000, "model": "geometry", "stop_when_formed": False}
+    asyncio.run(orders.carry_out({"order": "start", "pace": 100, "fields": fields}))
+    ((key, run),) = started_by.runs.items()
+
+    def said(**asked: object) -> dict[str, Any]:
+        return asyncio.run(orders.carry_out({"runs": [key], **asked}))
+
+    def waits_for(shape: str) -> None:
+        deadline = time.monotonic() + 60
+        while run.orders.mission.shape != shape and time.monotonic() < deadline:
+            time.sleep(0.02)
+        assert run.orders.mission.shape == shape
+
+    try:
+        draft = said(order="read", words="a line, and a wedge when I say so")
+        assert "(2) on your order: a wedge" in draft["in_words"]
+        assert "has the mission" in said(order="change", draft=draft["draft"])["done"]
+        waits_for("line")
+        assert "has the mission" in said(order="proceed")["done"]
+        waits_for("wedge")
+        assert "no stage of the mission is left" in said(order="proceed")["error"]
+        draft = said(order="read", words="wider", edit=True)
+        assert "scale [2.0, 1.0]" in draft["in_words"]
+        said(order="change", draft=draft["draft"])
+        waits_for('program:{"draw":[{"scale":[2,1],"shape":"wedge"}]}')
+    finally:
+        said(order="end")
+    deadline = time.monotonic() + 60
+    while not run.over and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert run.over
+
+
 def test_a_stand_in_cannot_read() -> None:
     with pytest.raises(InputError, match="cannot read"):
         MissionReader("simulated:ideal")

@@ -145,7 +145,8 @@ def test_records_made_while_a_viewer_runs_appear_once(tmp_path: Path, monkeypatc
     library = Library(tmp_path / "runs")
     library.expect(tmp_path / "runs" / "own" / "run.mcap")
     threading.Thread(target=library.watch, args=([tmp_path / "named"],), daemon=True).start()
-    time.sleep(0.2)
+    while len(library._known) < 2:  # what is there already is looked at first
+        time.sleep(0.01)
     for folder in ("runs/own", "runs/new", "named/new"):
         make_record(tmp_path / folder / "run.mcap", n=2, rounds=2, seed=len(folder))
     (tmp_path / "named" / "flies").mkdir()
@@ -153,7 +154,9 @@ def test_records_made_while_a_viewer_runs_appear_once(tmp_path: Path, monkeypatc
         fake = FakeRun(n=2, rounds=2, seed=9)
         fake.write(writer, finish=False)
         end = time.monotonic() + 20
-        while sum(run.ready for run in library.runs.values()) < 3 and time.monotonic() < end:
+        while sum(run.ready and not run.open for run in library.runs.values()) < 2 and time.monotonic() < end:
+            time.sleep(0.02)
+        while len(library.runs) < 3 and time.monotonic() < end:
             time.sleep(0.02)
         states = {(run.path.parent.name if run.path else "", run.open) for run in library.runs.values()}
         assert states == {("new", False), ("flies", True)} and len(library.runs) == 3

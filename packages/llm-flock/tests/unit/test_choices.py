@@ -20,7 +20,7 @@ from llm_flock.llm._thoughts import NO_TEXT
 from llm_flock.message import Choice
 from llm_flock.mission import Mission
 from llm_flock.planner import AIMS, JudgementAnswer, JudgementOption, JudgementQuestion, NoAnswer
-from llm_flock.runtime import RunConfig, Stream, stream
+from llm_flock.runtime import RunConfig, RunResult, Stream, stream
 
 NAMES: tuple[Choice, ...] = ("leave", "close", "replan")
 MISSION = Mission(shape="line", n_robots=5)
@@ -171,10 +171,11 @@ class Events:
         return {j: detail for j, one, detail in self.seen if one == kind and detail.get("about") == about}
 
 
-def fly(shape: str, n: int, **options: Any) -> tuple[llm_flock.Result, Events]:
+def fly(shape: str, n: int, **options: Any) -> tuple[RunResult, Events]:
     events = Events()
-    mission = {"shape": shape, "n_robots": n, "comm_range": 60.0} | options.pop("mission", {})
-    flown = llm_flock.run(llm_flock.Mission(**mission), sink=events, **{"judge": "models", **options})
+    mission: dict[str, Any] = {"shape": shape, "n_robots": n, "comm_range": 60.0} | options.pop("mission", {})
+    options.setdefault("judge", "models")
+    flown = llm_flock.run(llm_flock.Mission(**mission), sink=events, **options)
     return flown, events
 
 

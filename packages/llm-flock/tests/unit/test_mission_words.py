@@ -132,12 +132,13 @@ def test_every_field_that_is_flown_is_said() -> None:
     changes: dict[str, Any] = {
         "shape": "line", "center": (40, 50), "spacing": 9, "places": 10, "velocity": (1, 0), "turn": 30, "hold": 4,
         "n_robots": 11, "obstacles": ({"center": (90, 90), "radius": 3},), "prefer": ({"robot": 3, "way": "edge"},),
-        "then": ({"set": {"shape": "line"}},), "points": tuple((10.0 * k, 0.0) for k in range(9)),
+        "then": ({"set": {"shape": "line"}},), "points": tuple((9.0 * k, 0.0) for k in range(9)),
     }  # fmt: skip
     own = {"since", "safe_distance", "max_step", "comm_range", "sense_range", "arena"}
     assert changes.keys() | own == Mission.model_fields.keys()
     for field, value in changes.items():
-        said.add(mission_words(build_mission(**{**base.model_dump(), field: value})))
+        shape = {"shape": "points"} if field == "points" else {}
+        said.add(mission_words(build_mission(**{**base.model_dump(), "places": None, **shape, field: value})))
     for gaps in ("replan", "report"):
         said.add(mission_words(base, gaps))
     assert len(said) == len(changes) + 3
@@ -194,8 +195,8 @@ def test_a_weak_robot_flies_to_its_nearest_place() -> None:
     assert max(ways(prefer=({"robot": 3, "way": "shortest"},))) < 0.5 < max(ways())
 
 
-EDGE = {"robot": 1, "way": "edge"}
-STAGES = ({"set": {"shape": "line", "turn": 90, "hold": 4}}, {"set": {"shape": "wedge"}})
+EDGE: Any = {"robot": 1, "way": "edge"}
+STAGES: Any = ({"set": {"shape": "line", "turn": 90, "hold": 4}}, {"set": {"shape": "wedge"}})
 
 
 @pytest.mark.parametrize("more", [{}, {"loss": 0.3}, {"kill": "0@3", "gaps": "replan"}, {"noise": 0.2}])
@@ -210,9 +211,11 @@ def test_a_team_goes_on_by_its_own_view_when_it_has_formed(more: dict[str, Any])
 
 
 def test_a_stage_waits_for_its_round_or_an_order() -> None:
-    flown = llm_flock.run(Mission(n_robots=4, then=({"set": {"shape": "line"}, "when": 30},)), trace=False)
+    by_round: Any = ({"set": {"shape": "line"}, "when": 30},)
+    flown = llm_flock.run(Mission(n_robots=4, then=by_round), trace=False)
     assert flown.formed and flown.summary.missions[-1].round == 30
-    waits = Mission(n_robots=4, then=({"set": {"shape": "line"}, "when": "order"},))
+    by_order: Any = ({"set": {"shape": "line"}, "when": "order"},)
+    waits = Mission(n_robots=4, then=by_order)
     with pytest.raises(InputError, match="nobody can give"):
         llm_flock.run(waits)
     orders = RunOrders(build_config({"mission": waits.model_dump()}))
@@ -228,7 +231,8 @@ def test_a_stage_waits_for_its_round_or_an_order() -> None:
 
 
 def test_an_order_in_flight_replaces_the_stages_that_are_left() -> None:
-    mission = Mission(n_robots=4, center=(40, 50), then=({"set": {"shape": "line", "center": [60, 50]}}, *STAGES[1:]))
+    line: Any = {"set": {"shape": "line", "center": [60, 50]}}
+    mission = Mission(n_robots=4, center=(40, 50), then=(line, *STAGES[1:]))
     orders = RunOrders(build_config({"mission": mission.model_dump()}))
     given: list[int] = []
 
@@ -260,9 +264,7 @@ def test_stages_and_preferences_are_checked_before_the_run(fields: dict[str, Any
 
 
 @pytest.mark.parametrize("own", [Mission(), Mission(turn=20, hold=3, then=STAGES)])
-@pytest.mark.parametrize(
-    "sent", [Mission(spacing=9), Mission(turn=30, prefer=({"robot": 1, "way": "edge"},), then=STAGES)]
-)
+@pytest.mark.parametrize("sent", [Mission(spacing=9), Mission(turn=30, prefer=(EDGE,), then=STAGES)])
 def test_a_mission_arrives_as_it_was_sent(own: Mission, sent: Mission) -> None:
     stamp = MissionStamp(1, sent.digest)
     message = Message(sender=0, sequence=0, degree=0, stamp=stamp, mission_text=mission_text(sent))

@@ -226,7 +226,7 @@ def test_a_bad_template_is_refused_by_name(tmp_path: Path, content: str | bytes,
 
 def test_a_folder_without_templates_is_refused(tmp_path: Path) -> None:
     for folder in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(InputError, match=r"system\.j2, plan\.j2, step\.j2, retry\.j2"):
+        with pytest.raises(InputError, match=r"system\.j2, plan\.j2, step\.j2, judgement\.j2, retry\.j2"):
             PromptSet.load(folder)
 
 

@@ -11,7 +11,7 @@ from typing import Any, cast
 
 from llm_flock_lab._experiments.statistics import interval
 from llm_flock_lab._experiments.store import TRIALS, read_trial
-from llm_flock_lab._report.drawings import Drawing
+from llm_flock_lab._report.drawings import ReportDrawing
 from llm_flock_lab._report.findings import ERROR, INTERVAL, CellLine, PairLine, caveats
 from llm_flock_lab._report.results import ResultCell, Results, Team
 from llm_flock_lab._report.sheets import Sheet
@@ -29,7 +29,7 @@ def draft_values(
     results: Results,
     lines: Sequence[CellLine],
     pairs: Sequence[PairLine],
-    drawings: Sequence[Drawing],
+    drawings: Sequence[ReportDrawing],
     claims: Sheet | None,
 ) -> dict[str, Any]:
     """What the template needs besides figures, failures and names of the page."""

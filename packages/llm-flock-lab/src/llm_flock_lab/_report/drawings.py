@@ -27,7 +27,7 @@ Found: TypeAlias = Sequence[tuple[ResultCell, Estimate | None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Drawing:
+class ReportDrawing:
     """One figure of the report; `name` is that of its files, `section` its place on the page, `plate`: white there."""
 
     name: str
@@ -38,7 +38,7 @@ class Drawing:
     plate: bool = False
 
 
-def draw_all(results: Results, reference: str) -> Iterator[Drawing]:
+def draw_all(results: Results, reference: str) -> Iterator[ReportDrawing]:
     """Every figure for which there are data; each says if models were simulated, for it may be copied elsewhere."""
     for drawing in _draw_all(results, reference):
         label_simulated(results, drawing.figure)
@@ -51,7 +51,7 @@ def label_simulated(results: Results, figure: Figure) -> None:
         legend.set_title("simulated language models", prop=FontProperties(size=7.5, style="italic"))
 
 
-def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
+def _draw_all(results: Results, reference: str) -> Iterator[ReportDrawing]:
     lines = cell_lines(results)
     yield success(results, lines)
     yield from errors_over_time(results)
@@ -64,7 +64,7 @@ def _draw_all(results: Results, reference: str) -> Iterator[Drawing]:
     yield from spending(results, lines)
 
 
-def errors_over_time(results: Results) -> Iterator[Drawing]:
+def errors_over_time(results: Results) -> Iterator[ReportDrawing]:
     """The error of each model under every protocol, and the other way round where these are not the same curves."""
     model, protocol = attrgetter("model"), attrgetter("protocol")
     length = results.longest
@@ -103,7 +103,7 @@ def errors_over_time(results: Results) -> Iterator[Drawing]:
         missing = len(drawn) - len(results.curves(drawn, length))
         if missing:
             words.append(f"{missing} of {len(drawn)} trials have no error at any round and no part in this figure.")
-        yield Drawing(
+        yield ReportDrawing(
             name=f"error-by-{by}",
             section="error",
             title=title if len(series) > 1 else "Error over time",
@@ -132,8 +132,8 @@ def _curve(series: str, table: NDArray[np.float64]) -> Curve:
     return Curve(series=series, x=x, mean=mean, low=low, high=high)
 
 
-def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
-    return Drawing(
+def success(results: Results, lines: Sequence[CellLine]) -> ReportDrawing:
+    return ReportDrawing(
         name="success",
         section="success",
         title="Share of trials that formed",
@@ -143,7 +143,7 @@ def success(results: Results, lines: Sequence[CellLine]) -> Drawing:
     )
 
 
-def draw_comparisons(results: Results, reference: str) -> Iterator[Drawing]:
+def draw_comparisons(results: Results, reference: str) -> Iterator[ReportDrawing]:
     """Protocols against the reference on the same seeds: success, and the error at the end."""
     lines = pair_lines(results, reference)
     formed, error = "formed, difference [% points]", "error at the end, difference [units]"
@@ -154,7 +154,7 @@ def draw_comparisons(results: Results, reference: str) -> Iterator[Drawing]:
     for name, x, how, get in kinds:
         found = [(line.cell, get(line)) for line in lines]
         if any(estimate is not None for _, estimate in found):
-            yield Drawing(
+            yield ReportDrawing(
                 name=f"paired-{name}",
                 section="paired",
                 title=f"{name.capitalize()}, difference from {reference}",
@@ -182,7 +182,7 @@ def _limits(found: Found) -> tuple[float, float]:
     return (low - room if low < 0 else 0.0, high + room)
 
 
-def ratios(results: Results) -> Drawing:
+def ratios(results: Results) -> ReportDrawing:
     panels = [
         Facet(
             title=str(team),
@@ -203,7 +203,7 @@ def ratios(results: Results) -> Drawing:
     known_ratios = known(trial.ratio for trial in results.trials)
     # A team in formation from the start has ratio 0. The counts at the right need room.
     least, most = min(1.0, *known_ratios) - 0.1, max(1.0, *known_ratios)
-    return Drawing(
+    return ReportDrawing(
         name="rounds-over-bound",
         section="rounds",
         title="Rounds over the lower bound",
@@ -220,7 +220,7 @@ def ratios(results: Results) -> Drawing:
     )
 
 
-def separations(results: Results) -> Drawing:
+def separations(results: Results) -> ReportDrawing:
     panels: list[Facet] = []
     for model in results.models:
         for team in results.teams:
@@ -234,7 +234,7 @@ def separations(results: Results) -> Drawing:
             if any(mark.values for mark in marks):
                 panels.append(Facet(title=title, marks=[mark for mark in marks if mark.values], edge=edge))
     pooled = " Trials of all conditions are taken together." if len(results.conditions) > 1 else ""
-    return Drawing(
+    return ReportDrawing(
         name="separation",
         section="separation",
         title="Smallest separation",
@@ -244,7 +244,7 @@ def separations(results: Results) -> Drawing:
     )
 
 
-def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
+def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[ReportDrawing]:
     kinds: tuple[tuple[str, str, str, Callable[[CellLine], Estimate | None]], ...] = (
         ("calls", "Model calls", "model calls a robot and mission", lambda line: line.calls),
         ("tokens", "Tokens", "tokens a robot and mission", lambda line: line.tokens),
@@ -255,7 +255,7 @@ def spending(results: Results, lines: Sequence[CellLine]) -> Iterator[Drawing]:
         if all(estimate is None or estimate.value == 0 for _, estimate in found):
             continue
         estimated = " Tokens of simulated models are estimates." if name == "tokens" and results.simulated else ""
-        yield Drawing(
+        yield ReportDrawing(
             name=name,
             section="spending",
             title=title,
@@ -301,7 +301,7 @@ def _consensus_words(results: Results) -> str:
     return "; ".join(words) + "." if rules else ""
 
 
-def along_axes(results: Results) -> Iterator[Drawing]:
+def along_axes(results: Results) -> Iterator[ReportDrawing]:
     """Success and error along every further axis of the grid, and along the size of the team."""
     for axis, values in results.axes.items():
         numbers = [as_number(value) for value in values]
@@ -324,7 +324,7 @@ def _along(
     panels: dict[str, list[TrialRow]],
     place: Callable[[TrialRow], float | None],
     words: list[str] | None,
-) -> Iterator[Drawing]:
+) -> Iterator[ReportDrawing]:
     def mean(figure: Callable[[TrialRow], float | None]) -> Callable[[list[TrialRow]], Estimate | None]:
         return lambda found: mean_interval(known(map(figure, found)), least=0.0)
 
@@ -346,7 +346,7 @@ def _along(
         how = "Wilson's 95 % interval" if name == "formed" else INTERVAL
         others = "Trials that differ in other axes are taken together. " if len(results.axes) > 1 else ""
         slug = "".join(letter if letter.isalnum() else "-" for letter in axis)
-        yield Drawing(
+        yield ReportDrawing(
             name=f"{name}-along-{slug}",
             section="axes",
             title=f"{'Success' if name == 'formed' else y.partition(' [')[0].capitalize()} along {axis}",

@@ -26,7 +26,7 @@ from llm_flock_lab._experiments.tex import to_tex
 from llm_flock_lab._report import sheets
 from llm_flock_lab._report.claims import claims_sheet
 from llm_flock_lab._report.draft import draft_values
-from llm_flock_lab._report.drawings import Drawing, draw_all
+from llm_flock_lab._report.drawings import ReportDrawing, draw_all
 from llm_flock_lab._report.findings import caveats, cell_lines, pair_lines, usual_reference
 from llm_flock_lab._report.gallery import Failure, gallery
 from llm_flock_lab._report.paper import draw_paper, evidence_of, paper_failures
@@ -72,7 +72,7 @@ class PageSection:
 
     name: str
     title: str
-    drawings: list[Drawing] = field(default_factory=list[Drawing])
+    drawings: list[ReportDrawing] = field(default_factory=list[ReportDrawing])
     sheets: list[Sheet] = field(default_factory=list[Sheet])
     failures: list[Failure] = field(default_factory=list[Failure])
     lines: list[str] = field(default_factory=list[str])
@@ -201,7 +201,7 @@ def inline_svg(figure: Figure, name: str, label: str) -> Markup:
     return Markup(head + text[text.index(">", text.index("<svg")) + 1 :].strip())  # noqa: S704 - matplotlib escapes
 
 
-def _svg(drawing: Drawing) -> Markup:
+def _svg(drawing: ReportDrawing) -> Markup:
     return inline_svg(drawing.figure, drawing.name, f"{drawing.title}. {drawing.caption}")
 
 

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from llm_flock.metrics import ShapeTarget
 from llm_flock.record import Cause, PlanInfo, RunRecord
 from llm_flock_lab._report.claims import FLIGHTS, TEAMS, PaperEvidence, drones_of, team_of
-from llm_flock_lab._report.drawings import Drawing, draw_bands
+from llm_flock_lab._report.drawings import ReportDrawing, draw_bands
 from llm_flock_lab._report.findings import INTERVAL
 from llm_flock_lab._report.gallery import Failure, record_of, story
 from llm_flock_lab._report.results import Results, Team, TrialRow
@@ -44,7 +44,7 @@ def evidence_of(results: Results, reference: str, flights: Sequence[RunRecord]) 
     return [PaperEvidence(results=results, protocol=name, reference=reference, flights=flights) for name in names]
 
 
-def draw_paper(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[Drawing]:
+def draw_paper(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[ReportDrawing]:
     """Errors by both formulas, a curve for each model; snapshots with and without consensus; the flights."""
     for first in evidence[:1]:
         protocols = [*(one.protocol for one in evidence), first.reference]
@@ -71,11 +71,13 @@ def draw_paper(evidence: Sequence[PaperEvidence], fly_again: bool) -> Iterator[D
             yield _drawing("flights", "The paper's four flights", words, sheet(rows))
 
 
-def _drawing(name: str, title: str, caption: str, figure: Figure, *, plate: bool = True) -> Drawing:
-    return Drawing(name=f"paper-{name}", section="paper", title=title, caption=caption, figure=figure, plate=plate)
+def _drawing(name: str, title: str, caption: str, figure: Figure, *, plate: bool = True) -> ReportDrawing:
+    return ReportDrawing(
+        name=f"paper-{name}", section="paper", title=title, caption=caption, figure=figure, plate=plate
+    )
 
 
-def _snapshots(evidence: PaperEvidence, team: Team, fly_again: bool) -> Iterator[Drawing]:
+def _snapshots(evidence: PaperEvidence, team: Team, fly_again: bool) -> Iterator[ReportDrawing]:
     """The first seed on which the team formed with consensus, else the first; without consensus below it."""
     others = evidence.trials(team, evidence.stand_in, evidence.reference)
     found = evidence.trials(team, evidence.stand_in).items()
@@ -94,7 +96,7 @@ def _snapshots(evidence: PaperEvidence, team: Team, fly_again: bool) -> Iterator
             yield _drawing(name, f"{team}, with and without consensus", words, sheet(rows))
 
 
-def _influence(evidence: PaperEvidence, fly_again: bool) -> Iterator[Drawing]:
+def _influence(evidence: PaperEvidence, fly_again: bool) -> Iterator[ReportDrawing]:
     """Three robots in the rounds before they agree, with their influence."""
     trials = evidence.trials(TEAMS[0], evidence.stand_in).values()
     for trial in [trial for trial in trials if trial.formed][:1]:

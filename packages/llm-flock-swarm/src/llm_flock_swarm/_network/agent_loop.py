@@ -19,7 +19,7 @@ from llm_flock.agent import Agent
 from llm_flock.arrays import Point
 from llm_flock.bounds import MAX_REASON
 from llm_flock.errors import FlockError, InputError
-from llm_flock.events import AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin, Phase
+from llm_flock.events import AskJudgement, AskPlan, AskStep, Broadcast, Effect, Event, MoveTo, Note, Origin, Phase
 from llm_flock.message import NO_OWNER
 from llm_flock.metrics import AT_GOAL
 from llm_flock.planner import NoAnswer, PlanAnswer, Planner, StepAnswer
@@ -89,6 +89,8 @@ class AgentLoop:
                     self._changed.set()
                 case AskPlan():
                     rest.append(effect)
+                case AskJudgement():
+                    raise AssertionError("robots of a swarm do not judge: its configuration refuses it")
         return rest
 
     def note(self, kind: str, detail: dict[str, Any]) -> None:

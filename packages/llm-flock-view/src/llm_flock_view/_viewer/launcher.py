@@ -57,15 +57,19 @@ class Launcher:
     base_url: str | None = None
     reader: MissionReader | None = None
     runs: dict[str, SteeredRun] = field(default_factory=lambda: dict[str, "SteeredRun"]())
-    _warmed: bool = False
+    _warm: threading.Timer | None = None
 
     def warm(self) -> None:
         """Load what a run needs beside the page, once: else the first run shows nothing for seconds."""
-        if self._warmed:
-            return
-        self._warmed = True
-        # No daemon: one that is loading a library while the interpreter ends takes the process down.
-        threading.Timer(WARM_AFTER_S, fly_nothing).start()
+        if self._warm is None:
+            # No daemon: one that is loading a library while the interpreter ends takes the process down.
+            self._warm = threading.Timer(WARM_AFTER_S, fly_nothing)
+            self._warm.start()
+
+    def loaded(self) -> None:
+        """Wait until that is loaded: threads that load the same libraries at once may get halves of them."""
+        if self._warm is not None:
+            self._warm.join()
 
     def start(
         self,

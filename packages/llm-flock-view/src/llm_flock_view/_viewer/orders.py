@@ -97,6 +97,7 @@ class PageOrders:
         if not isinstance(fields, dict):
             raise FieldError("fields", None, says="a start needs the fields of its run")
         pace = _number("pace", asked.get("pace"))
+        self.launcher.loaded()
         from llm_flock_view._viewer.steered_run import check_pace
 
         check_pace(pace)
@@ -111,19 +112,19 @@ class PageOrders:
 
     def _preview(self, fields: object) -> dict[str, Any]:
         """Arena, starts and places of a run of the form's fields, which does not fly yet [units]."""
+        self.launcher.loaded()
         from llm_flock_view._viewer.steered_run import config_of, starts_of
 
         if not isinstance(fields, dict):
             raise FieldError("fields", None, says="a picture needs the fields of a run")
         config = config_of(cast("dict[str, Any]", fields), self.launcher.models, self.launcher.base_url)
         mission = config.mission
-        places = [] if mission.ideal is None else mission.ideal
         return {
             "arena": mission.arena,
             "center": mission.center,
             "safe": mission.safe_distance,
             "starts": starts_of(config).round(1).tolist(),
-            "places": places,
+            "places": mission.ideal or (),
         }
 
     async def _read(self, asked: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from llm_flock.cli._options import (
     with_output_folder,
 )
 from llm_flock.cli._terminal import Screen, say
-from llm_flock.cli._words import Edit, ReaderModel, Words, Yes, confirmed_draft
+from llm_flock.cli._words import CONFIRMS, EDITS, READS, Words, confirmed_draft
 from llm_flock.errors import InputError
 from llm_flock.printable import shape_title
 
@@ -50,9 +50,9 @@ def run(
         ),
     ] = None,
     words: Words = None,
-    edit: Edit = None,
-    reader: ReaderModel = None,
-    yes: Yes = False,
+    edit: Annotated[str | None, typer.Option(help=EDITS, hidden=True)] = None,
+    reader: Annotated[str | None, typer.Option(help=READS, hidden=True)] = None,
+    yes: Annotated[bool, typer.Option("--yes", help=CONFIRMS, hidden=True)] = False,
     *,
     extensions: list[Extension],
     **flags: Any,

@@ -16,10 +16,12 @@ if TYPE_CHECKING:
     from llm_flock.runtime._config import RunConfig
 
 Words = Annotated[str | None, typer.Option(help="Mission in words, which --reader reads", show_default=False)]
-Edit = Annotated[str | None, typer.Option(help="Change of the drawing in words, such as 'wider'", show_default=False)]
+EDITS = "Change of the drawing in words, such as 'wider'"
+Edit = Annotated[str | None, typer.Option("--edit", help=EDITS, show_default=False)]
 READS = "Model that reads words, or simulated:reader:FILE, which knows the sentences of a JSON file [--model]"
 ReaderModel = Annotated[str | None, typer.Option("--reader", help=READS, show_default=False)]
-Yes = Annotated[bool, typer.Option("--yes", help="Fly what the reader made of the words, without asking")]
+CONFIRMS = "Fly what the reader made of the words, without asking"
+Yes = Annotated[bool, typer.Option("--yes", help=CONFIRMS)]
 
 
 def confirmed_draft(

@@ -1,8 +1,8 @@
 """Writes a record while the run happens.
 
 The file is unchunked: every message is a record of its own, so all that reached the disk can be read. The beginning and
-each complete round are handed to the operating system, so a killed process loses no complete round. A machine that loses
-power may. The file is locked while it is written, so that no program deletes the record of a run in flight.
+each complete round go to the operating system, so a killed process loses no complete round. A machine that loses power
+may. The file is locked while it is written, so that no program deletes the record of a run in flight.
 """
 
 from __future__ import annotations

@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
-from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Choice, Incident, Vote
+from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Incident, Vote
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
@@ -21,7 +22,7 @@ from llm_flock.protocol._membership.team import TeamMembership
 from llm_flock.protocol._parts import Gaps, Parts, Situation
 
 FIVE = Mission(shape="line", n_robots=5, comm_range=60)
-SPOTS = FIVE.ideal or ()
+SPOTS: tuple[Point, ...] = FIVE.ideal or ((0.0, 0.0),) * 5
 
 
 def table_of(*owners: int, visits: float = 0.0) -> BidTable:
@@ -92,7 +93,7 @@ def test_no_circle_and_no_crowd_closes_up() -> None:
 WEAK = Incident(kind="battery", robot=4, left=12.0, at=(SPOTS[0][0] + 9.0, SPOTS[0][1]))
 
 
-def test_a_weak_robot_may_go_on_swap_or_leave_its_place_to_a_spare() -> None:
+def test_a_weak_robot_may_go_on_swap_or_be_replaced() -> None:
     now = situation(0, 1, 2, 3, 4, sensed={1: SPOTS[1]})
     mission = Mission(shape="line", n_robots=6, places=5, comm_range=60)
     now.mission = mission
@@ -110,7 +111,7 @@ def test_a_robot_that_reaches_its_place_is_not_lost() -> None:
     assert (go_on.lost, go_on.rounds, go_on.distance) == (0, 2, pytest.approx(9.0))
 
 
-def test_a_robot_at_its_place_needs_no_spare_and_none_far_away_swaps() -> None:
+def test_a_robot_at_its_place_needs_no_spare() -> None:
     six = Mission(shape="line", n_robots=6, places=5, comm_range=60)
     now = situation(0, 1, 2, 3, 4)
     now.mission = six
@@ -174,7 +175,7 @@ class Judging:
         self.holds(*(j if j != robot else NO_OWNER for j in range(5)), slot=self.agreement.claim.slot)
         return self.round()
 
-    def hear(self, incident: Incident, **votes: Choice | None) -> None:
+    def hear(self, incident: Incident, **votes: Any) -> None:
         for voter, choice in votes.items():
             vote = Vote(incident=incident, voter=int(voter[1:]), degree=0, choice=choice)
             self.judgement.votes.take(vote)
@@ -272,12 +273,14 @@ def test_the_robot_at_the_edge_closes_up() -> None:
         team = Judging(robot)
         team.fails()
         team.judgement.take(JudgementAnswer(choice="close"))
-        team.hear(DEATH, **{f"r{j}": "close" for j in (0, 1, 3, 4) if j != robot})
+        for j in {0, 1, 3, 4} - {robot}:
+            team.hear(DEATH, **{f"r{j}": "close"})
         effects = team.round()
         assert kinds(effects) == ["agreed", "claimed"] if moves else ["agreed"]
         assert team.agreement.claim.slot == (2 if moves else 1)
         if moves:
-            table = team.agreement.claim.table or ()
+            table = team.agreement.claim.table
+            assert table is not None
             assert table[0] == (2, 0.0, NO_OWNER) and table[2] == (2, 0.0, 0)
 
 
@@ -302,7 +305,8 @@ def test_a_weak_robot_waits_and_gives_its_place_up() -> None:
     team.judgement.take(JudgementAnswer(choice="spare"))
     (incident,) = team.judgement.votes.incidents.values()
     assert (incident.left, incident.at) == (15.0, team.here)
-    team.hear(incident, **{f"r{j}": "spare" for j in range(1, 6)})
+    for j in range(1, 6):
+        team.hear(incident, **{f"r{j}": "spare"})
     assert kinds(team.round()) == ["agreed", "claimed"]
     assert team.agreement.retired and team.agreement.claim.slot is None and not team.judgement.waits
     assert team.round() == []

@@ -31,7 +31,7 @@ def test_most_votes_win_and_votes_without_an_answer_do_not_count() -> None:
     assert votes.voters(DEATH) == {0, 2, 3, 4, 5, 6} and votes.voters(WEAK) == frozenset()
 
 
-def test_ties_go_to_the_voter_with_most_neighbours_then_highest_id() -> None:
+def test_ties_go_to_most_neighbours_then_the_highest_id() -> None:
     votes = Votes()
     votes.take(vote(0, "replan", degree=3), vote(5, "leave", degree=2))
     assert votes.choice(DEATH) == "replan"
@@ -45,7 +45,7 @@ def test_only_the_first_vote_of_a_robot_counts() -> None:
     assert votes.choice(DEATH) == "replan" and len(votes.pass_on() or ()) == 2
 
 
-def test_without_usable_votes_there_is_no_choice_and_nothing_to_send() -> None:
+def test_without_usable_votes_there_is_no_choice() -> None:
     votes = Votes()
     assert votes.pass_on() is None and votes.choice(WEAK) is None
     votes.take(vote(0, None, incident=WEAK))
@@ -61,7 +61,7 @@ casts = st.lists(st.tuples(choices, st.integers(0, 3)), min_size=1, max_size=10)
 def test_robots_that_know_the_same_votes_choose_alike(cast: list[tuple[Choice | None, int]], rng: object) -> None:
     given_votes = [vote(j, choice, degree=degree) for j, (choice, degree) in enumerate(cast)]
     shuffled = list(given_votes)
-    rng.shuffle(shuffled)  # pyright: ignore[reportAttributeAccessIssue, reportUnknownMemberType]
+    rng.shuffle(shuffled)  # pyright: ignore[reportAttributeAccessIssue]
     one, other = Votes(), Votes()
     one.take(*given_votes)
     other.take(*shuffled, *shuffled[:3])
@@ -89,7 +89,8 @@ def test_votes_reach_every_robot_of_a_connected_team(cast: list[tuple[Choice | N
 def test_the_right_choice_wins_over_smaller_groups(right: int, silent: int, wrong: list[Choice]) -> None:
     """Theorem 18: more right votes than wrong ones alike, and the right choice is made."""
     votes = Votes()
-    cast: list[Choice | None] = [*["replan"] * right, *[None] * silent, *wrong]
+    good: list[Choice | None] = ["replan"] * right
+    cast = [*good, *[None] * silent, *wrong]
     votes.take(*(vote(j, choice, degree=j % 5) for j, choice in enumerate(cast)))
     if right > max(wrong.count("leave"), wrong.count("close")):
         assert votes.choice(DEATH) == "replan"

@@ -8,7 +8,7 @@ const ORBIT = [-30, 28]; // degrees: turned about the vertical, and looked down
 
 /** Arenas that are shown side by side share what is chosen: both have one scale. */
 export function choices() {
-  return { own: null, fitted: "way", look: [...ORBIT] };
+  return { own: null, fitted: "way", look: [...ORBIT], fits: new Map() };
 }
 
 export class View {
@@ -93,7 +93,10 @@ export class View {
     const seen = corners(low, high).map((corner) => this.plane(corner));
     const [left, right, bottom, top] = [0, 1].flatMap((axis) => [Math.min(...seen.map((at) => at[axis])), Math.max(...seen.map((at) => at[axis]))]);
     const { width, height } = this.surface;
-    this.scale = Math.min((width - 2 * EDGE) / (right - left), (height - 2 * EDGE - RULER) / (top - bottom));
+    const fit = Math.min((width - 2 * EDGE) / (right - left), (height - 2 * EDGE - RULER) / (top - bottom));
+    const told = this.chosen.fits.get(this) !== fit; // a banner that grows leaves less room to one of two arenas
+    this.scale = Math.min(...this.chosen.fits.set(this, fit).values());
+    if (told) this.redraw();
     this.center = [(left + right) / 2, (bottom + top) / 2 - RULER / 2 / this.scale];
   }
 

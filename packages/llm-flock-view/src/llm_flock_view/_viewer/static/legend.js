@@ -35,7 +35,6 @@ const SIGNS = [
 ];
 
 const ROOM = "(min-width: 1100px)"; // windows with room for the legend beside the arena
-const WIDE = "(min-width: 1500px)"; // windows in which it is open at first
 
 /** A legend of the layers that are on, and the button that folds it. In wide windows it stays as the reader left it. */
 export function legend(open, layers) {
@@ -50,7 +49,7 @@ export function legend(open, layers) {
     element.hidden = !now;
     act.setAttribute("aria-expanded", String(now));
   };
-  const fit = () => turn(room.matches && (stored() === null ? open && matchMedia(WIDE).matches : stored() === "1"));
+  const fit = () => turn(room.matches && (stored() === null ? open && matchMedia("(min-width: 1500px)").matches : stored() === "1"));
   fit();
   room.addEventListener("change", fit);
   act.addEventListener("click", () => {

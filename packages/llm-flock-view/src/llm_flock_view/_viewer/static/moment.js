@@ -57,10 +57,8 @@ export class Moment {
   hash(following) {
     const pair = this.arenas.length > 1;
     const robots = this.arenas.flatMap((one, k) => one.selected.map((robot) => (pair ? `${k}:${robot}` : robot)));
-    const view = this.arenas[0].view.code;
-    const parts = { round: following ? null : this.clock.round, robots: robots.join(), tab: this.tabs.now(), view };
-    const said = Object.entries(parts).filter(([, value]) => value !== null && value !== "");
-    return `#${said.map(([name, value]) => `${name}=${value}`).join("&")}`;
+    const parts = { round: following ? null : this.clock.round, robots: robots.join(), tab: this.tabs.now(), view: this.arenas[0].view.code };
+    return `#${Object.entries(parts).filter(([, value]) => value !== null && value !== "").map(([name, value]) => `${name}=${value}`).join("&")}`;
   }
 
   async copy() {

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
 import scipy
@@ -75,8 +76,8 @@ def _fitted(one: Points, other: Points, steps: int) -> float:
         here, there = np.concatenate([one, one[back]]), np.concatenate([other[to], other])
         middle, target = here.mean(axis=0), there.mean(axis=0)
         arms = here - middle
-        inverse: Points = np.linalg.pinv(arms, rcond=1e-6)
-        left, stretch, right = np.linalg.svd(inverse @ (there - target))
+        fit: Points = cast("Any", np.linalg).lstsq(arms, there - target, rcond=1e-6)[0]
+        left, stretch, right = np.linalg.svd(fit)
         turn = left @ right
         if np.linalg.det(turn) < 0 or np.trace(turn) < len(turn) - 2 + 2 * math.cos(MOST_TURN_RAD):
             break
