@@ -18,10 +18,8 @@ from llm_flock.llm import Call, MissionReader, ModelPool, Reply, draft_of
 from llm_flock.llm._mission_phrases import mission_words
 from llm_flock.message import Message, MissionStamp, received_mission
 from llm_flock.mission import WISHES, Mission, build_mission, mission_text
-from llm_flock.plan import Plan
-from llm_flock.protocol._verification.plans import check_plan
 from llm_flock.record import caveats
-from llm_flock.runtime import RunOrders, Trial, build_config
+from llm_flock.runtime import build_config
 
 WIDE = Mission(comm_range=100)
 
@@ -147,21 +145,8 @@ def test_every_field_that_is_flown_is_said() -> None:
 # ---------------------------------------------------------------- what flies
 
 
-@pytest.mark.parametrize("model", ["simulated:ideal", "geometry"])
-def test_a_formation_points_where_it_is_told(model: str) -> None:
-    flown = llm_flock.run(Mission(shape="wedge", n_robots=5, turn=-90), seed=1, model=model, trace=False)
-    offset = flown.positions[-1] - flown.positions[-1].mean(axis=0)
-    tip = offset[offset[:, 0].argmax()]
-    assert flown.formed and abs(tip[1]) < 0.5, "the tip is in the east"
-    assert (np.abs(offset[:, 1]) > 1).sum() == 4
-
-
-def test_a_plan_of_another_orientation_is_refused() -> None:
-    fixed = Mission(shape="wedge", n_robots=5, turn=0)
-    other = Plan.of(Mission(shape="wedge", n_robots=5, turn=20).ideal or ())
-    assert check_plan(fixed, Plan.of(fixed.ideal or ())) is None
-    assert "off the shape" in (check_plan(fixed, other) or "")
-    assert check_plan(Mission(shape="wedge", n_robots=5), other) is None, "any orientation will do"
+EDGE: Any = {"robot": 1, "way": "edge"}
+STAGES: Any = ({"set": {"shape": "line", "turn": 90, "hold": 4}}, {"set": {"shape": "wedge"}})
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -178,72 +163,6 @@ def test_the_left_three_and_named_robots_get_their_group(seed: int) -> None:
     there, leftmost = west_group({"count": 3, "side": "left"}, [80, 50])
     assert there == leftmost, "although their place is on the right"
     assert west_group({"ids": [0, 4, 7]}, [20, 50])[0] == {0, 4, 7}
-
-
-def test_a_weak_robot_flies_to_its_nearest_place() -> None:
-    def ways(**more: Any) -> list[float]:
-        found: list[float] = []
-        for seed in range(6):
-            mission = Mission(n_robots=8, comm_range=100, turn=0, **more)
-            flown = llm_flock.run(mission, seed=seed, trace=False)
-            assert flown.formed
-            gone = float(np.linalg.norm(flown.positions[-1][3] - flown.positions[0][3]))
-            nearest = np.linalg.norm(np.array(mission.ideal) - flown.positions[0][3], axis=1).min()
-            found.append(gone - float(nearest))
-        return found
-
-    assert max(ways(prefer=({"robot": 3, "way": "shortest"},))) < 0.5 < max(ways())
-
-
-EDGE: Any = {"robot": 1, "way": "edge"}
-STAGES: Any = ({"set": {"shape": "line", "turn": 90, "hold": 4}}, {"set": {"shape": "wedge"}})
-
-
-@pytest.mark.parametrize("more", [{}, {"loss": 0.3}, {"kill": "0@3", "gaps": "replan"}, {"noise": 0.2}])
-def test_a_team_goes_on_by_its_own_view_when_it_has_formed(more: dict[str, Any]) -> None:
-    flown = llm_flock.run(Mission(n_robots=8, then=STAGES), seed=2, trace=False, **more)
-    first, second, third = flown.summary.missions
-    assert [one.shape for one in (first, second, third)] == ["circle", "line", "wedge"]
-    assert flown.formed and first.formed is not None and second.formed is not None
-    assert second.round >= first.formed + 2, "all have stood there for three rounds"
-    assert third.round >= second.formed + 4, "held"
-    assert (flown.summary.min_separation or 0.0) >= 3.0 - 0.4 * ("noise" in more)
-
-
-def test_a_stage_waits_for_its_round_or_an_order() -> None:
-    by_round: Any = ({"set": {"shape": "line"}, "when": 30},)
-    flown = llm_flock.run(Mission(n_robots=4, then=by_round), trace=False)
-    assert flown.formed and flown.summary.missions[-1].round == 30
-    by_order: Any = ({"set": {"shape": "line"}, "when": "order"},)
-    waits = Mission(n_robots=4, then=by_order)
-    with pytest.raises(InputError, match="nobody can give"):
-        llm_flock.run(waits)
-    orders = RunOrders(build_config({"mission": waits.model_dump()}))
-
-    async def steer(trial: Trial) -> None:
-        orders.carry_out(trial)
-        if trial.round == 20:
-            orders.proceed()
-
-    assert llm_flock.run(waits, steer=steer, trace=False).summary.missions[-1].round == 22
-    with pytest.raises(InputError, match="no stage of the mission is left"):
-        Mission().proceeding()
-
-
-def test_an_order_in_flight_replaces_the_stages_that_are_left() -> None:
-    line: Any = {"set": {"shape": "line", "center": [60, 50]}}
-    mission = Mission(n_robots=4, center=(40, 50), then=(line, *STAGES[1:]))
-    orders = RunOrders(build_config({"mission": mission.model_dump()}))
-    given: list[int] = []
-
-    async def steer(trial: Trial) -> None:
-        orders.carry_out(trial)
-        if trial.mission.shape == "line" and not given:
-            given.append(orders.change({"spacing": 8}))
-
-    flown = llm_flock.run(mission, steer=steer, trace=False)
-    assert [one.shape for one in flown.summary.missions] == ["circle", "line", "line"]
-    assert flown.formed and flown.positions[-1].mean(axis=0) == pytest.approx([60, 50], abs=0.1)
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+import llm_flock
 from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Incident, Vote
@@ -358,3 +359,14 @@ def test_no_search_begins_while_the_team_chooses() -> None:
     team.hear(DEATH, r1="leave", r3="leave", r4="leave")
     team.round()
     assert not team.membership._connectivity.waits
+
+
+def test_a_team_does_what_its_models_choose() -> None:
+    usual, judged = (llm_flock.run(FIVE, judge=judge, kill="2@14", seed=1, trace=False) for judge in ("rule", "models"))
+    assert (usual.summary.gaps, judged.summary.gaps) == (1, 0) and (judged.summary.min_separation or 0.0) >= 3.0
+    moved: Any = ({"round": 9, "robot": 0, "set": {"center": (50, 45)}},)
+    asked = [
+        llm_flock.run(FIVE, judge=judge, battery="1@3:200", changes=moved, seed=1, trace=False)
+        for judge in ("rule", "models")
+    ]
+    assert asked[0].summary.model_calls < asked[1].summary.model_calls and asked[1].formed

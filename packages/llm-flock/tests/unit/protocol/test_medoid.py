@@ -130,6 +130,7 @@ def test_a_program_counts_by_what_it_draws() -> None:
         ({"turn": 20}, True),
         ({"scale": [1.2, 0.9]}, True),
         ({"turn": -15, "scale": [0.9, 1.1]}, True),
+        ({"turn": 60}, False),
         ({"turn": 90}, False),
         ({"mirror": "x"}, False),
         ({"scale": [2.5, 1]}, False),

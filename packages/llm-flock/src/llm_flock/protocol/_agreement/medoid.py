@@ -66,13 +66,11 @@ def _fitted(one: Points, other: Points, steps: int) -> float:
     limits of turn and stretch, and never mirrors. Distances are rounded, so that every robot finds the same pairs.
     """
     moved, best = one, math.inf
-    for step in range(steps + 1):
+    for _ in range(steps + 1):
         away = scipy.spatial.distance.cdist(moved, other).round(DECIMALS)
         to, back = away.argmin(axis=1), away.argmin(axis=0)
         near = away[np.arange(len(one)), to].mean() + away[back, np.arange(len(other))].mean()
         best = min(best, float(near) / 2.0)
-        if step == steps:
-            break
         here, there = np.concatenate([one, one[back]]), np.concatenate([other[to], other])
         middle, target = here.mean(axis=0), there.mean(axis=0)
         arms = here - middle
