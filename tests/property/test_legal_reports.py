@@ -37,7 +37,7 @@ def reports(draw: st.DrawFn, robot: int) -> RobotReport:
     }
     report = draw(legal(RobotReport, **team))
     plan = draw(st.none() | st.lists(POINT, min_size=N, max_size=N).map(Plan.of))
-    changes: dict[str, Any] = {"points": None} if plan is None else {"points": plan.points, "plan_id": plan.digest}
+    changes: dict[str, Any] = {"plan": None} if plan is None else {"plan": plan, "plan_id": plan.digest}
     mission = draw(st.none() | legal(Mission).filter(lambda one: (one.n_robots, one.dim) == (N, MISSION.dim)))
     changes["shape"] = None if mission is None else mission.model_dump(mode="json")
     changes |= {} if mission is None else {"mission": (report.mission[0], mission.digest)}

@@ -59,3 +59,7 @@ def mission_room(n_robots: int, places: int, dim: int) -> int:
 def max_places(n_robots: int, dim: int) -> int:
     """Most places of a mission: messages of a larger one would have less than half a kilobyte for its text."""
     return (mission_room(n_robots, 0, dim) - 512) // (26 + 9 * dim)
+
+
+MAX_ROUNDS = 100_000
+"""Most rounds of a run."""

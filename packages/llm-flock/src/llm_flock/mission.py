@@ -13,7 +13,16 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from llm_flock import shapes as formations
 from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
-from llm_flock.bounds import MAX_CORNERS, MAX_LENGTH, MAX_OBSTACLES, MAX_ROBOTS, MIN_LENGTH, max_places, mission_room
+from llm_flock.bounds import (
+    MAX_CORNERS,
+    MAX_LENGTH,
+    MAX_OBSTACLES,
+    MAX_ROBOTS,
+    MAX_ROUNDS,
+    MIN_LENGTH,
+    max_places,
+    mission_room,
+)
 from llm_flock.errors import InputError
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.printable import hidden, shape_title
@@ -80,7 +89,7 @@ class Stage(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     set: dict[str, Any]
-    when: Literal["formed", "order"] | Annotated[int, Field(ge=1)] = "formed"
+    when: Literal["formed", "order"] | Annotated[int, Field(ge=1, le=MAX_ROUNDS)] = "formed"
 
 
 class Mission(BaseModel):
@@ -129,7 +138,7 @@ class Mission(BaseModel):
     turn: Annotated[float, Field(ge=-360, le=360)] | None = wish(
         "turn", "Orientation of the formation, anticlockwise from that of the shape [degrees]; any if unset"
     )
-    hold: Annotated[int, Field(ge=0, le=100_000)] = wish(
+    hold: Annotated[int, Field(ge=0, le=MAX_ROUNDS)] = wish(
         "hold", "Rounds for which the team stays formed, before the next stage or the end"
     )
     prefer: Annotated[tuple[Preference, ...], Field(max_length=100)] = wish(

@@ -11,7 +11,7 @@ import pytest
 
 from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.errors import InputError
-from llm_flock.formation import load_program, parse_program, program_of, program_schema
+from llm_flock.formation import load_program, parse_program, program_of, program_points, program_schema
 from llm_flock.formation._letters import GLYPHS
 from llm_flock.formation._paths import strokes_of
 
@@ -196,3 +196,19 @@ def test_glyphs_stay_in_their_boxes(letter: str) -> None:
     for z in (z for stroke in strokes_of(path) for z in stroke):
         assert -0.5 <= z.real <= width + 0.5
         assert -0.5 <= z.imag <= 11.5
+
+
+@pytest.mark.parametrize(
+    ("element", "says"),
+    [
+        ('{"points":[[0,0],[1,1],[1,1.000001]],"fill":true}', "too thin"),
+        ('{"shape":"helix","turns":55,"repeat":{"times":10,"move":[3,0,0]}}', "2,000 corners"),
+        ('{"shape":"helix","turns":1e6}', "at most 55"),
+        ('{"path":""}', "draws nothing"),
+        ('{"path":"M0 0A1e-320 1e8 30 0 0 5 5"}', "cannot be drawn"),
+        ('{"shape":"sphere","repeat":{"times":100,"scale":1e6}}', "coordinates up to"),
+    ],
+)
+def test_what_would_take_all_memory_or_is_no_number_is_refused(element: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        program_points(parse_program(f'{{"draw":[{element}]}}'), 30, 3, 1.0)

@@ -97,6 +97,8 @@ def test_sub_teams_are_groups_at_their_places() -> None:
         (answer(sub_teams({**LEFT, "who": {"count": 10}}, OTHERS)), "at most the 10"),
         (answer(sub_teams({**LEFT, "center": [58, 50]}, OTHERS)), "places of two groups"),
         (answer(sub_teams(LEFT, OTHERS)), "comm_range"),
+        (answer({"shape": "text:", "point": "south"}), "words after text"),
+        (answer(sub_teams(LEFT | {"who": {"ids": [1, 2, 3]}}, OTHERS | {"who": {"ids": [3, 4]}})), "each robot in one"),
     ],
 )
 def test_what_cannot_be_flown_is_refused_with_why(given: str, cause: str) -> None:
@@ -104,7 +106,10 @@ def test_what_cannot_be_flown_is_refused_with_why(given: str, cause: str) -> Non
         draft_of(given, WIDE if "of two groups" in cause else None)
 
 
-@pytest.mark.parametrize("given", ["", "no", '{"answer": "maybe"}', '{"answer": "mission", "out": "/x"}'])
+FAR = answer(LEFT, {"parts": [OTHERS], "when": {"round": 10**30}})
+
+
+@pytest.mark.parametrize("given", ["", "no", '{"answer": "maybe"}', '{"answer": "mission", "out": "/x"}', FAR])
 def test_an_answer_of_another_form_is_no_draft(given: str) -> None:
     with pytest.raises(AnswerError, match="not of the form"):
         draft_of(given)
@@ -140,6 +145,22 @@ def test_every_field_that_is_flown_is_said() -> None:
     for gaps in ("replan", "report"):
         said.add(mission_words(base, gaps))
     assert len(said) == len(changes) + 3
+
+
+@pytest.mark.parametrize(
+    ("part", "says"),
+    [
+        ({"shape": "triangle", "point": "north"}, "upright as drawn"),
+        ({"shape": "triangle", "point": "east"}, "turned by -90 degrees"),
+        ({"shape": "polygon:3", "turn": 300}, "turned by -60 degrees"),
+        ({"shape": "wedge", "point": "east"}, "turned by -90 degrees"),
+        ({"shape": "text:a heart (no: an X)", "point": "south"}, "a heart (no: an X), pointing south around"),
+        ({"shape": "line", "velocity": [0.004, 0]}, "travelling by 0.004, 0 a round"),
+    ],
+)
+def test_words_say_what_is_flown(part: dict[str, Any], says: str) -> None:
+    said = draft_of(answer(part, robots=9), WIDE).in_words
+    assert says in said and ("any orientation" not in said or part["shape"] == "line")
 
 
 # ---------------------------------------------------------------- what flies

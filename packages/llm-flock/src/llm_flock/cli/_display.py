@@ -126,7 +126,8 @@ def _formed_text(summary: Summary) -> str:
         several = len(summary.missions) > 1
         took = f", {counted(summary.rounds_to_formed, 'round')} after the last order" if several else ""
         return f"[bold green]yes[/], {formed.removeprefix('formed ')}{took}{bound}{help_text(result)}"
-    return f"[bold red]no[/]{bound}"
+    reason = f"; {summary.reason}" if summary.stopped == "rounds" and summary.reason else ""
+    return f"[bold red]no[/]{bound}{reason}"
 
 
 def no_success(summary: Summary, fallback: str | None) -> str:

@@ -18,6 +18,8 @@ from llm_flock.formation._program import SPACE, Element, Repeat
 
 MAX_CORNERS = 2_000  #: Most corners of all polylines of a drawing: each pair of sides is compared.
 MAX_COPIES = 500  #: Most elements after repetition.
+MAX_SAMPLES = 1_000_000  #: Most points from which the places in an area are chosen.
+WIDEST = 1e9  #: Largest coordinate of what is drawn, before it is scaled.
 
 Affine: TypeAlias = NDArray[np.float64]
 """A map of space, shape (4, 4), for columns [x, y, z, 1]."""
@@ -68,7 +70,7 @@ def draw(elements: Sequence[Element]) -> Sketch:
     drawing, whole = Sketch(), Sketch()
     for element in elements:
         _draw(element, np.eye(4), whole)
-    width = float(np.ptp(np.concatenate(whole.corners), axis=0).max()) or 1.0
+    width = float(np.ptp(np.concatenate(whole.corners or [np.zeros((1, 3))]), axis=0).max()) or 1.0
     for element in elements:
         _draw(element, np.diag([1 / width] * 3 + [1.0]), drawing)
     drawing.regions = [*_united(drawing.polygons), *drawing.regions]
@@ -94,10 +96,9 @@ def _draw(element: Element, outer: Affine, into: Sketch) -> None:
 
 def _draw_strokes(element: Element, world: Affine, into: Sketch) -> None:
     strokes = [np.array(stroke, dtype=np.float64) for stroke in _strokes(element)]
-    into.corners += [mapped(stroke, world) for stroke in strokes]
-    if (corners := sum(map(len, into.corners))) > MAX_CORNERS:
-        says = f"at most {MAX_CORNERS:,} corners in all, curves counted in pieces (here {corners:,})"
-        raise InputError("draw", None, says)
+    if not strokes or not all(map(len, strokes)):
+        raise InputError("draw", None, says="a path draws nothing")
+    _add_corners([mapped(stroke, world) for stroke in strokes], into)
     if element.fill:
         into.polygons.append((_polygon(element, strokes), world))
         return
@@ -105,6 +106,16 @@ def _draw_strokes(element: Element, world: Affine, into: Sketch) -> None:
         if len(stroke) > 3 and (stroke[0] == stroke[-1]).all() and element.points is not None:
             _check_simple(stroke)
         into.strokes.append(mapped(stroke, world))
+
+
+def _add_corners(corners: list[Points], into: Sketch) -> None:
+    into.corners += corners
+    if (count := sum(map(len, into.corners))) > MAX_CORNERS:
+        raise InputError(
+            "draw", None, f"at most {MAX_CORNERS:,} corners in all, curves counted in pieces (here {count:,})"
+        )
+    if not all((np.abs(rows) <= WIDEST).all() for rows in corners):  # nor what is no number
+        raise InputError("draw", None, f"coordinates up to {WIDEST:g}")
 
 
 def mapped(points: Points, world: Affine) -> Points:
@@ -247,6 +258,8 @@ def _area(area: Any, world: Affine) -> Region:
         box: Points = np.array(area.bounds, dtype=np.float64).reshape(2, 2)
         width: Points = box[1] - box[0]
         m = math.ceil(count * float(np.prod(width)) / float(area.area))
+        if m > MAX_SAMPLES:
+            raise InputError("fill", True, says="the area is too thin for so many robots; draw it as a line")
         # Multiples of powers of the plastic number: evenly spread, no two distances are equal.
         steps = np.arange(1, m + 1, dtype=np.float64)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
         rows: Points = box[0] + width * ((0.5 + steps) % 1)
@@ -272,15 +285,16 @@ def _in_space(rows: Points) -> Points:
 
 def _draw_in_space(element: Element, world: Affine, into: Sketch) -> None:
     grown = abs(float(np.linalg.det(world[:3, :3])))
-    into.corners.append(mapped(_cube(8), world))
+    _add_corners([mapped(_cube(8), world)], into)
     match element.shape:
         case "helix":
             turns = element.turns or 2.0
-            share = np.linspace(0.0, 1.0, math.ceil(36 * turns) + 1)
-            if len(share) > MAX_CORNERS:
+            if 36 * turns > MAX_CORNERS:
                 raise InputError("turns", turns, f"at most {MAX_CORNERS // 36}")
+            share = np.linspace(0.0, 1.0, math.ceil(36 * turns) + 1)
             angle = 2 * math.pi * turns * share
             into.strokes.append(mapped(np.column_stack([np.cos(angle), np.sin(angle), 2 * share - 1]), world))
+            _add_corners(into.strokes[-1:], into)
         case "cube":
             into.lattices.append(Lattice(world=world, volume=8 * grown, least=8, places=_cube))
         case "pyramid":

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
@@ -39,6 +40,18 @@ def program_points(program: Program, n: int, dim: int, spacing: float) -> Points
     return points - points.mean(axis=0)
 
 
+@contextmanager
+def _drawable() -> Iterator[None]:
+    """Refuse a program whose numbers geometry cannot bear, whichever library finds that."""
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except InputError:
+        raise
+    except (ValueError, ArithmeticError, RuntimeError) as error:
+        raise InputError("draw", None, says=f"it cannot be drawn: {error}") from None
+
+
 @lru_cache(maxsize=256)
 def drawn_points(text: str, n: int, dim: int) -> Points:
     """About `n` points evenly over what a program in JSON draws, to compare drawings, shape (m, dim).
@@ -47,7 +60,8 @@ def drawn_points(text: str, n: int, dim: int) -> Points:
         InputError: no program, a drawing in space for a plane, or areas or groups that need another number of points.
     """
     program = parse_program(text)
-    drawing = None if program.draw is None else draw(program.draw)
+    with _drawable():
+        drawing = None if program.draw is None else draw(program.draw)
     if drawing is None or drawing.regions or drawing.lattices:
         return program_points(program, n, dim, 1.0)
     ends: list[Points] = [np.linalg.norm(np.diff(stroke, axis=0), axis=1).cumsum() for stroke in drawing.strokes]
@@ -63,11 +77,12 @@ def drawn_points(text: str, n: int, dim: int) -> Points:
 @lru_cache(maxsize=256)
 def _places(text: str, n: int, dim: int, spacing: float) -> Points:
     program = parse_program(text)
-    if program.draw is not None:
-        points = spacing * _unit(program.draw, n)
-        points = _sized(points, program.size, spacing)
-    else:
-        points = _grouped(program.groups or (), n, spacing)
+    with _drawable():
+        if program.draw is not None:
+            points = spacing * _unit(program.draw, n)
+            points = _sized(points, program.size, spacing)
+        else:
+            points = _grouped(program.groups or (), n, spacing)
     points = points[:, :dim]
     points.setflags(write=False)
     return points

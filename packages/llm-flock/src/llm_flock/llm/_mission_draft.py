@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
 
@@ -9,10 +10,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from llm_flock import shapes as formations
+from llm_flock.bounds import MAX_ROUNDS
 from llm_flock.errors import InputError
 from llm_flock.formation import parse_program
 from llm_flock.formation._program import Flat
-from llm_flock.llm._mission_phrases import mission_words
+from llm_flock.llm._mission_phrases import FIRST_CORNER_EAST, mission_words
 from llm_flock.mission import WISHES, Mission, build_mission
 from llm_flock.obstacles import Obstacle
 
@@ -50,12 +52,14 @@ class Part(_Form):
 
 
 class InRound(_Form):
-    round: int = Field(ge=1)
+    round: int = Field(ge=1, le=MAX_ROUNDS)
 
 
 class StageDraft(_Form):
     parts: tuple[Part, ...] = Field(min_length=1, max_length=20, description="sub-teams; one part if all do the same")
-    hold: int = Field(default=0, ge=0, description="stay formed for so many rounds before the next stage, only if said")
+    hold: int = Field(
+        default=0, ge=0, le=MAX_ROUNDS, description="stay formed for so many rounds before the next stage, only if said"
+    )
     when: Literal["formed", "order"] | InRound | None = Field(
         default=None, description="how it is entered: the stage before is formed (the default), a round, or on an order"
     )
@@ -144,6 +148,9 @@ def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dic
         wishes += [{"robot": robot, "group": k} for robot in who.ids or ()]
         if who.side not in (None, "nearest"):
             wishes.append({"side": SIDES.get(who.side, who.side), "group": k})
+    named = [robot for part in parts for robot in (part.who and part.who.ids) or ()]
+    if twice := sorted({robot for robot in named if named.count(robot) > 1}):
+        raise InputError("ids", twice, "each robot in one part, once")
     counts = [part.who and (part.who.count or len(part.who.ids or ()) or None) for part in parts]
     fixed, others = sum(count or 0 for count in counts), counts.count(None)
     if fixed + others > n or (len(parts) == 1 and others and parts[0].who is not None):
@@ -189,14 +196,16 @@ def _alone(part: Part, n: int, base: Mission) -> dict[str, Any]:
             "shape", shape, "a shape with a name, letters:TEXT, or text:WORDS, which has no size of its own"
         )
     if name == "text":
+        if not shape.partition(":")[2].strip():
+            raise InputError("shape", shape, "words after text:")
         said = ["filled"] * part.fill + ([] if turn is None else [f"turned by {turn:g} degrees anticlockwise"])
         shape = ", ".join([shape, *([f"pointing {part.point}"] if part.point else said)])
         return fields | {"shape": shape, "spacing": part.spacing or base.spacing, "turn": None}
     if part.fill or (part.size and part.spacing):
         size = part.size if part.spacing else None
         shape, turn = parse_program({"name": name, "draw": [_element(part, n)], "size": size}).spec, turn and 0.0
-    elif turn is not None and name in ("triangle", "polygon"):
-        turn += 90.0  # as a shape of a mission, its first corner is in the east
+    elif turn is not None and name in FIRST_CORNER_EAST:
+        turn = math.remainder(turn + 90.0, 360.0)
     spacing = part.spacing or (part.size / _width(shape, n) if part.size else base.spacing)
     return fields | {"shape": shape, "spacing": spacing, "turn": turn}
 

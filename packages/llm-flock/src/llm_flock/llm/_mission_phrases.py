@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import re
 from typing import Any
 
@@ -13,6 +14,7 @@ from llm_flock import shapes as formations
 from llm_flock.formation import group_sizes, program_of
 from llm_flock.mission import Mission
 
+FIRST_CORNER_EAST = ("triangle", "polygon")  # as shapes of a mission; programs draw them upright
 MEANS = {"formed": "as soon as a robot sees all at their places", "order": "on your order"}
 WAYS = {"shortest": "gets the shortest way", "center": "stays near the centre", "edge": "stays at the edge"}
 GAPS = {
@@ -38,7 +40,8 @@ def _stage_words(mission: Mission) -> str:
     program, spare = program_of(mission.shape), mission.n_robots - mission.n_places
     said, chosen = list[str](), _chosen(mission, 0)
     if program is None or program.draw is not None:
-        what = formations.describe(mission.shape).partition(" (")[0]
+        what = formations.describe(mission.shape)
+        what = what if mission.ideal is None else what.partition(" (")[0]
         if program is not None:
             size = f", size {program.size:.4g}" if program.size else ""
             what = f"{program.name or 'a drawing'}: {', '.join(map(_element_words, program.draw or ()))}{size}"
@@ -53,13 +56,21 @@ def _stage_words(mission: Mission) -> str:
     said.append(f"neighbours {mission.spacing:g} apart")
     if mission.ideal is not None and not groups:
         said.append(f"width {float(np.ptp(np.array(mission.ideal), axis=0).max()):.4g}")
-    turn = "in any orientation" if mission.turn is None else f"turned by {mission.turn:g} degrees"
-    said.append("upright as drawn" if mission.turn == 0 else turn)
+    if mission.ideal is not None:
+        said.append(_orientation(mission))
     said += [f"travelling by {_at(mission.velocity)} a round"] if mission.velocity is not None else []
     said += [f"{abs(spare)} {'robots wait aside' if spare > 0 else 'places stay empty'}"] if spare else []
     said += [f"robot {wish.robot} {WAYS[wish.way]}" for wish in mission.prefer if wish.way is not None]
     said += [f"held for {mission.hold} rounds"] if mission.hold else []
     return ", ".join(said)
+
+
+def _orientation(mission: Mission) -> str:
+    if mission.turn is None:
+        return "in any orientation"
+    first = 90.0 if formations.shape_name(mission.shape) in FIRST_CORNER_EAST else 0.0
+    turn = math.remainder(mission.turn - first, 360.0)
+    return f"turned by {turn:g} degrees" if turn else "upright as drawn"
 
 
 def _chosen(mission: Mission, group: int) -> str:
@@ -85,7 +96,7 @@ def _plain(value: Any) -> str:
 
 
 def _at(point: Any) -> str:
-    return ", ".join(f"{round(part, 2):g}" for part in point)
+    return ", ".join(f"{part:.4g}" for part in point)
 
 
 def difference(before: Mission, after: Mission) -> str:

@@ -151,6 +151,7 @@ def _stopped(run: RunHistory) -> str:
     stopped, flown, end = str(run.result.get("stopped", "ended early")), run.last_round, ending(run.result)
     if stopped == "rounds" and flown < 2:
         return "the only round was used up" if flown else "no round was flown"
-    rounds = f"all {flown} rounds were used up"
+    reason = run.result.get("reason")
+    rounds = f"all {flown} rounds were used up" + (f"; {reason}" if reason else "")
     other = {"rounds": rounds, "time": "its time was over", "ended": "no robot was left"}
     return other.get(stopped, stopped if end == "not formed" else ENDINGS[end])

@@ -49,8 +49,11 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
     waypoints = by_origin(journal.waypoints)
     journal.close_episode(roster)
     error = journal.errors[-1]
-    # A run that an error ends has formed nothing, whatever it had come to.
-    formed = episode.formed_at is not None and trial.stopped != "failed"
+    left = len(trial.mission.then)
+    if left and trial.reason is None:
+        trial.reason = f"{left} of the mission's stages {'was' if left == 1 else 'were'} not entered"
+    # A run that an error ends, or before the last stage, has formed nothing, whatever it had come to.
+    formed = episode.formed_at is not None and trial.stopped != "failed" and not left
     return Summary(
         shape=config.mission.shape,
         n_robots=config.mission.n_robots,

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from llm_flock.bounds import MAX_OBSTACLES
+from llm_flock.bounds import MAX_OBSTACLES, MAX_ROUNDS
 from llm_flock.errors import InputError
 from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
 from llm_flock.obstacles import MovingObstacle
@@ -40,8 +40,6 @@ def stream(seed: int, purpose: Stream, robot: int = 0) -> np.random.Generator:
 RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
 
-MAX_ROUNDS = 100_000
-"""Most rounds of a run."""
 
 Turn: TypeAlias = tuple[int, int]
 """A robot and a round."""

@@ -384,6 +384,8 @@ class Trial:
         No body flies farther in a round than `max_step`: a longer step ends there, in its direction, and is counted.
         """
         displacements: Points = np.zeros_like(self.bodies.positions)
+        if not moves:
+            return displacements
         believed: Points = np.array([self.roster.agents[robot].position for robot in moves])
         displacements[list(moves)] = np.array([move.waypoint for move in moves.values()]) - believed
         longest = self.config.mission.max_step
@@ -393,11 +395,14 @@ class Trial:
         self.journal.steps_over_limit += int(over.sum())
         for robot in sorted(self._left.keys() & moves.keys()):
             left, way = self._left[robot], float(np.linalg.norm(displacements[robot]))
-            self._left[robot] = left - way
-            if way > left:  # its body stops there, and the robot is dead from the next round on
-                displacements[robot] *= left / way
-                del self._left[robot]
-                kills, number = self.schedule.kills, self.round + 2
+            self._left[robot] = max(0.0, left - way)
+            if way <= left:
+                continue
+            displacements[robot] *= left / way
+            kills, number = self.schedule.kills, self.round + 2
+            dying = {one for when, some in kills.items() if when >= number for one in some}
+            # Its body stops there, and the robot is dead from the next round on; the last one only stops.
+            if robot not in dying and {*self.roster.awake} - dying - {robot}:
                 self.schedule = replace(self.schedule, kills={**kills, number: (*kills.get(number, ()), robot)})
         return displacements
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -370,3 +371,10 @@ def test_a_team_does_what_its_models_choose() -> None:
         for judge in ("rule", "models")
     ]
     assert asked[0].summary.model_calls < asked[1].summary.model_calls and asked[1].formed
+
+
+def test_the_last_robot_with_an_empty_battery_only_stops() -> None:
+    flown = llm_flock.run(
+        Mission(shape="line", n_robots=2, comm_range=60), battery="0@2:0,1@2:0", rounds=9, trace=False
+    )
+    assert flown.summary.awake == 1 and np.allclose(flown.positions[-1], flown.positions[3])

@@ -117,6 +117,7 @@ def test_spare_robots_go_on_and_no_room_is_no_way_on() -> None:
     travels = Mission(n_robots=4, center=(40, 50), velocity=(2.5, 0), then=wide)
     flown = llm_flock.run(travels, rounds=24, trace=False)
     assert [one.shape for one in flown.summary.missions] == ["circle"], "the line has no room so far in the east"
+    assert not flown.formed and flown.summary.reason == "1 of the mission's stages was not entered"
 
 
 def test_an_order_in_flight_replaces_the_stages_that_are_left() -> None:
