@@ -7,6 +7,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -17,13 +18,13 @@ from llm_flock.arrays import Points
 
 NEAR = 1e-6  #: Points of strokes nearer than this, as a share of the drawing's width, are one.
 BEND_DEG = 30.0  #: A stroke that turns by more in one corner has a node there.
-MOST_SLID = 300  #: Most points of a drawing that are moved apart: each one pushes every other.
+MOST_SLID = 150  #: Most points of a drawing that are moved apart: each one pushes every other.
 SLIDES, STEEP = 200, 8  #: Rounds of sliding, and the power with which the push falls with the distance.
 WORTH = 1.05  #: Points stay even unless sliding makes the closest pair so much wider.
 LEAST_ON_LOOP = 3  #: Pieces into which an edge that ends where it begins is cut at least.
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Net:
     """Nodes, shape (v, 3), and edges, each a polyline; edges without nodes at their ends are loops."""
 
@@ -31,7 +32,7 @@ class Net:
     edges: tuple[Points, ...]
     free: tuple[bool, ...]  #: For each edge, whether it is a loop that begins at no node.
 
-    @property
+    @cached_property
     def lengths(self) -> NDArray[np.float64]:
         """Length of each edge."""
         return np.array([_length(edge) for edge in self.edges])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
@@ -41,7 +41,7 @@ def program_points(program: Program, n: int, dim: int, spacing: float) -> Points
 
 
 @contextmanager
-def _drawable() -> Iterator[None]:
+def _drawable() -> Generator[None]:
     """Refuse a program whose numbers geometry cannot bear, whichever library finds that."""
     try:
         with np.errstate(all="ignore"):
@@ -77,12 +77,11 @@ def drawn_points(text: str, n: int, dim: int) -> Points:
 @lru_cache(maxsize=256)
 def _places(text: str, n: int, dim: int, spacing: float) -> Points:
     program = parse_program(text)
-    with _drawable():
-        if program.draw is not None:
-            points = spacing * _unit(program.draw, n)
-            points = _sized(points, program.size, spacing)
-        else:
-            points = _grouped(program.groups or (), n, spacing)
+    if program.draw is not None:
+        points = spacing * _unit(program.draw, n)
+        points = _sized(points, program.size, spacing)
+    else:
+        points = _grouped(program.groups or (), n, spacing)
     points = points[:, :dim]
     points.setflags(write=False)
     return points
@@ -126,8 +125,24 @@ def _grouped(groups: Sequence[Group], n: int, spacing: float) -> Points:
     return points
 
 
-def _unit(elements: Sequence[Element], n: int) -> Points:
-    """Places for a spacing of 1, rounded, shape (n, 3)."""
+def _unit(elements: tuple[Element, ...], n: int) -> Points:
+    """Places for a spacing of 1, rounded, shape (n, 3). A refusal is remembered as well as an answer."""
+    found = _unit_or_refusal(elements, n)
+    if isinstance(found, InputError):
+        raise found.with_traceback(None)
+    return found
+
+
+@lru_cache(maxsize=256)
+def _unit_or_refusal(elements: tuple[Element, ...], n: int) -> Points | InputError:
+    try:
+        with _drawable():
+            return _unit_drawn(elements, n)
+    except InputError as refusal:
+        return refusal
+
+
+def _unit_drawn(elements: tuple[Element, ...], n: int) -> Points:
     drawing = draw(elements)
     parts = _parts(drawing)
     rows = [_place(part, count) for part, count in zip(parts, _shared(parts, n), strict=True)]
