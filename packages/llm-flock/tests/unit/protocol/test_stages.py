@@ -47,7 +47,7 @@ def test_a_plan_of_another_orientation_is_refused() -> None:
 
 @pytest.mark.parametrize("turn", [0, 180])
 def test_sides_and_named_robots_get_their_group(turn: float) -> None:
-    def of_the_first_group(*wishes: dict[str, Any]) -> tuple[set[int], set[int]]:
+    def of_the_first_group(*wishes: Any) -> tuple[set[int], set[int]]:
         fields: dict[str, Any] = {"shape": f"program:{GROUPS}", "spacing": 8, "comm_range": 100, "turn": turn}
         flown = llm_flock.run(Mission(n_robots=9, prefer=wishes, **fields), seed=1, trace=False)
         assert flown.formed
