@@ -144,7 +144,8 @@ def test_records_made_while_a_viewer_runs_appear_once(tmp_path: Path, monkeypatc
     make_record(tmp_path / "runs" / "before" / "run.mcap", n=2, rounds=2)
     library = Library(tmp_path / "runs")
     library.expect(tmp_path / "runs" / "own" / "run.mcap")
-    threading.Thread(target=library.watch, args=([tmp_path / "named"],), daemon=True).start()
+    watcher = threading.Thread(target=library.watch, args=([tmp_path / "named"],), daemon=True)
+    watcher.start()
     while len(library._known) < 2:  # what is there already is looked at first
         time.sleep(0.01)
     for folder in ("runs/own", "runs/new", "named/new"):
@@ -162,6 +163,9 @@ def test_records_made_while_a_viewer_runs_appear_once(tmp_path: Path, monkeypatc
         assert states == {("new", False), ("flies", True)} and len(library.runs) == 3
         said = json.loads(answer(library, "/data/runs", {}) or b"")
         assert len(said["rows"]) == 3 and said["changes"] == library.changes
+    library.closed.set()
+    watcher.join(20)
+    assert not watcher.is_alive()
 
 
 def test_a_plan_is_traced_to_its_proposer(tmp_path: Path) -> None:

@@ -50,6 +50,7 @@ class Library:
         self._folder = runs
         self._known: set[Path] = set()
         self._lock = threading.Lock()
+        self.closed = threading.Event()  # ends `watch`
 
     def add(self, title: str, path: Path | None = None, *, live: bool = True) -> Recording:
         """Add an empty run under its key; without a record at `path`, it cannot be exported."""
@@ -101,11 +102,10 @@ class Library:
         if self._folder is not None and self._folder not in folders:
             self._known.update(path.resolve() for path in self._folder.glob(f"*/{RECORD_NAME}"))
         watched = {*folders, *([] if self._folder is None else [self._folder])}
-        while True:
+        while not self.closed.wait(WATCH_S):
             for path in sorted(path for folder in watched for path in folder.glob(f"*/{RECORD_NAME}")):
                 if path.resolve() not in self._known and identity(path) is not None:
                     self.read([self.add(title_of(path), path, live=False)])
-            time.sleep(WATCH_S)
 
     @property
     def newest(self) -> Recording | None:
