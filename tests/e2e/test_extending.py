@@ -60,7 +60,7 @@ def test_a_rule_in_the_current_folder_flies(folder: Path) -> None:
     assert "my_rules:LowestSpeaker" in command(folder, *words, "--consensus", "my_rules:LowestSpeaker")
     (line,) = (line.split() for line in RULE_PAGE.splitlines() if line.strip().startswith("llm-flock run"))
     told = json.loads(command(folder, *line[1:], "--json"))
-    assert told["plans_in_use"] == 2 and "two plans stay in use" in RULE_PAGE
+    assert told["plans_in_use"] >= 2 and "several plans stay in use" in RULE_PAGE
 
 
 def test_a_model_in_the_current_folder_flies_for_some_robots(folder: Path) -> None:

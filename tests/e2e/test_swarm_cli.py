@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from command_line import flock
 
+from llm_flock.errors import RecordError
 from llm_flock.record._reader import read_record
 from llm_flock_swarm._network import watch
 from llm_flock_swarm._network.swarm import free_port
@@ -113,7 +114,10 @@ def wait_for_places(record: Path, *, missions: int) -> None:
     while time.monotonic() < deadline:
         time.sleep(0.5)
         if record.exists() and record.stat().st_size > 20_000:
-            found = read_record(record)
+            try:
+                found = read_record(record)
+            except RecordError:  # its start is not yet written
+                continue
             if len(found.missions) == missions and None not in found.states[-1].slots:
                 return
     raise AssertionError("no robot took a place")
