@@ -18,7 +18,6 @@ import json
 import math
 import os
 import signal
-import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Sequence
@@ -28,6 +27,7 @@ from typing import Any
 
 from benchmarks.autopilots import STARTS, example
 from benchmarks.flight import yes
+from benchmarks.flight_cases import flying
 
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.fleet import build_fleet
@@ -238,13 +238,8 @@ async def _run_command(config: FlightConfig, fault: Fault, stand_ins: AutopilotS
             "    print(json.dumps([found.ended, found.reason, list(found.ends.values())]), flush=True)\n"
             "asyncio.run(main())"
         )
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", code, str(file), stdout=asyncio.subprocess.PIPE
-        )
+        process = await flying(code, file)
         assert process.stdout is not None
-        async for line in process.stdout:
-            if line.strip() == b"flying":
-                break
         await asyncio.sleep(AFTER_S)
         if process.returncode is not None:
             raise SystemExit("the flight did not take off")

@@ -275,6 +275,18 @@ def _stated(name: str) -> dict[str, Any]:
     return {"what": row["Case"], "does": row["What is done"], "stated_s": float(row["Stated [s]"])}
 
 
+async def flying(code: str, file: Path) -> asyncio.subprocess.Process:
+    """A process that flies by this code and configuration file, once it says that it is flying."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", code, str(file), stdout=asyncio.subprocess.PIPE
+    )
+    assert process.stdout is not None
+    async for line in process.stdout:
+        if line.strip() == b"flying":
+            break
+    return process
+
+
 async def fly_and_lose_the_process(name: str, **fields: Any) -> dict[str, Any]:
     """Kill or stop the flight process in the middle of a round; returns what the deadman does."""
     config, homes = case_config("square", 4, 3, **fields)
@@ -289,13 +301,7 @@ async def fly_and_lose_the_process(name: str, **fields: Any) -> dict[str, Any]:
             "c = FlightConfig.model_validate_json(open(sys.argv[1]).read());"
             "asyncio.run(Flight(c, build_fleet(c), on_stage=lambda s: print(s, flush=True)).run(yes))"
         )
-        process = await asyncio.create_subprocess_exec(
-            sys.executable, "-c", code, str(file), stdout=asyncio.subprocess.PIPE
-        )
-        assert process.stdout is not None
-        async for line in process.stdout:
-            if line.strip() == b"flying":
-                break
+        process = await flying(code, file)
         await asyncio.sleep(1.5)
         watch.all_off.clear()
         began = time.monotonic()

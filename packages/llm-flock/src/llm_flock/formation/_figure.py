@@ -259,7 +259,7 @@ def _area(area: Any, world: Affine) -> Region:
         width: Points = box[1] - box[0]
         m = math.ceil(count * float(np.prod(width)) / float(area.area))
         if m > MAX_SAMPLES:
-            raise InputError("fill", True, says="the area is too thin for so many robots; draw it as a line")
+            raise InputError("fill", True, says="the area is too thin to be filled; draw it as a line")
         # Multiples of powers of the plastic number: evenly spread, no two distances are equal.
         steps = np.arange(1, m + 1, dtype=np.float64)[:, None] * np.array([0.7548776662466927, 0.5698402909980532])
         rows: Points = box[0] + width * ((0.5 + steps) % 1)

@@ -181,7 +181,7 @@ class Autopilot:
                 self._climb_to, body.feed_forward = None, REST
 
     def _return(self, now: float) -> None:
-        """Rise, fly home past whoever is in the way, and land there."""
+        """Rise, fly home without regard to other vehicles, and land there."""
         body = self.body
         (north, east, _), body.feed_forward = body.ned, REST
         if math.hypot(north, east) <= NEAR_M:
