@@ -115,7 +115,7 @@ def word_marks(question: Question, text: str) -> WordMarks:
         try:
             drawn = None if refusal(text) is not None else parse_program(text[text.find("{") : text.rfind("}") + 1])
             wrong = [_edit_differs(wanted, drawn) for wanted in question.wanted]
-        except InputError as error:  # no program, or one that so many robots cannot show
+        except InputError as error:  # no program, or one for another number of robots
             return WordMarks(reason=str(error), read=False, safe=True)
         return WordMarks(reason=None if None in wrong else wrong[0], read=True, safe=None in wrong or drawn is None)
     base, shown = question.build_mission(), False
