@@ -228,7 +228,8 @@ class Agent:
             effects = self._give_mission(events.MissionGiven(mission=stage, ordered_at=self.ordered_at + 1))
             self._sense(event.round, event)
         if judgement is not None:
-            effects.extend(judgement.begin_round(event.round, event.position))
+            assert self._scene is not None, "a robot looks before it judges"
+            effects.extend(judgement.begin_round(event.round, event.position, self._pilot.resting(self._scene)))
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
         effects.extend([] if listening else self._proposals.ask(event))
         return (Phase.PLANNING if effects and isinstance(effects[-1], events.AskPlan) else Phase.AGREEING), effects
@@ -346,7 +347,7 @@ class Agent:
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
-        mission = self.mission.at(scene.round).resized(len(plan))
+        mission = agreement.terrain.at(scene.round).resized(len(plan))
         self._asked_about = self._topic
         effects.extend(self._pilot.decide(scene, mission, plan, slot, target))
         return (Phase.DECIDING if isinstance(effects[-1], events.AskStep) else Phase.MOVING), effects
