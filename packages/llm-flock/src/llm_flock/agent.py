@@ -326,8 +326,9 @@ class Agent:
         assert scene is not None, "a round has begun"
         if rest := self._pilot.rest(scene):
             return Phase.MOVING, rest
-        if self._judgement is not None and self._judgement.waits:
-            return Phase.MOVING, self._pilot.hold(scene, "battery", "waiting for the team's choice")
+        if self._judgement is not None and (cause := self._judgement.waits) is not None:
+            why = "waiting for the team's choice" if cause == "battery" else "waiting as the team chose"
+            return Phase.MOVING, self._pilot.hold(scene, cause, why)
         effects, target, idle = list[Effect](), None, None
         unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
         if unanswered if plan is None else membership.lost if slot is None else membership.deserted:

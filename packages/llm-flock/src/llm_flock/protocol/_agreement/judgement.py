@@ -6,6 +6,7 @@ Without a choice the team does what it is configured to do. No choice touches th
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
@@ -41,6 +42,7 @@ class Judgement:
         self._usual = membership.gaps
         self._left: float | None = None  # how far the own weak battery lasts [units]
         self._here: Point = ()
+        self._resting: tuple[Obstacle, ...] = ()
         self._nearest: tuple[Point, float, int] = (), 0.0, 0  # the own place, the least distance from it, since when
         self.begin_mission()
 
@@ -56,10 +58,15 @@ class Judgement:
         self._left, self._here = left, ()
 
     @property
-    def waits(self) -> bool:
-        """Whether this robot's battery is weak, and the team has not yet chosen what to do about it."""
-        key = ("battery", self._robot)
-        return key in self._known and key not in self._closed
+    def waits(self) -> Literal["battery", "blocked"] | None:
+        """What this robot holds its place for: a choice about its weak battery, or an obstacle, as was chosen."""
+        if ("battery", self._robot) in self._known.keys() - self._closed:
+            return "battery"
+        if (key := ("blocked", self._robot)) not in self._closed:
+            return None
+        incident, _ = self._known[key]
+        there = any(math.dist(one.center or (), incident.at) < incident.left for one in self._resting)
+        return "blocked" if there and self.votes.choice(incident) == "wait" else None
 
     def begin_round(
         self, number: int, position: Point, resting: tuple[Obstacle, ...] = ()
@@ -71,7 +78,8 @@ class Judgement:
         if self._left is not None and self._here:
             self._left = max(0.0, self._left - math.dist(position, self._here))
         self._here = position
-        for incident in (*self.votes.incidents.values(), *self._noticed(), *self._blocked(number, resting)):
+        self._resting = resting
+        for incident in (*self.votes.incidents.values(), *self._noticed(), *self._blocked(number)):
             self._known.setdefault(key_of(incident), (incident, number))
         notes = list[AskJudgement | Note]()
         for key, (incident, since) in self._known.items():
@@ -107,7 +115,7 @@ class Judgement:
             found.append(Incident(kind="battery", robot=self._robot, left=self._left, at=agreement.position))
         return found
 
-    def _blocked(self, number: int, resting: tuple[Obstacle, ...]) -> list[Incident]:
+    def _blocked(self, number: int) -> list[Incident]:
         """An obstacle on the way to the own place, if the robot has come no nearer to it for some rounds."""
         agreement, mission = self._agreement, self._agreement.mission
         if agreement.plan is None or agreement.claim.slot is None or mission.velocity is not None:
@@ -118,7 +126,7 @@ class Judgement:
             self._nearest = place, left, number
         elif left > near and number - since >= STUCK:
             known = way_past((), here, place, agreement)
-            for one in resting:
+            for one in self._resting:
                 if one not in agreement.resting and way_past((one,), here, place, agreement) > known + near:
                     return [Incident(kind="blocked", robot=self._robot, left=one.radius or 0.0, at=one.center or ())]
         return []

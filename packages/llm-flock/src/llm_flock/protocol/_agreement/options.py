@@ -17,7 +17,7 @@ from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
 from llm_flock.planner import Choice, JudgementOption, PlanAnswer, PlanQuestion
 from llm_flock.protocol._geometry import geometric_plan, turned
-from llm_flock.protocol._membership.occupancy import reachable
+from llm_flock.protocol._membership.occupancy import reachable, waiting_place
 from llm_flock.protocol._membership.search import LOOKS_FOR_SILENT, NEXT_TO
 from llm_flock.protocol._membership.search import PATIENCE as SEARCH_PATIENCE
 from llm_flock.protocol._membership.team import REPLAN_PATIENCE
@@ -129,7 +129,7 @@ def battery_options(
         return math.dist(here, there) if now.ways is None else now.ways.length(here, there)
 
     def option(choice: Choice, does: str, flown: float, other: float = 0.0, saved: float = 0.0) -> JudgementOption:
-        lost = int(flown * MARGIN > incident.left + AT_GOAL * mission.spacing)
+        lost = int(flown * MARGIN > incident.left)
         rounds = math.ceil(max(flown, other) / mission.max_step - 1e-9)
         distance = max(flown + other - saved, 0.0)
         return JudgementOption(choice=choice, does=does, rounds=rounds, distance=distance, gaps=lost, lost=lost)
@@ -146,8 +146,10 @@ def battery_options(
     spares = {j: where.get(j, mission.center) for j in present - slots.keys() - {weak}}
     if spares and straight > AT_GOAL * mission.spacing:
         spare = min(spares, key=lambda j: (round(way(spares[j], places[own]), 6), j))
-        does = f"Robot {weak} stops, and spare robot {spare} takes its place."
-        options.append(option("spare", does, 0.0, way(spares[spare], places[own])))
+        does = f"Robot {weak} gets out of the way, and spare robot {spare} takes its place."
+        others = [x for j, x in where.items() if j != weak]
+        aside = math.dist(incident.at, waiting_place(mission, incident.at, plan, others))
+        options.append(option("spare", does, aside, way(spares[spare], places[own])))
     return tuple(options)
 
 
