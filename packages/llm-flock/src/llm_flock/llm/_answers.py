@@ -167,19 +167,25 @@ def _complete(items: Items, claim: AnswerClaim | None, what: str, required: str)
 
 def _items(text: str) -> Items:
     """What an answer says without its thoughts, because a position in a thought is a draft."""
-    if len(text) > MAX_CHARS:
-        raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
-    answer = spoken(text)
-    if answer.unfinished or (answer.thought and not answer.text.strip()):
-        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
-    text = plain(answer.text)
-    items = Items(items_of(text), text, answer.text)
+    said = said_in(text)
+    text = plain(said)
+    items = Items(items_of(text), text, said)
     for at in range(len(items.all)):
         if items.word(at) in ("unit", "units", "coordinates", "values", "numbers", "axes"):
             near = {*items.words(items.start(at, reach=6), items.sentence(at, 8))} - {"in"}
             for unit in near & (SAID["foreign_units"] | SAID["frames"]):
                 raise AnswerError(f"it has units ({unit}), which are not allowed.")
     return items
+
+
+def said_in(text: str) -> str:
+    """What an answer says after its thoughts; AnswerError for one that is too long, or has nothing but thoughts."""
+    if len(text) > MAX_CHARS:
+        raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
+    answer = spoken(text)
+    if answer.unfinished or (answer.thought and not answer.text.strip()):
+        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
+    return answer.text
 
 
 def _numbers(what: str, row: Sequence[str]) -> list[float]:
