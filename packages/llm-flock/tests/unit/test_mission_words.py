@@ -195,6 +195,11 @@ def test_the_left_three_and_named_robots_get_their_group(seed: int) -> None:
         ({"prefer": ({"robot": 99, "way": "edge"},)}, "robots from 0 to 9"),
         ({"prefer": ({"robot": 1},)}, "robot and group"),
         ({"protocol": "paper", "then": STAGES}, "auction"),
+        (
+            {"n_robots": 257, "center": (500, 500), "arena": ((0, 0), (999, 999)), "prefer": (EDGE,)},
+            "more than 256 robots",
+        ),
+        ({"without": "joint-assignment", "prefer": (EDGE,)}, "what preferences are part of"),
         ({"then": STAGES, "changes": ({"round": 3, "robot": 0, "set": {"shape": "line"}},)}, "none beside"),
     ],
 )

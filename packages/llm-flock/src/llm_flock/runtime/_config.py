@@ -110,8 +110,8 @@ class ProtocolConfig(ConfigSection):
     )
     judge: Literal["rule", "models"] = Field(
         default="rule",
-        description="After a death that leaves a gap, or with a weak battery: do as --gaps says and fly on (rule), or "
-        "ask all models once, and do what most of them choose (models)",
+        description="After a death that leaves a gap, with a weak battery or a blocked way: do as --gaps says and fly "
+        "on (rule), or ask all models once, and do what most of them choose (models)",
     )
     time_out: int = Field(
         default=TIME_OUT,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -14,7 +15,7 @@ from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Choice, Incident, Vote
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Obstacle
+from llm_flock.obstacles import Mover, Obstacle
 from llm_flock.plan import Plan
 from llm_flock.planner import AIMS, JudgementAnswer, JudgementOption, NoAnswer, best_option
 from llm_flock.protocol._agreement.agreement import Agreement
@@ -29,7 +30,8 @@ from llm_flock.protocol._agreement.options import (
     way_past,
 )
 from llm_flock.protocol._membership.team import TeamMembership
-from llm_flock.protocol._parts import Gaps, Parts, Situation
+from llm_flock.protocol._motion.safety import ShieldedSafety
+from llm_flock.protocol._parts import Gaps, Observation, Parts, Situation
 
 FIVE = Mission(shape="line", n_robots=5, comm_range=60)
 SPOTS: tuple[Point, ...] = FIVE.ideal or ((0.0, 0.0),) * 5
@@ -115,6 +117,11 @@ def test_a_weak_robot_may_go_on_swap_or_be_replaced() -> None:
     assert best_option(options) in ("swap", "spare")
     empty = battery_options(replace(WEAK, left=1.0), now, 0, frozenset(range(6)))
     assert [option.lost for option in empty] == [1, 1, 1]  # it would have to get out of the way, too
+
+
+def test_nobody_swaps_places_that_were_given_by_preference() -> None:
+    now = situation(0, 1, 2, 3, 4, mission=FIVE.change(prefer=({"robot": 4, "way": "edge"},)), sensed={1: SPOTS[1]})
+    assert names(battery_options(WEAK, now, 0, frozenset(range(5)))) == ["continue"]
 
 
 def test_a_robot_that_reaches_its_place_is_not_lost() -> None:
@@ -454,6 +461,18 @@ def test_an_obstacle_elsewhere_stops_nobody() -> None:
     at_home.here = SPOTS[4]
     for _ in range(STUCK + 2):
         assert at_home.round(DISC) == []
+
+
+def test_obstacles_rest_that_are_where_they_were() -> None:
+    here = Mover(number=0, position=(60.0, 50.0), radius=2.0, speed=3.0)
+    scene = Observation(position=(50.0, 50.0), sensed={}, moving=(here,))
+    assert Parts().safety.resting(scene) == ()
+    safety = ShieldedSafety(0, FIVE, noise_bound=0.1)
+    assert safety.resting(scene) == (), "it has just come into sight"
+    safety.stay(scene)
+    (disc,) = safety.resting(scene)
+    assert (disc.center, disc.radius) == ((60.0, 50.0), pytest.approx(5.2))
+    assert safety.resting(replace(scene, moving=(dataclasses.replace(here, position=(60.0, 51.0)),))) == ()
 
 
 def test_a_formation_that_travels_asks_about_no_way() -> None:

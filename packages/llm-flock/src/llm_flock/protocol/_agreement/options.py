@@ -139,6 +139,7 @@ def battery_options(
     options = [option("continue", f"Robot {weak} goes on to its place.", straight)]
     near = {j: where.get(j, places[a]) for j, a in slots.items() if j != weak}
     near = {j: x for j, x in near.items() if math.dist(x, incident.at) <= mission.comm_range}
+    near = {} if mission.prefer else near  # places that are given by preference are not exchanged
     peer = min(near, key=lambda j: (round(way(incident.at, places[slots[j]]), 6), j), default=None)
     if peer is not None and (short := way(incident.at, places[slots[peer]])) < straight - AT_GOAL * mission.spacing:
         does = f"Robot {weak} exchanges its place with robot {peer}."
