@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from llm_flock.errors import AnswerError
 from llm_flock.llm._port import Reply
 
+MAX_CHARS = 1_000_000
+"""Longer answers are not read."""
+
 MAX_QUOTED = 20_000
 """Longest answer that is quoted to the model [characters]; a runaway answer must not fill every later request."""
 
@@ -86,6 +89,16 @@ def spoken(text: str) -> Spoken:
     if inside:
         return _UNFINISHED
     return Spoken(text) if after < 0 else Spoken(text[after:], thought=True)
+
+
+def answer_text(text: str) -> str:
+    """A text without thoughts; AnswerError if it is too long, or holds only thoughts."""
+    if len(text) > MAX_CHARS:
+        raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
+    answer = spoken(text)
+    if answer.unfinished or (answer.thought and not answer.text.strip()):
+        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
+    return answer.text
 
 
 def _meaning(mark: re.Match[str]) -> tuple[bool, str]:
