@@ -59,10 +59,9 @@ class CassetteLine(BaseModel):
     cost_usd: Amount | None
     latency_s: Amount
     faults: tuple[str, ...]
-    finish_reason: str | None = None
-    thought: bool = False
-    clipped: str | None = None
-    """Older cassettes lack the last three fields."""
+    finish_reason: str | None
+    thought: bool
+    clipped: str | None
 
 
 class _Cassette:

@@ -76,8 +76,7 @@ def formed_in(result: Mapping[str, Any]) -> int | None:
     """The round of the run in which its last mission was formed, by its result; None if it was not."""
     if ending(result) != "formed":
         return None
-    formed = _last_mission(result).get("formed")
-    number = formed if isinstance(formed, int) else result.get("rounds_to_formed")
+    number = _last_mission(result).get("formed")
     return number if isinstance(number, int) else None
 
 
@@ -93,7 +92,7 @@ def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
 
 
 def help_text(result: Mapping[str, Any]) -> str:
-    """Whether the models of a run that formed had help; older records do not say."""
+    """Whether the models of a run that formed had help; the result of a swarm does not say."""
     if result.get("formed_by_models", True):
         return ""
     without = {*cast("Sequence[str]", result.get("models") or ())} == {"geometry"}
