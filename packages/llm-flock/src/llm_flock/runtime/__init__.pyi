@@ -54,3 +54,4 @@ from ._schedule import stream as stream
 from ._trial import Trial as Trial
 from ._trial import TrialProgress as TrialProgress
 from ._trial import commonest as commonest
+from ._trial import starts_of as starts_of

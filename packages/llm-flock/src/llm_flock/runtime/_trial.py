@@ -38,7 +38,7 @@ from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._roster import Roster, make_agent, parts_of
 from llm_flock.runtime._rules import Rules
 from llm_flock.runtime._schedule import MAX_ROUNDS, Stream, stream
-from llm_flock.simulate import Bodies
+from llm_flock.simulate import Bodies, start_positions
 
 T = TypeVar("T")
 
@@ -103,6 +103,12 @@ class TrialProgress:
 
 def _new_agent(config: RunConfig, rules: Rules, robot: int) -> Agent:
     return make_agent(config, robot, parts_of(config, rules, robot))
+
+
+def starts_of(config: RunConfig) -> Points:
+    """Where the robots of a run start, shape (n, d) [units]."""
+    trial, rng = config.trial, stream(config.trial.seed, Stream.START)
+    return start_positions(config.start_scene, trial.start_positions, trial.start, rng, trial.start_area)
 
 
 class Trial:
