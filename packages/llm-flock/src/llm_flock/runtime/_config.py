@@ -55,14 +55,19 @@ class ConfigSection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
+def number(default: float | None, description: str, *, least: float = 0, most: float | None = None) -> Any:
+    """A field for a finite number from `least` on."""
+    return Field(default=default, ge=least, le=most, allow_inf_nan=False, description=description)
+
+
 def seconds(default: float, description: str, *, most: float | None = None) -> Any:
     """A field for a positive time [s]."""
     return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [s]")
 
 
-def metres(default: float, description: str) -> Any:
+def metres(default: float | None, description: str, *, most: float = 1000) -> Any:
     """A field for a positive length [m]."""
-    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
+    return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [m]")
 
 
 class ProtocolConfig(ConfigSection):

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from llm_flock.arrays import Point
 from llm_flock.robots._base import Position
-from llm_flock.runtime._config import ConfigSection, metres
+from llm_flock.runtime._config import ConfigSection, metres, number
 
 Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 """A coordinate in the world [m]."""
@@ -51,9 +51,7 @@ class WorldConfig(ConfigSection):
     """Place of the mission in the world frame of the localisation system, z up."""
 
     scale_m: float = metres(0.1, "Length of one mission unit")
-    stretch: float = Field(
-        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
-    )
+    stretch: float = number(1.0, "Missions in space: extra scale of z over x and y", least=1, most=100)
     yaw_deg: float = Field(
         default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
     )
