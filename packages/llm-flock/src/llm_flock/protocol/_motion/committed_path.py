@@ -16,8 +16,7 @@ from llm_flock.metrics import AT_GOAL
 from llm_flock.obstacles import nearest_on_segment, segment_clearance
 from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 
-HORIZON = 20
-"""Largest number of waypoints in an answer."""
+HORIZON = 20  # largest number of waypoints in an answer
 
 
 class Trigger(StrEnum):
