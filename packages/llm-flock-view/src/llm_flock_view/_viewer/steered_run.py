@@ -26,8 +26,7 @@ from llm_flock.shapes import names_file
 from llm_flock_view._viewer.library import load
 from llm_flock_view._viewer.recording import Recording
 
-POLL_S = 0.02
-"""Time between two checks of a paused run [s]."""
+POLL_S = 0.02  # time between two checks of a paused run [s]
 
 HALLUCINATING = "simulated:collapse,distorted,malformed@0.3"
 """Replaces the model of a robot that is made to hallucinate."""

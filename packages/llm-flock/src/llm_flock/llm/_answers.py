@@ -33,11 +33,8 @@ from llm_flock.llm._port import AnswerForm
 from llm_flock.llm._thoughts import answer_text
 from llm_flock.plan import Plan
 
-MAX_DIGITS = 40
-"""Longest spelling of a number."""
-
-HERE = 0.01
-"""A position this near to the robot's own is its own [units]: prompts and models round it."""
+MAX_DIGITS = 40  # longest spelling of a number
+HERE = 0.01  # a position this near to the robot's own is its own [units]: prompts and models round it
 
 
 def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:

@@ -12,8 +12,7 @@ from llm_flock.message import Choice
 from llm_flock.planner import JudgementAnswer, JudgementOption
 from llm_flock.printable import one_line
 
-MAX_REASON = 200
-"""Longest reason that is kept [characters]."""
+MAX_REASON = 200  # longest reason that is kept [characters]
 
 _CHOICE = re.compile(r"\bchoice\b[\"'*_`\s]*[:=][\"'*_`\s]*([a-z]+)", re.IGNORECASE)
 _REASON = re.compile(rf'"{REASONING}"\s*:\s*"((?:[^"\\]|\\.)*)"')

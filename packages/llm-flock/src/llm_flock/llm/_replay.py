@@ -30,8 +30,7 @@ MAX_LINE_LENGTH = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
 
 
-Plain = Annotated[dict[str, Any], AfterValidator(check_plain)]
-"""Values that a record can hold."""
+Plain = Annotated[dict[str, Any], AfterValidator(check_plain)]  # values that a record can hold
 
 
 class CassetteLine(BaseModel):

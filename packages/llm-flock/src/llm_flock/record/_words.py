@@ -11,8 +11,7 @@ from llm_flock.protocol._agreement import PRESET_RULES
 if TYPE_CHECKING:
     from llm_flock.record._schema import LlmEntry
 
-MAX_PLACES = 12
-"""Number of places of a plan that are listed."""
+MAX_PLACES = 12  # number of places of a plan that are listed
 
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8B462E", "#7400E8", "#8B74FF", "#B9A25D")
 """Ten colours, any two of which can be told apart with any colour vision; the first six are of Okabe and Ito (2008)."""

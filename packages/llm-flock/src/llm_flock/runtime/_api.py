@@ -71,8 +71,7 @@ def wait_for(main: Coroutine[Any, Any, T]) -> T:
             raise
 
 
-Row: TypeAlias = Sequence[float]
-"""Coordinates of a point [units]."""
+Row: TypeAlias = Sequence[float]  # coordinates of a point [units]
 
 
 class Parameters(TypedDict, total=False):

@@ -42,8 +42,7 @@ Count = Annotated[int, Field(ge=1, le=MAX_INTEGER)]
 PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
 """One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are accepted too."""
 
-_NO_NAME = re.compile("[\0\ud800-\udfff]")
-"""What neither the names of files nor the texts of a record can hold."""
+_NO_NAME = re.compile("[\0\ud800-\udfff]")  # what neither the names of files nor the texts of a record can hold
 
 _PLAIN = re.compile("shape|kill|join|battery|history|wish|temperature|reasoning_effort|model_seed|swarm")
 """Fields with free text that names no file, no code and no address."""

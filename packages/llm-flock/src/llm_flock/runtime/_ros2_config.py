@@ -11,8 +11,7 @@ from pydantic import Field, field_validator
 from llm_flock.errors import InputError
 from llm_flock.runtime._config import ConfigSection, number
 
-NAME = r"[A-Za-z_][A-Za-z0-9_]*"
-"""A token of a ROS name."""
+NAME = r"[A-Za-z_][A-Za-z0-9_]*"  # a token of a ROS name
 
 _PATH: Any = {
     "pattern": rf"^{NAME}(/{NAME})*$",
@@ -22,8 +21,7 @@ _PATH: Any = {
     },
 }
 
-ROBOT = "{id}"
-"""Stands for a robot's id in `ros_pose_topic`."""
+ROBOT = "{id}"  # stands for a robot's id in `ros_pose_topic`
 
 
 def is_endpoint(text: str) -> bool:

@@ -42,11 +42,8 @@ from llm_flock.simulate import Bodies, start_positions
 
 T = TypeVar("T")
 
-WAIT_S = 10.0
-"""Time between two notes of who waits for a model [s]."""
-
-STEP_TOLERANCE = 1e-3
-"""Share of the step limit that a step may be longer by: waypoints are rounded."""
+WAIT_S = 10.0  # time between two notes of who waits for a model [s]
+STEP_TOLERANCE = 1e-3  # share of the step limit that a step may be longer by: waypoints are rounded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
