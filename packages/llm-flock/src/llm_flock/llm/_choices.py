@@ -7,13 +7,12 @@ from collections.abc import Sequence
 
 from llm_flock.errors import AnswerError
 from llm_flock.llm._answer_forms import REASONING
-from llm_flock.llm._answers import said_in
+from llm_flock.llm._thoughts import answer_text
 from llm_flock.message import Choice
 from llm_flock.planner import JudgementAnswer, JudgementOption
 from llm_flock.printable import one_line
 
-MAX_REASON = 200
-"""Longest reason that is kept [characters]."""
+MAX_REASON = 200  # longest reason that is kept [characters]
 
 _CHOICE = re.compile(r"\bchoice\b[\"'*_`\s]*[:=][\"'*_`\s]*([a-z]+)", re.IGNORECASE)
 _REASON = re.compile(rf'"{REASONING}"\s*:\s*"((?:[^"\\]|\\.)*)"')
@@ -31,7 +30,7 @@ def options_text(options: Sequence[JudgementOption]) -> str:
 def read_choice(text: str, names: Sequence[Choice]) -> JudgementAnswer:
     """The choice in an answer, and the reason before it; AnswerError, a sentence for the model, if it has none."""
     required = f"one of {', '.join(names)} is required, as in `Choice: {names[0]}`."
-    answer = said_in(text)
+    answer = answer_text(text)
     found = [*_CHOICE.finditer(answer)]
     said = {match[1].lower() for match in found} or {answer.strip("\"'*_`. \n").lower()} & {*names}
     if not said:

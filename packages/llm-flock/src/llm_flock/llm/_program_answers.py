@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import parse_program
-from llm_flock.llm._answers import said_in
+from llm_flock.llm._thoughts import answer_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Drawing, Plan
 
@@ -22,7 +22,7 @@ def read_program(text: str, mission: Mission) -> tuple[Plan, int]:
     Raises:
         AnswerError: no such object, several that differ, or a program that cannot be drawn by this team; a sentence.
     """
-    found = [given for given in _objects(said_in(text)) if "program" in given or "my_plan" in given]
+    found = [given for given in _objects(answer_text(text)) if "program" in given or "my_plan" in given]
     if not found:
         raise AnswerError(f"it holds no complete program; {REQUIRED}.")
     if any(given != found[0] for given in found[1:]):

@@ -28,11 +28,8 @@ from llm_flock.shapes import rotated
 MARGIN = 1.05
 """The way for which a battery should last, as a multiple of the way that code expects: others may be in the way."""
 
-LARGEST = 60
-"""Largest team in which robots close up: the shape errors of all moves are compared."""
-
-TURNS = 8
-"""Orientations of a new plan over which the flight to it is averaged: the model that proposes it may turn it."""
+LARGEST = 60  # largest team in which robots close up: the shape errors of all moves are compared
+TURNS = 8  # orientations of a new plan over which the flight to it is averaged: the model that proposes it may turn it
 
 
 def death_options(now: Situation, first: Choice = "leave") -> tuple[JudgementOption, ...]:
