@@ -27,8 +27,8 @@ from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol import geometric_plan
 from llm_flock.record import NullWriter, RunRecord
-from llm_flock.runtime import Journal, RunConfig, Stream, TeamPlanners, Trial, plain, stream, trace_record
-from llm_flock.simulate import InstantBodies, Readings, Sensing, start_positions
+from llm_flock.runtime import Journal, RunConfig, Stream, TeamPlanners, Trial, plain, starts_of, stream, trace_record
+from llm_flock.simulate import InstantBodies, Readings, Sensing
 
 Control: TypeAlias = Literal["waypoints", "questions"]
 Observation: TypeAlias = dict[str, Any]
@@ -345,14 +345,11 @@ class RememberedReadings(Readings):
 
 def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedReadings]:
     """A trial of simulated bodies whose questions the caller answers; its start is recorded."""
-    given, rules = config.trial, config.protocol.rules()
-    rng = stream(given.seed, Stream.START)
-    start = start_positions(config.start_scene, given.start_positions, given.start, rng, given.start_area)
+    start = starts_of(config)
     readings = RememberedReadings(config, start)
     planners = TeamPlanners(config, CallLane(pool=ModelPool(environ={}, asks=False)))  # copies take no keys along
-    replans, moving = config.protocol.gaps == "replan", given.moving_obstacles
-    journal = Journal(config.mission, NullWriter(), replans=replans, trace=trace, moving=moving)
-    trial = Trial(config, rules, planners, InstantBodies(readings), journal, start)
+    journal = Journal(config, NullWriter(), trace=trace)
+    trial = Trial(config, config.protocol.rules(), planners, InstantBodies(readings), journal, start)
     trial.begin()
     return trial, readings
 

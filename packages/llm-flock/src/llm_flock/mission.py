@@ -496,6 +496,10 @@ class Mission(BaseModel):
         """
         return self if places == self.n_places else _resize(self, places)
 
+    def among(self, obstacles: tuple[Obstacle, ...]) -> Mission:
+        """The same mission with more obstacles, for the maps of robots that know of them."""
+        return _among(self, obstacles) if obstacles else self
+
     def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
 
@@ -539,6 +543,11 @@ def mission_text(mission: Mission) -> str:
 def _copy(mission: Mission, **fields: Any) -> Mission:
     """A changed copy without validation, and without the values of cached properties."""
     return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
+
+
+@lru_cache(maxsize=256)
+def _among(mission: Mission, obstacles: tuple[Obstacle, ...]) -> Mission:
+    return _copy(mission, obstacles=(*mission.obstacles, *obstacles))
 
 
 @lru_cache(maxsize=256)

@@ -22,17 +22,13 @@ NOT_IN_FLIGHT = (
 )
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
 
-DOWN_M = 0.12
-"""A drone with an estimate this near to the floor is down [m]."""
+DOWN_M = 0.12  # a drone with an estimate this near to the floor is down [m]
 
 HEIGHT_TRACKING_M = 0.15
 """Default of `height_tracking_m` in the plane: a Crazyflie's stock controller overshoots a take-off by 8 cm [m]."""
 
-ROUNDING_M = 1e-6
-"""Tolerance of limits on lengths and times [m, s]."""
-
-ON_FLOOR_M = 0.3
-"""Largest distance of the estimate from the floor for a drone on it [m]."""
+ROUNDING_M = 1e-6  # tolerance of limits on lengths and times [m, s]
+ON_FLOOR_M = 0.3  # largest distance of the estimate from the floor for a drone on it [m]
 
 
 class FlightConfig(RunConfig):

@@ -19,8 +19,7 @@ from llm_flock.robots import RobotState
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.lag import Tracking
 
-PERIOD_S = 0.05
-"""Time between two checks [s]."""
+PERIOD_S = 0.05  # time between two checks [s]
 
 
 class TroubleKind(Enum):

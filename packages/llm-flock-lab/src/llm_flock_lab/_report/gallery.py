@@ -22,8 +22,7 @@ from llm_flock_lab._experiments.store import TRIALS, is_inside, read_trial
 from llm_flock_lab._report.results import Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
 
-LONGEST = 6000
-"""Letters of a message that are shown at most."""
+LONGEST = 6000  # letters of a message that are shown at most
 
 SEVERITY = ("broke off", "no answers", "no plan", "interrupted", "budget", "not formed", "formed")
 """Outcomes, the worst first."""

@@ -17,8 +17,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.members import WORLD
-from llm_flock.runtime import Stream, finite, stream
-from llm_flock.simulate import start_positions
+from llm_flock.runtime import finite, starts_of
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.process import until_stopped
@@ -121,9 +120,7 @@ class WorldBodies:
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
     """Simulate the bodies until the process is stopped; `on_ready` is called once the endpoint is open."""
-    mission, network, trial = config.mission, config.network, config.trial
-    rng = stream(trial.seed, Stream.START)
-    start = start_positions(mission, trial.start_positions, trial.start, rng, trial.start_area)
+    mission, network, start = config.mission, config.network, starts_of(config)
     bodies = WorldBodies(
         start,
         speed=config.speed,

@@ -30,34 +30,21 @@ MAX_LABELLED = 30
 MIN_LABELLED = 6.5
 """With more robots, or smaller discs [points], words are left out: there is no room for them."""
 
-DISC_SHARE = 0.62
-"""Diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart."""
-
-MAX_VIEW_SHARE = 0.7
-"""A team that takes more of the view than this share is not shown any closer."""
+DISC_SHARE = 0.62  # diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart
+MAX_VIEW_SHARE = 0.7  # a team that takes more of the view than this share is not shown any closer
 
 ROOM = (1.5, 2.1)
 """Widths of a close-up in widths of what it shows: the second where the first leaves no corner for the inset."""
 
-RING = 1.4
-"""Diameter of the ring of a goal, in discs."""
-
-TAG, TALL = 0.75, 1.35
-"""Room for a tag around its letters, and height of a word, in sizes of letters."""
-
-MARGIN = 0.02
-"""Between the inset and the middle of a disc, as a share of the panel's width."""
-
-INSET = 0.24
-"""Width and height of the inset that shows the whole view, as a share of the panel's."""
+RING = 1.4  # diameter of the ring of a goal, in discs
+TAG, TALL = 0.75, 1.35  # room for a tag around its letters, and height of a word, in sizes of letters
+MARGIN = 0.02  # between the inset and the middle of a disc, as a share of the panel's width
+INSET = 0.24  # width and height of the inset that shows the whole view, as a share of the panel's
 
 TIMES = "\u00d7"
 
-Box = tuple[float, float, float, float]
-"""Left, right, bottom, top [units]."""
-
-ABOVE, SIDE = [0, 1], [0, 2]
-"""Coordinates that are seen from above, and of space from the side."""
+Box = tuple[float, float, float, float]  # left, right, bottom, top [units]
+ABOVE, SIDE = [0, 1], [0, 2]  # coordinates that are seen from above, and of space from the side
 
 
 class Panel:

@@ -26,11 +26,8 @@ MAX_FRAMES = 256
 MAX_EVENTS = 100
 """Most events of a round that are listed."""
 
-MAX_WORDS, MAX_TOLD_LENGTH = 400, 4_000
-"""Longest event in a page that holds its run, and in the viewer [characters]."""
-
-LARGEST = 10_000_000
-"""Largest number that a request may contain."""
+MAX_WORDS, MAX_TOLD_LENGTH = 400, 4_000  # longest event in a page that holds its run, and in the viewer [characters]
+LARGEST = 10_000_000  # largest number that a request may contain
 
 FIGURES = (
     "procrustes_mean",

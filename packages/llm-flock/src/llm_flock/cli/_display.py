@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 
 RecordPath = Annotated[Path, typer.Argument(help="Record of a run (run.mcap), or the folder that holds it")]
 
-MAX_MESSAGE = 100_000
-"""Characters shown of a message of a conversation; the record has all of it."""
+MAX_MESSAGE = 100_000  # characters shown of a message of a conversation; the record has all of it
 
 
 def live_line(

@@ -26,11 +26,8 @@ Room: TypeAlias = Literal["tight", "wide", "free"]
 ROOMS: tuple[tuple[float, Room], ...] = ((1.5, "tight"), (2.5, "wide"), (math.inf, "free"))
 """Words for room, each with the gap at which the next word begins [least allowed distances]."""
 
-NO_WISH = "None."
-"""The wish of a mission that has none."""
-
-MAX_WISH_LENGTH = 200
-"""Longest wish [characters]: it is part of every question."""
+NO_WISH = "None."  # the wish of a mission that has none
+MAX_WISH_LENGTH = 200  # longest wish [characters]: it is part of every question
 
 _LETTER = re.compile(rf"\s*([{''.join(get_args(Letter))}])\b")
 

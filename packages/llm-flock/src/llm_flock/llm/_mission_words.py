@@ -26,8 +26,7 @@ from llm_flock.point_files import file_text
 from llm_flock.printable import one_line
 from llm_flock.validation import input_error
 
-MAX_TEXT_LENGTH = 2000
-"""Longest text of a mission [characters]."""
+MAX_TEXT_LENGTH = 2000  # longest text of a mission [characters]
 
 TRIES = 3  #: Answers until the reader is given up; each rejected one is sent back with the reason.
 

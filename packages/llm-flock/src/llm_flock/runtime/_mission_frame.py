@@ -12,8 +12,7 @@ from llm_flock.arrays import Point
 from llm_flock.robots._base import Position
 from llm_flock.runtime._config import ConfigSection, metres
 
-Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
-"""A coordinate in the world [m]."""
+Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]  # a coordinate in the world [m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

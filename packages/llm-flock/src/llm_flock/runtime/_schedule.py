@@ -41,8 +41,7 @@ RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
 
 
-Turn: TypeAlias = tuple[int, int]
-"""A robot and a round."""
+Turn: TypeAlias = tuple[int, int]  # a robot and a round
 
 
 class Change(BaseModel):

@@ -45,20 +45,14 @@ from llm_flock.mission import ORIENTATIONS
 from llm_flock.planner import best_option
 from llm_flock.protocol._geometry import turned
 
-CHARS_PER_TOKEN = 4
-"""For an estimate of the tokens."""
-
-ADDED_LATER = 14
-"""Number of the last `FAILURES` that were added after the first results were published."""
+CHARS_PER_TOKEN = 4  # for an estimate of the tokens
+ADDED_LATER = 14  # number of the last `FAILURES` that were added after the first results were published
 
 CHANCE_WITHIN = 10.0
 """Largest distance of random coordinates from the centre [spacings] or the own position [step limits]."""
 
-OPEN = {"path": "M0 0H4V-4H0", "fill": True}
-"""What a program draws with the fault `open`."""
-
-CUT_OFF = frozenset({"cutoff", "rambling", "turns"})
-"""Faults that a server reports by the reason why the answer ended."""
+OPEN = {"path": "M0 0H4V-4H0", "fill": True}  # what a program draws with the fault `open`
+CUT_OFF = frozenset({"cutoff", "rambling", "turns"})  # faults that a server reports by the reason why the answer ended
 
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 """Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""

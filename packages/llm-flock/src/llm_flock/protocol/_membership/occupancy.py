@@ -9,6 +9,7 @@ from itertools import chain
 
 from llm_flock import graph
 from llm_flock.arrays import Point
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
@@ -51,7 +52,8 @@ def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blo
     assert plan is not None, "slots are those of a plan"
     silent = liveness.silent if hears_others and in_radio_contact(plan, mission.comm_range) else NONE
     still = still_bodies(now, silent)
-    if not (still or knows_blocked):
+    covered = frozenset(a for a, x in enumerate(plan.points) if clearance(x, now.resting) < reachable(mission))
+    if not (still or covered or knows_blocked):
         return Occupancy(silent=silent, alive=liveness.alive)
     too_near, living = blocked_within(mission), liveness.living
     places = [a for a, place in enumerate(plan.points) if math.dist(now.position, place) <= sight(mission)]
@@ -60,7 +62,12 @@ def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blo
         return frozenset(a for a in places if any(mission.separation(plan.points[a], x) < too_near for x in bodies))
 
     clear = frozenset(places) - under([x for j, x in now.sensed.items() if j not in living])
-    return Occupancy(silent=silent, blocked=under(still), clear=clear, alive=liveness.alive)
+    return Occupancy(silent=silent, blocked=under(still) | covered, clear=clear - covered, alive=liveness.alive)
+
+
+def reachable(mission: Mission) -> float:
+    """Smallest distance from an obstacle that has come to rest at which a robot counts as at its place [units]."""
+    return mission.body_radius - AT_GOAL * mission.spacing
 
 
 def waiting_place(

@@ -17,8 +17,7 @@ from llm_flock.obstacles import nearest_on_segment, segment_clearance
 from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.steps import passing
 
-HORIZON = 20
-"""Largest number of waypoints in an answer."""
+HORIZON = 20  # largest number of waypoints in an answer
 
 
 class Trigger(StrEnum):

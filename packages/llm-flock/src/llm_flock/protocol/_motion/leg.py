@@ -25,8 +25,7 @@ SLOWEST = 0.4
 the rounds of a straight flight, and a team should form in three times the lower bound."""
 
 
-ROOM = 0.25
-"""Share of a straight step that others have to leave free, before a robot that stays has itself to blame."""
+ROOM = 0.25  # share of a straight step that others have to leave free, before a robot that stays has itself to blame
 
 
 class Pace:
@@ -75,8 +74,7 @@ class Pace:
         self._average += weight * (gain - self._average)
 
 
-STEP = 0.25
-"""With uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs."""
+STEP = 0.25  # with uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs
 
 
 class Leg(msgspec.Struct, frozen=True, kw_only=True):

@@ -13,8 +13,7 @@ from llm_flock.arrays import Point, Points, Vector
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Mover
 
-TOLERANCE = 1e-9
-"""A constraint counts as satisfied to within this [units]."""
+TOLERANCE = 1e-9  # a constraint counts as satisfied to within this [units]
 
 
 class HalfSpace(msgspec.Struct, frozen=True):

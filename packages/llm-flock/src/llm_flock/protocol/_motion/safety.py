@@ -14,7 +14,7 @@ from llm_flock.arrays import Point, between, moved
 from llm_flock.events import Note, Origin
 from llm_flock.message import MAX_LEVEL, MAX_STOPS, Course
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Mover
+from llm_flock.obstacles import Mover, Obstacle
 from llm_flock.protocol._motion.leg import STEP, Leg, map_of
 from llm_flock.protocol._motion.projection import moving_half_spaces, static_half_spaces
 from llm_flock.protocol._motion.right_of_way import RightOfWay, Way, outside, rank
@@ -75,6 +75,17 @@ class ShieldedSafety(Safety):
         pressing = [way for way in ways if way.covers(here)]
         aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
+
+    def resting(self, scene: Observation) -> tuple[Obstacle, ...]:
+        """As `Safety.resting`: those that are where they were in the last round, by sensors that err."""
+        error, met = 2.0 * self._noise_bound, self._met
+        return tuple(
+            Obstacle(
+                center=tuple(round(x, 1) for x in one.position), radius=one.radius + one.speed * self._horizon + error
+            )
+            for one in scene.moving
+            if one.number in met and math.dist(met[one.number], one.position) <= error
+        )
 
     def room(self, scene: Observation, leg: Leg) -> float:
         """As `Safety.room`; none for a robot that gives way to another."""
