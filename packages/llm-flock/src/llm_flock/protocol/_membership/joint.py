@@ -17,10 +17,11 @@ import numpy as np
 import scipy
 
 from llm_flock.arrays import Point, between
+from llm_flock.bounds import MAX_WAITING
 from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._agreement.wishes import costs
+from llm_flock.protocol._agreement.preferences import costs
 from llm_flock.protocol._membership.rendezvous import landing
 from llm_flock.protocol._membership.search import MANY
 from llm_flock.protocol._path_length import ways
@@ -28,7 +29,6 @@ from llm_flock.roadmap import Roadmap
 
 ROUNDS = 8  # rounds of a mission in which a large team passes on positions at the start; then they are out of date
 SECOND = 0.15  # share of the team size, in rounds, after which waiting robots report a final position for one table
-MAX_WAITING = 256  # larger teams do not wait: the traffic grows with the square of the team size
 VERSION = 2**22  # version of a joint assignment for each robot that it places: above all earlier claims
 DIGESTS = 2**16  # if two joint assignments of equally many robots share a digest by chance, bids decide
 DECIMALS = 2  # decimals of reported positions
@@ -170,15 +170,15 @@ def _towards(here: Point, goal: Point, longest: float) -> Point:
 
 @lru_cache(maxsize=64)
 def optimal_assignment(
-    plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None, wishes: Mission | None = None
+    plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None, preferences: Mission | None = None
 ) -> BidTable:
-    """The bid table with the smallest sum of squared ways, as the mission's `wishes` count them.
+    """The bid table with the smallest sum of squared ways, as the mission's `preferences` count them.
 
     Robots or slots may be left over.
     """
     version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
-    cost = distances**2 if wishes is None else costs(wishes, plan, ids, np.array(places), distances)
+    cost = distances**2 if preferences is None else costs(preferences, plan, ids, np.array(places), distances)
     table = [(version, 0.0, NO_OWNER)] * len(plan)
     for row, slot in zip(*scipy.optimize.linear_sum_assignment(cost), strict=True):
         table[slot] = (version, 0.0, ids[row])

@@ -169,7 +169,6 @@ def heard_when_turned(mission: Mission, plan: Plan, slot: int) -> bool:
     """Whether robots would hear a robot at its place, or meet it on a circle, in any orientation of the plan."""
     if on_circle(plan, mission.center) is not None:
         return True
-    turns = np.repeat(plan.array[[slot]], ANGLES, axis=0)
-    for k, angle in enumerate(np.linspace(0.0, math.tau, ANGLES, endpoint=False).tolist()):
-        turns[k, :2] = formations.rotated(turns[k, :2], mission.center[:2], angle)
+    angles = np.linspace(0.0, math.tau, ANGLES, endpoint=False).tolist()
+    turns = np.concatenate([formations.rotated(plan.array[[slot]], mission.center, angle) for angle in angles])
     return bool(scipy.spatial.distance.cdist(turns, plan.array).min(axis=1).max() <= mission.comm_range)
