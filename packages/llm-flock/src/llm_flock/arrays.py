@@ -31,6 +31,12 @@ def between(here: Point, there: Point, share: float) -> Point:
     return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
 
 
+def towards(here: Point, there: Point, longest: float) -> Point:
+    """The other point, or one this far on the way to it if it is farther [units]."""
+    far = math.dist(here, there)
+    return there if far <= longest else between(here, there, longest / far)
+
+
 def spread(points: Iterable[Point], apart: float, near: Sequence[Point] = ()) -> Iterator[Point]:
     """Those points of which each is farther than `apart` from all before it, and from all of `near` [units]."""
     kept = list(near)
