@@ -135,7 +135,13 @@ def blocked_world(seed: int, aim: str, mission: dict[str, Any], rest: Sequence[f
     speed = 4.0
     flies = {"center": [*map(float, far)], "radius": 2.0, "speed": speed, "path": [[*map(float, rest)]]}
     event = int(np.ceil(np.linalg.norm(np.subtract(rest, far)) / speed))
-    options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER["blocked"], "stop_when_formed": False}
+    options = {
+        "seed": seed,
+        "judge": "models",
+        "wish": aim,
+        "rounds": event + AFTER["blocked"],
+        "stop_when_formed": False,
+    }
     options |= {"decide": "on-event", "time_out": 5, "moving_obstacles": [flies]}
     return World(kind="blocked", mission=mission, options=options, event=event, lost=0)
 
@@ -144,7 +150,9 @@ def door_world(seed: int, aim: str, n: int, rng: np.random.Generator) -> World:
     """A wall between start and places has two doors; in the nearer one an obstacle comes to rest."""
     far = float(rng.uniform(75, 92))
     gaps = [0.0, 40.0, 50.0, far - 5, far + 5, 100.0]
-    walls = [{"polygon": [[50, a], [54, a], [54, b], [50, b]]} for a, b in zip(gaps[::2], gaps[1::2], strict=True) if a < b]
+    walls = [
+        {"polygon": [[50, a], [54, a], [54, b], [50, b]]} for a, b in zip(gaps[::2], gaps[1::2], strict=True) if a < b
+    ]
     mission = {"shape": "line", "turn": 90, "n_robots": n, "center": [78, 45], "spacing": 8, "obstacles": walls}
     mission |= {"comm_range": 100.0, "sense_range": 100.0} | ({"places": n - 1} if rng.random() < 0.5 else {})
     return blocked_world(seed, aim, mission, (52, 45), (64, 45))
@@ -152,8 +160,15 @@ def door_world(seed: int, aim: str, n: int, rng: np.random.Generator) -> World:
 
 def place_world(seed: int, aim: str, n: int, rng: np.random.Generator) -> World:
     """An obstacle comes to rest on the outermost place that a team has chosen by then."""
-    mission = {"shape": str(rng.choice(["line", "wedge", "grid"])), "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
-    flown = llm_flock.run(llm_flock.Mission(**mission), seed=seed, decide="on-event", time_out=5, judge="models", wish=aim)
+    mission = {
+        "shape": str(rng.choice(["line", "wedge", "grid"])),
+        "n_robots": n,
+        "comm_range": 60.0,
+        "sense_range": 60.0,
+    }
+    flown = llm_flock.run(
+        llm_flock.Mission(**mission), seed=seed, decide="on-event", time_out=5, judge="models", wish=aim
+    )
     here = flown.positions[-1]
     out = here[np.linalg.norm(here - here.mean(axis=0), axis=1).argmax()]
     away = (out - here.mean(axis=0)) / np.linalg.norm(out - here.mean(axis=0))

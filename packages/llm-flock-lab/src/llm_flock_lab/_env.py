@@ -18,7 +18,7 @@ try:
 except ImportError as error:
     raise ImportError(f"llm_flock_lab._env needs PettingZoo: {EXTRAS['env'].install}") from error
 
-from llm_flock.arrays import Points
+from llm_flock.arrays import Points, flattened
 from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, ModelPool
 from llm_flock.metrics import ROUNDING, segment_separation
@@ -221,7 +221,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         self._readings.move(trial.displacements(moves))
         trial.end_round(trial.round + 1, moves)
         after = trial.bodies.positions
-        near = _too_near(before, after, self.mission.safe_distance)
+        near = _too_near(before, after, self.mission)
         ended = trial.find_end()
         for agent in rewards:
             robot = self.possible_agents.index(agent)
@@ -366,9 +366,10 @@ def _numbers(action: Action, part: str | None, shape: tuple[int, ...]) -> NDArra
     return found
 
 
-def _too_near(before: NDArray[np.float64], after: NDArray[np.float64], safe_distance: float) -> set[int]:
+def _too_near(before: NDArray[np.float64], after: NDArray[np.float64], mission: Mission) -> set[int]:
     """Robots that were nearer to another than the safe distance while they moved."""
-    limit = safe_distance - ROUNDING
+    limit = mission.safe_distance - ROUNDING
+    before, after = flattened(before, mission.downwash), flattened(after, mission.downwash)
     if segment_separation(before, after) >= limit:
         return set()
     pairs = combinations(range(len(before)), 2)

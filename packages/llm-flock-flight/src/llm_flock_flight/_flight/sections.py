@@ -125,6 +125,11 @@ class SafetyConfig(ConfigSection):
     )
     reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
 
+    @property
+    def downwash(self) -> float:
+        """How many times the smallest distance side by side applies to drones above each other."""
+        return self.downwash_m / self.min_separation_m
+
 
 class PositionsConfig(ConfigSection):
     """Positions from outside, for drones that do not find out by themselves where they are."""

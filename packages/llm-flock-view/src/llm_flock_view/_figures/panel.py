@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from llm_flock import graph
-from llm_flock.arrays import Points
+from llm_flock.arrays import Points, flattened
 from llm_flock.metrics import ROUNDING
 from llm_flock.record import ASLEEP, DEAD, SILENT, RunRecord, State
 from llm_flock_view._figures.crowd import spots, spread
@@ -69,7 +69,8 @@ class Panel:
         self.window = view(record, seen=seen) if window is None else window
         n = record.positions.shape[1]
         self._scale = width / (self.window[1] - self.window[0])
-        self._safe = float(record.mission.mission["safe_distance"])
+        mission = record.mission.mission
+        self._safe, self._downwash = float(mission["safe_distance"]), float(mission.get("downwash", 1.0))
         spacing = float(record.mission.mission["spacing"]) * self._scale
         self._disc = max(3.5, letters / 0.6, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
@@ -80,7 +81,7 @@ class Panel:
 
     def close_pairs(self, positions: NDArray[np.float64]) -> NDArray[np.intp]:
         """Pairs nearer than the safe distance in all dimensions, shape (k, 2)."""
-        return np.argwhere(np.triu(graph.distances(positions) < self._safe - ROUNDING, 1))
+        return np.argwhere(np.triu(graph.distances(flattened(positions, self._downwash)) < self._safe - ROUNDING, 1))
 
     def crowded(self, round_number: int) -> set[bool]:
         """Whether robots hide one another in a round: True for crowds with a pair too near, False for others."""

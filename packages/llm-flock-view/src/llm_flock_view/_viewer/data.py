@@ -92,6 +92,7 @@ def about(run: Recording) -> dict[str, Any]:
         "robots": history.n_robots,
         "space": len(fields["arena"][0]) > 2,
         **{name: fields[name] for name in ("safe_distance", "comm_range", "spacing")},
+        "downwash": fields.get("downwash", 1.0),
         "arena": [list(corner) for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }

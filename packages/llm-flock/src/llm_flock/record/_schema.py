@@ -52,6 +52,7 @@ class _MissionFields(BaseModel):
     n_robots: Annotated[int, Field(ge=1, le=bounds.MAX_ROBOTS)]
     spacing: Length
     safe_distance: Length
+    downwash: Annotated[float, Field(ge=1, le=100)] = 1.0
     comm_range: Length
     arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
     places: Whole | None = None

@@ -94,6 +94,7 @@ class Parameters(TypedDict, total=False):
     since: int
     spacing: float
     safe_distance: float
+    downwash: float
     max_step: float
     comm_range: float
     sense_range: float | None

@@ -417,12 +417,15 @@ def warn_of_mission(mission: Mission, noise: float = 0.0) -> None:
             mission.spacing,
         )
     room = 1.05 * mission.safe_distance  # see docs/explanation/safe-motion.md
+    if ideal is not None and mission.downwash != 1.0:  # places above each other may be nearer than they are apart
+        room *= max(1.0, mission.spacing / metrics.min_separation(ideal, mission.downwash))
     if mission.n_places > 1 and mission.spacing < room and not math.isclose(mission.spacing, room):
         logger.warning(
-            "spacing = %g leaves robots no room to move: they keep %g apart. The team may take long to form, or never "
-            "do; a spacing of %g would do.",
+            "spacing = %g leaves robots no room to move: they keep %g apart%s. The team may take long to form, or "
+            "never do; a spacing of %g would do.",
             mission.spacing,
             mission.safe_distance,
+            mission.by_height,
             room,
         )
 

@@ -149,7 +149,7 @@ class Journal:
         self.min_separation = float("inf")
         self.min_clearance = float("inf")
         self.obstacle_violations = 0
-        self.start = metrics.StartSeparation(config.mission.safe_distance)
+        self.start = metrics.StartSeparation(config.mission.safe_distance, config.mission.downwash)
         self.positions: list[Points] = []
         self.errors: list[metrics.ShapeError | None] = []
         self.episodes: list[Episode] = []
@@ -336,9 +336,9 @@ class Journal:
 
     def _measure_separation(self, round_number: int, positions: Points) -> tuple[float, float | None]:
         """Smallest distance of two robots now, and while they moved here (None at the start) [units]."""
-        before = self.positions[-1] if self.positions else positions
-        separation = metrics.min_separation(positions)
-        on_segment = metrics.segment_separation(before, positions) if self.positions else None
+        before, downwash = self.positions[-1] if self.positions else positions, self.mission.downwash
+        separation = metrics.min_separation(positions, downwash)
+        on_segment = metrics.segment_separation(before, positions, downwash=downwash) if self.positions else None
         if self.mission.obstacles:
             for start, end in zip(before.tolist(), positions.tolist(), strict=True):
                 clearance = segment_clearance(tuple(start), tuple(end), self.mission.obstacles)

@@ -127,7 +127,7 @@ class Sight:
         """
         whole = math.floor(delay)
         unseen = (delay - whole) * limits.max_step
-        most, needed = limits.safe_distance / 4, limits.safe_distance + 2 * limits.max_step + 2 * unseen
+        most, needed = limits.safe_distance / 4, limits.height_apart + 2 * limits.max_step + 2 * unseen
         if unseen > 0.0 and (error + unseen / 2 > most or limits.sensing < needed):
             return cls(error=error, rests=whole + 1)
         return cls(error=error + unseen / 2, rests=whole)

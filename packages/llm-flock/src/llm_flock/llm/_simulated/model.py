@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, separation
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._answer_forms import REASONING
 from llm_flock.llm._port import Call, CallSettings, Reply, Usage
@@ -302,11 +302,12 @@ class SimulatedModel:
 
 def _aside(prompt: StepPrompt) -> tuple[str, str, bool] | None:
     """A step aside, or a wait, if the straight step ends too near to another robot; else None."""
-    here, goal, others, safe = prompt.position, prompt.goal, prompt.seen(), prompt.task.safe_distance
+    here, goal, others, task = prompt.position, prompt.goal, prompt.seen(), prompt.task
 
     def keeps_away(there: Point) -> bool:
         """Whether it is far enough from all others, or farther than now from one that is too near."""
-        return all(math.dist(there, other) >= min(safe, math.dist(here, other)) for other in others)
+        gaps = ([separation(at, other, task.downwash) for at in (here, there)] for other in others)
+        return all(after >= min(task.safe_distance, before) for before, after in gaps)
 
     way = math.dist(here, goal)
     if keeps_away(goal if way <= prompt.reach else prompt.towards(goal)):

@@ -38,7 +38,7 @@ def still_bodies(now: Situation, silent: Collection[int]) -> tuple[Point, ...]:
 
 def sight(mission: Mission) -> float:
     """Largest distance of a place at which every body that could block it is sensed [units]."""
-    return mission.sensing - max(blocked_within(mission), 0.0)
+    return mission.sensing - mission.downwash * max(blocked_within(mission), 0.0)
 
 
 def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blocked: bool) -> Occupancy:
@@ -59,7 +59,7 @@ def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blo
     places = [a for a, place in enumerate(plan.points) if math.dist(now.position, place) <= sight(mission)]
 
     def under(bodies: Collection[Point]) -> frozenset[int]:
-        return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in bodies))
+        return frozenset(a for a in places if any(mission.separation(plan.points[a], x) < too_near for x in bodies))
 
     clear = frozenset(places) - under([x for j, x in now.sensed.items() if j not in living])
     return Occupancy(silent=silent, blocked=under(still) | covered, clear=clear - covered, alive=liveness.alive)
@@ -81,8 +81,8 @@ def waiting_place(
 
     def fits(point: Point) -> bool:
         return (
-            all(math.dist(point, place) >= clear for place in plan.points)
-            and all(math.dist(point, other) >= mission.safe_distance for other in others)
+            all(mission.separation(point, place) >= clear for place in plan.points)
+            and all(mission.separation(point, other) >= mission.safe_distance for other in others)
             and all(a <= x <= b for a, x, b in zip(low, point, high, strict=True))
             and clearance(point, mission.obstacles) >= mission.body_radius
         )

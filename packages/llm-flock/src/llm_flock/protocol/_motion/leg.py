@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
+import numpy as np
 
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
@@ -119,5 +120,9 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
     near = sorted(still, key=lambda body: math.dist(body, position))[:40]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
     spots = sorted(tuple(round(x, 1) for x in body) for body in near)
+    if mission.downwash != 1.0:  # balls above each other, around the ellipsoid
+        rise = mission.height_apart - mission.safe_distance
+        rises = np.linspace(-rise, rise, 1 + 2 * math.ceil(2 * rise / mission.safe_distance)).tolist()
+        spots = [(*spot[:2], spot[2] + up) for spot in spots for up in rises]
     discs = tuple(Obstacle(center=spot, radius=mission.body_radius) for spot in spots)
     return roadmap_of(mission.arena, (*mission.obstacles, *discs), radius)

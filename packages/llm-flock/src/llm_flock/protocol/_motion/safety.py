@@ -204,6 +204,7 @@ class ShieldedSafety(Safety):
             safe_distance=limits.safe_distance if distance is None else distance,
             max_step=limits.max_step,
             noise_bound=noise,
+            downwash=limits.downwash,
             also=lambda longest: [
                 *static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
                 *moving_half_spaces(
@@ -239,8 +240,8 @@ class ShieldedSafety(Safety):
         limits, position, sensed = self._limits, scene.position, scene.sensed
         limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step
-        near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
-        crowd = _crowd({self._robot: position, **near}, limit)
+        near = {j: x for j, x in sensed.items() if limits.separation(x, position) < reach}
+        crowd = _crowd({self._robot: position, **near}, limit, limits)
         if not crowd:
             return None
         spread = shield.spread_coincident(self._robot, position, sensed)
@@ -250,12 +251,12 @@ class ShieldedSafety(Safety):
         share = limits.max_step / away if away > 0.0 else 0.0
         wish = between(position, middle, -share)
         flown = self._project(position, wish, tuple(spread.values()))
-        nearest = min(math.dist(x, position) for x in near.values())
+        nearest = min(limits.separation(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
         return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
 
 
-def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:
+def _crowd(positions: Mapping[int, Point], limit: float, mission: Mission) -> frozenset[int]:
     """All robots of pairs nearer than `limit`."""
     pairs = combinations(positions.items(), 2)
-    return frozenset(robot for (i, x), (j, y) in pairs if math.dist(x, y) < limit for robot in (i, j))
+    return frozenset(robot for (i, x), (j, y) in pairs if mission.separation(x, y) < limit for robot in (i, j))
