@@ -79,9 +79,10 @@ def deaths_text(run: RunHistory) -> str:
 
 def _killer(run: RunHistory, robot: int) -> str:
     """By what a robot died: runs kill robots as they are told, and of a swarm's robots nothing more is heard."""
-    trial, number = {} if run.info is None else run.info.config.get("trial", {}), run.death_rounds.get(robot)
+    number = run.death_rounds.get(robot)
     if number is None:
         return "no longer heard"
+    trial: Mapping[str, Any] = {} if run.info is None else run.info.config.get("trial", {})
     if f"{robot}@{number}" in str(trial.get("kill")).replace(" ", "").split(","):
         return "killed by --kill"
     return "killed by --kill-random" if trial.get("kill_random") else "killed by an order in flight"
