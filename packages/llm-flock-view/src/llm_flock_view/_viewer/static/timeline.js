@@ -137,7 +137,7 @@ export class Timeline {
     const parts = run.outcome ? run.outcome.missions : [];
     pen.font = `700 11px ${FONT}`;
     pen.fillStyle = pair ? side(r).ink : theme().good;
-    for (const [first, last] of run.outcome ? run.outcome.stood : []) pen.fillRect(this.x(first), bottom - 5 - 13 * r, Math.max(2, this.x(last) - this.x(first)), 4);
+    for (const [first, last] of run.outcome ? run.outcome.stood : []) pen.fillRect(this.x(first), bottom - 5 - 6 * r, Math.max(2, this.x(last) - this.x(first)), 4);
     parts.forEach((part, k) => {
       if (k) {
         pen.strokeStyle = pair ? side(r).ink : theme().soft;
