@@ -36,8 +36,7 @@ export function fanned(pixels, radius, deep = false) {
       const [dx, dy] = [at[other][0] - at[one][0] || 0.01, at[other][1] - at[one][1]];
       const gap = Math.hypot(dx, dy);
       const by = (apart - gap) / 2 / gap;
-      at[one] = [at[one][0] - dx * by, at[one][1] - dy * by, at[one][2]];
-      at[other] = [at[other][0] + dx * by, at[other][1] + dy * by, at[other][2]];
+      for (const [k, way] of [[one, -by], [other, by]]) [at[k][0], at[k][1]] = [at[k][0] + dx * way, at[k][1] + dy * way];
     }
     for (const { middle } of crowds) {
       at.forEach((place, k) => {
