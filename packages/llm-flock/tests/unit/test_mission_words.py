@@ -137,7 +137,7 @@ def test_every_field_that_is_flown_is_said() -> None:
         "n_robots": 11, "obstacles": ({"center": (90, 90), "radius": 3},), "prefer": ({"robot": 3, "way": "edge"},),
         "then": ({"set": {"shape": "line"}},), "points": tuple((9.0 * k, 0.0) for k in range(9)),
     }  # fmt: skip
-    own = {"since", "safe_distance", "max_step", "comm_range", "sense_range", "arena"}
+    own = {"since", "safe_distance", "downwash", "max_step", "comm_range", "sense_range", "arena"}
     assert changes.keys() | own == Mission.model_fields.keys()
     for field, value in changes.items():
         shape = {"shape": "points"} if field == "points" else {}

@@ -162,7 +162,7 @@ def test_mission_is_spelled_out_only_for_outdated_neighbours() -> None:
 
 def test_a_spelled_out_mission_leaves_out_a_robots_own_limits() -> None:
     assert set(json.loads(mission_text(MISSION))) == MISSION_FIELDS - OPTIONAL.keys()
-    own = {"n_robots", "safe_distance", "max_step", "comm_range", "sense_range", "arena", "obstacles"}
+    own = {"n_robots", "safe_distance", "downwash", "max_step", "comm_range", "sense_range", "arena", "obstacles"}
     assert set(Mission.model_fields) - MISSION_FIELDS == own
 
 

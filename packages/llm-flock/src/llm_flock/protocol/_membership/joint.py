@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import scipy
 
-from llm_flock.arrays import Point, between
+from llm_flock.arrays import Point, towards
 from llm_flock.bounds import MAX_WAITING
 from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.mission import Mission
@@ -145,7 +145,9 @@ class JointAssignment:
         for j in ids:
             _, here, mark = self.known[j]
             flown = 0.0 if self._large else mission.max_step * (self._round - self._heard_in[j])
-            where.append(_towards(here, plan.points[slots[j]], flown) if flown and j in slots else mark or here)
+            where.append(
+                _round_point(towards(here, plan.points[slots[j]], flown)) if flown and j in slots else mark or here
+            )
             if self.waiting and not mark:
                 return None
         digest = hashlib.blake2b(msgspec.msgpack.encode((ids, where)), digest_size=2).digest()
@@ -160,12 +162,6 @@ def placed(table: BidTable | None) -> int:
 
 def _round_point(point: Point) -> Point:
     return tuple(round(x, DECIMALS) for x in point)
-
-
-def _towards(here: Point, goal: Point, longest: float) -> Point:
-    away = math.dist(here, goal)
-    share = 1.0 if away <= longest else longest / away
-    return _round_point(between(here, goal, share))
 
 
 @lru_cache(maxsize=64)

@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, between
 from llm_flock.message import NO_OWNER, BidEntry
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
@@ -142,17 +142,11 @@ class Gathering:
             return None
         if unturned(mission, plan):
             return None
-        there = away <= reach + mission.spacing / 10
+        there, far = away <= reach + mission.spacing / 10, max(away, 1e-9)
         self._left, self._wait = self._left - 1, self._wait - there
         if alone and there and self._beyond is None:
-            self._beyond = _towards(center, here, -reach)
-        return self._beyond if alone and self._beyond is not None else _towards(center, here, min(reach, away))
-
-
-def _towards(center: Point, here: Point, distance: float) -> Point:
-    """The point at this distance from the centre on the way to `here` [units]."""
-    share = distance / max(math.dist(here, center), 1e-9)
-    return tuple(c + share * (x - c) for x, c in zip(here, center, strict=True))
+            self._beyond = between(center, here, -reach / far)
+        return self._beyond if alone and self._beyond is not None else between(center, here, min(reach, away) / far)
 
 
 @lru_cache(maxsize=256)
