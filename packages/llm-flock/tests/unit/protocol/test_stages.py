@@ -11,7 +11,7 @@ import llm_flock
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.plan import Drawing, Plan
-from llm_flock.protocol._agreement.wishes import costs
+from llm_flock.protocol._agreement.preferences import costs
 from llm_flock.protocol._parts import Membership
 from llm_flock.protocol._verification.plans import check_plan
 from llm_flock.runtime import RunOrders, Trial, build_config
