@@ -251,6 +251,8 @@ def test_pairs_that_are_too_close_are_counted_by_round() -> None:
 )
 def test_close_pairs_are_nearer_than_the_safe_distance(rows: list[list[float]], pairs: int) -> None:
     assert close_pairs(rows, 3.0) == pairs
+    tall = [[x, y, 5.0 * k] for k, (x, y) in enumerate(rows)]
+    assert close_pairs(tall, 3.0) == 0
 
 
 def test_malformed_summary_breaks_nothing(tmp_path: Path) -> None:
