@@ -89,8 +89,8 @@ def projected(points: Points, turn_deg: float) -> Points:
     """Columns of the picture: x, y [pixels], and scale [pixels per unit], shape (n, 3)."""
     axes, middle = camera(turn_deg)
     seen = (points - middle) @ axes.T
-    scale = SIZE[0] * 1.15 / (250.0 + seen[:, 2])
-    return np.column_stack([SIZE[0] / 2 + scale * seen[:, 0], SIZE[1] * 0.44 - scale * seen[:, 1], scale])
+    scale = SIZE[0] * 1.06 / (250.0 + seen[:, 2])
+    return np.column_stack([SIZE[0] / 2 + scale * seen[:, 0], SIZE[1] * 0.43 - scale * seen[:, 1], scale])
 
 
 def glow(onto: NDArray[np.float64], dots: Points, colour: NDArray[np.float64], radius: float, power: float) -> None:
