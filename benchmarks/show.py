@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sample = Image.new("RGB", (SIZE[0], 6 * SIZE[1]))
     for k in range(6):
         sample.paste(shown[(2 * k + 1) * len(shown) // 12], (0, k * SIZE[1]))
-    palette = sample.quantize(128)
+    palette = sample.quantize(256)
     frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in shown]
     frames[0].save(given.out, save_all=True, append_images=frames[1:], duration=round(1000 / FPS), loop=0)
     print(f"{given.out}: {len(frames)} frames, {given.out.stat().st_size / 1e6:.1f} MB")
