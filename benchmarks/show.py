@@ -89,8 +89,8 @@ def projected(points: Points, turn_deg: float) -> Points:
     """Columns of the picture: x, y [pixels], and scale [pixels per unit], shape (n, 3)."""
     axes, middle = camera(turn_deg)
     seen = (points - middle) @ axes.T
-    scale = SIZE[0] * 1.15 / (250.0 + seen[:, 2])
-    return np.column_stack([SIZE[0] / 2 + scale * seen[:, 0], SIZE[1] * 0.44 - scale * seen[:, 1], scale])
+    scale = SIZE[0] * 1.06 / (250.0 + seen[:, 2])
+    return np.column_stack([SIZE[0] / 2 + scale * seen[:, 0], SIZE[1] * 0.43 - scale * seen[:, 1], scale])
 
 
 def glow(onto: NDArray[np.float64], dots: Points, colour: NDArray[np.float64], radius: float, power: float) -> None:
@@ -169,7 +169,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sample = Image.new("RGB", (SIZE[0], 6 * SIZE[1]))
     for k in range(6):
         sample.paste(shown[(2 * k + 1) * len(shown) // 12], (0, k * SIZE[1]))
-    palette = sample.quantize(128)
+    palette = sample.quantize(256)
     frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in shown]
     frames[0].save(given.out, save_all=True, append_images=frames[1:], duration=round(1000 / FPS), loop=0)
     print(f"{given.out}: {len(frames)} frames, {given.out.stat().st_size / 1e6:.1f} MB")

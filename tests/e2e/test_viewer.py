@@ -177,7 +177,7 @@ def test_a_link_leads_to_its_moment_once_the_token_is_there(replay: str, browser
     go(page, replay)
     ready(page)
     page.evaluate("flockClock().seek(5)")
-    until(lambda: "round=5" in page.url, "the moment is in the address")
+    until(lambda: "round=5" in page.evaluate("location.hash"), "the moment is in the address")
     expect(page.locator(".flock-brief")).to_contain_text(re.compile(r"Robot \d in round 5: ✓ “"))
     link = page.url
     context.clear_cookies()
@@ -188,7 +188,7 @@ def test_a_link_leads_to_its_moment_once_the_token_is_there(replay: str, browser
         page.get_by_role("button", name="Open").click()
         if said:
             expect(page.get_by_role("status")).to_contain_text(said)
-    until(lambda: page.url == link and shown_round(page) == 5, "the page of the link")
+    until(lambda: shown_round(page) == 5 and page.url == link, "the page of the link")
     context.close()
 
 

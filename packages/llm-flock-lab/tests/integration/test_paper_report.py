@@ -221,6 +221,8 @@ def test_latex_closes_what_it_opens(report: Path, name: str) -> None:
     for table in re.findall(r"\\toprule\n(.*?)\\bottomrule", tex, flags=re.S):
         widths = {line.count(" & ") for line in table.splitlines() if line.endswith(r"\\")}
         assert len(widths) == 1 and widths != {0}
+    columns = [float(width) for width in re.findall(r"p\{(-?[\d.]+)(?:\\textwidth|em)\}", tex)]
+    assert min(columns) >= 0.06, "words have room"
 
 
 def test_signs_of_latex_are_escaped() -> None:
