@@ -37,6 +37,7 @@ TEAM = TeamView(
     places=[(0.0, 0.0, 0.0), (1.0, 1.0, 1.0)],
     links=[(0, 2)],
     safe_m=3.0,
+    downwash=2.0,
 )
 
 

@@ -125,6 +125,12 @@ class Sensors:
         return self.bodies.command(0, order)
 
 
+def test_with_a_downwash_the_safe_distance_is_drawn_tall() -> None:
+    scales = {one.ns: one.scale for one in SAMPLES[drawing.MARKERS].markers}
+    assert (scales["safe_distance"].x, scales["safe_distance"].z) == (3.0, 6.0)
+    assert scales["robots"].x == scales["robots"].z == 1.5
+
+
 def test_reading_is_as_old_as_its_oldest_pose_and_needs_all() -> None:
     sensors = Sensors()
     sensors.sense(0, 1.0, age_s=0.1)

@@ -36,6 +36,15 @@ def test_a_command_is_flown_at_the_speed_and_answered() -> None:
     assert world.positions[0] == pytest.approx([1.2, 0.0])
 
 
+def test_the_world_measures_by_the_norm_of_the_mission() -> None:
+    start = np.array([(0.0, 0.0, 0.0), (0.0, 0.0, 8.0)])
+    world = WorldBodies(start, speed=SPEED, period_s=PERIOD, lag_s=LAG, now=0.0, downwash=2.0)
+    assert world.closest() == 4.0
+    assert world.command(0, order(1, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 1.2)), 0.0)
+    world.advance(0.2)
+    assert world.closest() == pytest.approx(3.4) == world.closest()
+
+
 def test_bodies_go_on_where_the_clock_is_set_back() -> None:
     world = bodies((0.0, 0.0), (50.0, 0.0))
     world.advance(3600.0)
