@@ -128,6 +128,20 @@ def test_a_stage_waits_for_its_round_or_an_order() -> None:
         Mission().proceeding()
 
 
+def test_an_order_in_flight_is_checked_as_all_others_are() -> None:
+    edge: Any = {"prefer": [{"robot": 1, "way": "edge"}]}
+    for config, fields, cause in (
+        ({"protocol": {"protocol": "paper"}}, edge, "auction"),
+        ({"protocol": {"protocol": "paper"}}, {"then": [{"set": {"shape": "line"}}]}, "auction"),
+        ({"protocol": {"without": "joint-assignment"}}, edge, "what preferences are part of"),
+        ({"trial": {"sensing_delay": 1}}, {"velocity": [1, 0]}, "would fall behind"),
+    ):
+        orders = RunOrders(build_config(config))
+        with pytest.raises(InputError, match=cause):
+            orders.change(fields)
+        assert orders.change({"center": [52, 50]}) == 0, "the order that was refused has left no trace"
+
+
 def test_spare_robots_go_on_and_no_room_is_no_way_on() -> None:
     square: Any = ({"set": {"shape": "square"}},)
     spare = llm_flock.run(Mission(n_robots=5, places=4, then=square), trace=False)
