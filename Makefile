@@ -169,7 +169,7 @@ alone: wheels ## The core, then the core with one other part (TURN=view), instal
 	  $(BIN)/uv pip install --quiet --python "$$folder/bin/python" --constraint <(sed -E '/--hash/d; s/ \\$$//; /^#/d' requirements.txt) \
 	    $(PARTS:packages/%=--refresh-package %) --find-links dist "$$name" pytest pytest-xdist hypothesis; \
 	  "$$folder/bin/llm-flock" doctor > /dev/null; \
-	  if [ -d "$$tests" ]; then "$$folder/bin/python" -m pytest "$$tests" --quiet --numprocesses 2 -p no:cacheprovider; fi; \
+	  if [ -d "$$tests" ]; then "$$folder/bin/python" -m pytest "$$tests" --quiet --numprocesses 2 -m "not slow" -p no:cacheprovider; fi; \
 	done
 
 sbom: $(KITS) ## List the parts that `make setup` installs: sbom.cdx.json (CycloneDX)

@@ -61,13 +61,13 @@ def test_sides_and_named_robots_get_their_group(turn: float) -> None:
 
 
 @pytest.mark.parametrize(("way", "best"), [("shortest", {4}), ("center", {2}), ("edge", {0, 4})])
-def test_a_wish_for_a_way_outweighs_the_ways_of_others(way: str, best: set[int]) -> None:
+def test_a_preferred_way_outweighs_the_ways_of_others(way: str, best: set[int]) -> None:
     """In a row of five places, seen from beyond its last one."""
     plain, place = Mission(shape="line", n_robots=5), np.array([(90.0, 50.0)] * 5)
     plan = Plan.of(sorted(plain.ideal or ()))
     ways = np.linalg.norm(place[:, None] - plan.array, axis=2)
-    wish: Any = {"robot": 1, "way": way}
-    found = costs(Mission(shape="line", n_robots=5, prefer=(wish,)), plan, range(5), place, ways)
+    preferred: Any = {"robot": 1, "way": way}
+    found = costs(Mission(shape="line", n_robots=5, prefer=(preferred,)), plan, range(5), place, ways)
     assert int(found[1].argmin()) in best
     others = [0, 2, 3, 4]
     assert (found[others] == (ways**2)[others]).all()
