@@ -141,6 +141,13 @@ def test_rows_say_since_which_row_the_team_is_in_order() -> None:
     assert isinstance(last, MetricsRow) and last.in_order_since is None
 
 
+def test_a_swarm_with_stages_left_has_not_formed() -> None:
+    seen = observer()
+    assert formed(seen, *map(told, range(N)))
+    seen.mission = seen.mission.change(then=[{"set": {"shape": "line"}, "when": "order"}])
+    assert seen.in_order and seen.formed_s is None
+
+
 def other_mission(counter: int) -> dict[str, Any]:
     mission = MISSION.change(shape="line")
     return {"mission": (counter, mission.digest), "shape": mission.model_dump(mode="json")}

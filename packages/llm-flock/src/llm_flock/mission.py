@@ -237,12 +237,7 @@ class Mission(BaseModel):
         Raises:
             InputError: it is no valid mission, or names a field that does not travel by radio.
         """
-        stage, *rest = self.then
-        given = {"hold": 0} | stage.set
-        if unknown := sorted(given.keys() - MISSION_FIELDS | given.keys() & {"since", "then"}):
-            raise InputError("then", unknown, f"only {', '.join(sorted(MISSION_FIELDS - {'since', 'then'}))}")
-        travels = given.get("velocity", self.velocity) is not None  # else all robots that go on give the same order
-        return self.at(round_).change(**given, since=round_ if travels else 0, then=tuple(rest))
+        return _following(self, round_)
 
     def proceeding(self) -> dict[str, Any]:
         """The fields of an order to go on to the next stage now; InputError if none is left."""
@@ -256,11 +251,13 @@ class Mission(BaseModel):
         team = f"for {self.n_robots} robots: their messages have room for no more"
         if self.n_places > (most := max_places(self.n_robots, self.dim)):
             raise InputError("places", self.n_places, f"at most {most} {team}")
-        long = "shape" if self.points is None else "points"
         most = mission_room(self.n_robots, self.n_places, self.dim) - len(mission_text(self).encode())
         if most < 0:
-            size = len(self.model_dump_json(include={long}).encode())
-            says = f"at most {size + most:,} bytes of JSON with {self.n_places} places {team} (here {size:,})"
+            sizes = {name: len(self.model_dump_json(include={name}).encode()) for name in MISSION_FIELDS}
+            long = max(("shape", "points", "then", "prefer"), key=sizes.__getitem__)
+            size = sizes[long]
+            room = f"at most {size + most:,} bytes of JSON" if size + most > 0 else f"less than {size:,} bytes of JSON"
+            says = f"{room} with {self.n_places} places {team} (here {size:,})"
             raise InputError(long, None, says)
         low, high = self.arena
         volume = math.prod(b - a for a, b in zip(low, high, strict=True))
@@ -556,6 +553,16 @@ def _at(mission: Mission, round_: int) -> Mission:
     if round_ - mission.since >= mission.travel_rounds:
         return _copy(mission, center=center, velocity=None, since=0)
     return _copy(mission, center=center, since=max(round_, mission.since))
+
+
+@lru_cache(maxsize=64)
+def _following(mission: Mission, round_: int) -> Mission:
+    stage, *rest = mission.then
+    given = {"hold": 0} | stage.set
+    if unknown := sorted(given.keys() - MISSION_FIELDS | given.keys() & {"since", "then"}):
+        raise InputError("then", unknown, f"only {', '.join(sorted(MISSION_FIELDS - {'since', 'then'}))}")
+    travels = given.get("velocity", mission.velocity) is not None  # else all robots that go on give the same order
+    return mission.at(round_).change(**given, since=round_ if travels else 0, then=tuple(rest))
 
 
 @lru_cache(maxsize=256)

@@ -46,7 +46,9 @@ class Drawing(msgspec.Struct, array_like=True, forbid_unknown_fields=True, froze
 def _drawn(drawing: Drawing) -> tuple[Point, ...]:
     from llm_flock.formation import parse_program, program_points
 
-    program, dim = parse_program(drawing.program), len(drawing.center)
+    program, dim, least = parse_program(drawing.program), len(drawing.center), 10.0 ** (1 - DECIMALS)
+    if drawing.spacing * drawing.scale < least:
+        raise InputError("spacing", drawing.spacing * drawing.scale, f"at least {least:g}: places are rounded")
     rows = drawing.placed(program_points(program, drawing.places, dim, drawing.spacing)).round(DECIMALS) + 0.0
     if not float(np.abs(rows).max()) <= MAX_COORDINATE:
         raise InputError("program", None, f"places of coordinates up to {MAX_COORDINATE:g}")
@@ -77,7 +79,7 @@ class Plan(msgspec.Struct, array_like=True, forbid_unknown_fields=True, frozen=T
 
     @cached_property
     def points(self) -> tuple[Point, ...]:
-        """The N positions [units; world frame]; InputError if the program cannot be drawn, which `decode` checks."""
+        """The N positions [units; world frame]; InputError if the program cannot be drawn."""
         return self.given if self.drawing is None else _drawn(self.drawing)
 
     @property

@@ -86,3 +86,8 @@ def shape_title(spec: str) -> str:
         return spec
     name = re.search(r'"name":"([\w .-]*)"', spec)  # in the canonical form; programs have no other text with quotes
     return f"program:{name[1]}" if name else "program"
+
+
+def counted(count: object, what: str) -> str:
+    """A number of things: 1 round, 2 rounds."""
+    return f"{count} {what}{'' if count == 1 else 's'}"

@@ -55,6 +55,50 @@ def placed(drawing: list[Any], n: int, dim: int = 3) -> np.ndarray | None:
     return None
 
 
+odd = st.one_of(
+    st.floats(), st.sampled_from([1e-300, 5e-324, 4.9e-7, 5e-7, 1.0000004, 1 - 4e-7, -0.0, 1e6, 0.1 + 0.2, 359.9999999])
+)
+factors = st.one_of(odd, st.lists(odd, min_size=2, max_size=3))
+tuples = st.lists(odd, min_size=2, max_size=3)
+odd_modifiers: dict[str, st.SearchStrategy[Any]] = {
+    "scale": factors,
+    "turn": odd,
+    "tilt": odd,
+    "move": tuples,
+    "repeat": st.fixed_dictionaries({"times": st.integers(2, 3)}, optional={"move": tuples, "scale": odd, "turn": odd}),
+}
+odd_kinds: list[dict[str, st.SearchStrategy[Any]]] = [
+    {"shape": st.just("circle"), "arc": st.tuples(odd, odd).map(sorted)},
+    {"shape": st.just("helix"), "turns": odd},
+    {"text": st.text("aß\u00b5 1", min_size=1, max_size=3)},
+    {"path": st.text(min_size=1, max_size=9)},
+    {"points": st.lists(tuples, min_size=1, max_size=3)},
+]
+odd_elements = st.lists(
+    st.one_of([st.fixed_dictionaries(kind, optional=odd_modifiers) for kind in odd_kinds]), max_size=2
+)
+odd_groups = st.lists(
+    st.fixed_dictionaries({"role": st.text(max_size=3), "draw": odd_elements}, optional={"share": odd, "at": tuples}),
+    min_size=1,
+    max_size=2,
+)
+odd_programs = st.one_of(
+    st.fixed_dictionaries({"draw": odd_elements}, optional={"size": odd, "name": st.text(max_size=3)}),
+    st.fixed_dictionaries({"groups": odd_groups}),
+)
+
+
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+@given(program=odd_programs)
+def test_a_program_can_be_read_back_from_its_text(program: dict[str, Any]) -> None:
+    try:
+        read = parse_program(program)
+    except InputError:
+        return
+    again = parse_program(read.text)
+    assert (again, again.text, again.digest) == (read, read.text, read.digest)
+
+
 @relaxed
 @given(drawing=drawings, n=st.integers(1, 60))
 def test_places_are_spaced_and_the_same_on_every_call(drawing: list[Any], n: int) -> None:

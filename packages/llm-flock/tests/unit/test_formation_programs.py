@@ -5,17 +5,22 @@ from __future__ import annotations
 import cmath
 import json
 import math
+from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.errors import InputError
-from llm_flock.formation import load_program, parse_program, program_of, program_points, program_schema
+from llm_flock.formation import drawn_points, load_program, parse_program, program_of, program_points, program_schema
 from llm_flock.formation._letters import GLYPHS
 from llm_flock.formation._paths import strokes_of
+from llm_flock.plan import Drawing, Plan
 
 CIRCLE = {"shape": "circle"}
+ZIGZAG = [[9 * (k % 2), 7 * k % 10] for k in range(49)]
+FAN = '{"shape":"line","repeat":{"times":100,"turn":1.8}}'
 
 
 @pytest.mark.parametrize(
@@ -204,6 +209,8 @@ def test_glyphs_stay_in_their_boxes(letter: str) -> None:
         ('{"points":[[0,0],[1,1],[1,1.000001]],"fill":true}', "too thin"),
         ('{"shape":"helix","turns":55,"repeat":{"times":10,"move":[3,0,0]}}', "2,000 corners"),
         ('{"shape":"helix","turns":1e6}', "at most 55"),
+        (f"{FAN},{FAN[:-1]}" + ',"move":[0.1,0.1]}', "at most 16,000 times"),
+        (f'{{"points":{ZIGZAG},"repeat":{{"times":40,"turn":9}}}}', "too many of its lines cross"),
         ('{"path":""}', "draws nothing"),
         ('{"path":"M0 0A1e-320 1e8 30 0 0 5 5"}', "cannot be drawn"),
         ('{"shape":"sphere","repeat":{"times":100,"scale":1e6}}', "coordinates up to"),
@@ -212,3 +219,30 @@ def test_glyphs_stay_in_their_boxes(letter: str) -> None:
 def test_what_would_take_all_memory_or_is_no_number_is_refused(element: str, says: str) -> None:
     with pytest.raises(InputError, match=says):
         program_points(parse_program(f'{{"draw":[{element}]}}'), 30, 3, 1.0)
+
+
+def test_hundreds_of_lines_through_one_point_are_cut_once_each() -> None:
+    points = program_points(parse_program(f'{{"draw":[{",".join([FAN] * 5)}]}}'), 201, 2, 1.0)
+    assert np.linalg.norm(points, axis=1).round(6).min() == 0.0, "one robot stands where they meet"
+
+
+@pytest.mark.parametrize(
+    "element", ['{"points":[[0,0,0],[0,0,1]]}', '{"shape":"line","tilt":30}', '{"shape":"sphere"}']
+)
+def test_a_plane_has_no_drawings_in_space(element: str) -> None:
+    for place in (partial(program_points, parse_program(f'{{"draw":[{element}]}}')), None):
+        with pytest.raises(InputError, match="needs robots in space"):
+            drawn_points(f'{{"draw":[{element}]}}', 12, 2) if place is None else place(12, 2, 1.0)
+
+
+@pytest.mark.parametrize(
+    "element", ['{"shape":"line","scale":4e-7}', '{"shape":"line","repeat":{"times":2,"scale":1e-9}}']
+)
+def test_numbers_that_would_round_to_nothing_are_refused(element: str) -> None:
+    with pytest.raises(InputError, match="at least 1e-06"):
+        parse_program(f'{{"draw":[{element}]}}')
+
+
+def test_places_stay_apart_in_the_decimals_of_a_plan() -> None:
+    with pytest.raises(InputError, match="at least 1e-05"):
+        _ = Plan(drawing=Drawing('{"draw":[{"shape":"line"}]}', 9, 5e-324, (0.0, 0.0))).points

@@ -307,3 +307,18 @@ def test_words_are_never_said_to_be_checked() -> None:
     assert caveats({"formed": True}, mission) == ["it formed the agreed program; nobody checked that it is a heart"]
     assert not caveats({"formed": False}, mission)
     assert not caveats({"formed": True}, {**mission, "shape": "circle"})
+
+
+def test_many_stages_cost_as_many_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    checked: list[Mission] = []
+    check = Mission.check_shape
+    monkeypatch.setattr(Mission, "check_shape", lambda self: (checked.append(self), check(self))[1])
+    draft = draft_of(answer(*({"shape": "circle", "center": [40 + k, 50]} for k in range(20))), WIDE)
+    assert "(20) in any" not in draft.in_words and "(20) as soon as" in draft.in_words
+    assert len(checked) <= 25, "not the square of them"
+
+
+def test_words_about_one_robot_are_in_the_singular() -> None:
+    says = draft_of(answer({"who": {"count": 9}, "shape": "line"}), WIDE).in_words
+    assert "1 robot waits aside" in says
+    assert draft_of(answer({"shape": "line"}, robots=1), WIDE).in_words.startswith("1 robot ·")

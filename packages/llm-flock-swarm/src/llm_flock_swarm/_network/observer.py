@@ -143,8 +143,8 @@ class Observer:
 
     @property
     def formed_s(self) -> float | None:
-        """When the team came in order and stayed so [s]; None if it has not formed."""
-        return self._formed.formed_s
+        """When the team came in order and stayed so [s]; None if it has not formed, or has stages left."""
+        return None if self.mission.then else self._formed.formed_s
 
     @property
     def _current_row(self) -> int:
@@ -218,7 +218,7 @@ class Observer:
     def _take_places(self, robot: int, report: RobotReport) -> None:
         """Keep the places of a plan, and record it, when they are told for the first time."""
         plan_id, plan = report.plan_id, report.plan
-        if plan_id is None or plan is None or not self.said.take_places(robot, plan_id, plan.points):
+        if plan_id is None or plan is None or not self.said.take_places(robot, plan_id, plan):
             return
         places, proposer = [list(point) for point in plan.points], report.proposer or 0
         self._sink.write(PlanInfo(round=self._current_row, plan_id=plan_id, proposer=proposer, points=places))

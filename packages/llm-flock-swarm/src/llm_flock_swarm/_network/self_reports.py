@@ -8,6 +8,8 @@ from itertools import chain
 
 from llm_flock.arrays import Point
 from llm_flock.bounds import MAX_INTEGER, MAX_WORD
+from llm_flock.errors import InputError, MessageError
+from llm_flock.plan import Plan
 from llm_flock_swarm._network.wire import RobotReport
 from llm_flock_swarm._zenoh import Allowance
 
@@ -55,12 +57,15 @@ class SelfReports:
             self.tokens = bounded(self.tokens + call.usage.input + call.usage.output)
         self._latencies_s.setdefault(robot, deque(maxlen=MAX_LATENCIES)).extend(report.latencies_s)
 
-    def take_places(self, robot: int, plan_id: str, places: tuple[Point, ...]) -> bool:
+    def take_places(self, robot: int, plan_id: str, plan: Plan) -> bool:
         """Keep the places of a plan, whose digest has been checked; whether they are news."""
         if plan_id in self.places or self._told[robot] >= MAX_PLANS:
             return False
         self._told[robot] += 1
-        self.places[plan_id] = places
+        try:
+            self.places[plan_id] = plan.points
+        except InputError as error:
+            raise MessageError("malformed", f"a plan that cannot be drawn: {error}") from None
         return True
 
     @property

@@ -39,7 +39,11 @@ def confirmed_draft(
 
     asked = MissionReader(reader or now.model.model, now.model.typed_url)
     work = asked.edit(edit or "", now.mission) if words is None else asked.read(words, now.mission, flying=flying)
-    draft = asyncio.run(work)
+    try:
+        draft = asyncio.run(work)
+    except InputError as error:  # the reader's fields are no flags that were typed
+        says = error.says if error.field == "words" else str(error)
+        raise InputError("edit" if words is None else "words", None, says=says) from None
     say(draft.in_words, error=True)
     if not yes and not sys.stdin.isatty():
         raise InputError("yes", None, says="nobody can be asked here: add --yes to fly this")

@@ -15,12 +15,16 @@ import scipy
 from numpy.typing import NDArray
 
 from llm_flock.arrays import Points
+from llm_flock.bounds import MAX_ROBOTS
+from llm_flock.errors import InputError
 
 NEAR = 1e-6  #: Points of strokes nearer than this, as a share of the drawing's width, are one.
 BEND_DEG = 30.0  #: A stroke that turns by more in one corner has a node there.
 MOST_SLID = 150  #: Most points of a drawing that are moved apart: each one pushes every other.
 SLIDES, STEEP = 200, 8  #: Rounds of sliding, and the power with which the push falls with the distance.
 WORTH = 1.05  #: Points stay even unless sliding makes the closest pair so much wider.
+MAX_PAIRS = 200_000  #: Most pairs of straight pieces that are examined for where they cross.
+MAX_CUTS = 8 * MAX_ROBOTS  #: Most spots at which lines are cut by others; most of them need a robot.
 LEAST_ON_LOOP = 3  #: Pieces into which an edge that ends where it begins is cut at least.
 
 
@@ -173,7 +177,7 @@ def _graph(strokes: list[Points]) -> tuple[Points, set[tuple[int, int]]]:
     rows, pairs = [every], list[tuple[int, int]]()
     count = len(every)
     for k, left in enumerate(first.tolist()):
-        shares = sorted(cuts.get(k, ()))
+        shares = cuts.get(k, ())
         rows.append(start[k] + np.array(shares).reshape(-1, 1) * step[k])
         line = [left, *range(count, count + len(shares)), left + 1]
         pairs += pairwise(line)
@@ -188,13 +192,15 @@ def _graph(strokes: list[Points]) -> tuple[Points, set[tuple[int, int]]]:
 
 
 def _cuts(start: Points, step: Points, near: float) -> dict[int, list[float]]:
-    """For each piece, shape (m, 3), the shares of its length at which another touches or crosses it."""
+    """For each piece, shape (m, 3), the shares of its length at which another touches or crosses it, ascending."""
     end = start + step
     low, high = np.minimum(start, end) - near, np.maximum(start, end) + near
     meet = np.ones((len(start), len(start)), dtype=bool)
     for axis in range(3):
         meet &= (low[:, None, axis] <= high[None, :, axis]) & (low[None, :, axis] <= high[:, None, axis])
     i, j = np.nonzero(np.triu(meet, 1))
+    if len(i) > MAX_PAIRS:
+        raise InputError("draw", None, says="too many of its lines cross each other")
     with np.errstate(divide="ignore", invalid="ignore"):
         a, b, r = step[i], step[j], start[i] - start[j]
         aa, ab, bb, ar, br = ((x * y).sum(axis=1) for x, y in ((a, a), (a, b), (b, b), (a, r), (b, r)))
@@ -210,9 +216,17 @@ def _cuts(start: Points, step: Points, near: float) -> dict[int, list[float]]:
             )
             on = np.linalg.norm(start[other] + along_[:, None] * step[other] - tip, axis=1) <= near
             found.append((other[on], along_[on]))
+    piece, share = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    inside = (share > 0) & (share < 1)
+    piece, share = piece[inside], share[inside].round(12)
+    order = np.lexsort((share, piece))
+    piece, share = piece[order], share[order]
+    # Many pieces through one spot cut each other there: one cut of each is enough.
+    spot = np.floor(share * np.linalg.norm(step, axis=1)[piece] / near)
+    new = np.append(True, (np.diff(piece) != 0) | (np.diff(spot) != 0))[: len(piece)]
+    if (count := int(new.sum())) > MAX_CUTS:
+        raise InputError("draw", None, f"lines that touch or cross at most {MAX_CUTS:,} times (here {count:,})")
     cuts: dict[int, list[float]] = defaultdict(list)
-    for pieces, shares in found:
-        for k, share in zip(pieces.tolist(), shares.tolist(), strict=True):
-            if 0.0 < share < 1.0:
-                cuts[k].append(round(share, 12))
+    for k, one in zip(piece[new].tolist(), share[new].tolist(), strict=True):
+        cuts[k].append(one)
     return cuts

@@ -59,7 +59,7 @@ def drawn_points(text: str, n: int, dim: int) -> Points:
     Raises:
         InputError: no program, a drawing in space for a plane, or areas or groups that need another number of points.
     """
-    program = parse_program(text)
+    program = _parsed(text, dim)
     with _drawable():
         drawing = None if program.draw is None else draw(program.draw)
     if drawing is None or drawing.regions or drawing.lattices:
@@ -74,9 +74,16 @@ def drawn_points(text: str, n: int, dim: int) -> Points:
     return np.concatenate(rows)[:, :dim]
 
 
+def _parsed(text: str, dim: int) -> Program:
+    program = parse_program(text)
+    if dim < 3 and program.in_space:
+        raise InputError("program", None, says="a drawing in space needs robots in space, with three coordinates")
+    return program
+
+
 @lru_cache(maxsize=256)
 def _places(text: str, n: int, dim: int, spacing: float) -> Points:
-    program = parse_program(text)
+    program = _parsed(text, dim)
     if program.draw is not None:
         points = spacing * _unit(program.draw, n)
         points = _sized(points, program.size, spacing)

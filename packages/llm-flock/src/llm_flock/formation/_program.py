@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from typing import Annotated, Any, Literal, Self, TypeAlias, cast, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 from pydantic.json_schema import SkipJsonSchema
+from pydantic_core import PydanticKnownError
 
 from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.errors import InputError
@@ -22,8 +23,20 @@ MARK = "program:"  #: What a mission's shape begins with if a program in JSON fo
 
 WIDEST = (-1e6, 1e6)  #: Limits of numbers.
 
-Number = Annotated[float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False)]
-Factor = Annotated[float, Field(gt=0, le=WIDEST[1], allow_inf_nan=False)]
+
+def _rounded(value: float) -> float:
+    """The number that the canonical text has."""
+    return round(value, DECIMALS) + 0.0
+
+
+def _factor(value: float) -> float:
+    if not _rounded(value):
+        raise PydanticKnownError("greater_than_equal", {"ge": 10.0**-DECIMALS})
+    return _rounded(value)
+
+
+Number = Annotated[float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False), AfterValidator(_rounded)]
+Factor = Annotated[float, Field(gt=0, le=WIDEST[1], allow_inf_nan=False), AfterValidator(_factor)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)]
 Factors = Annotated[tuple[Factor, ...], Field(min_length=2, max_length=3)]
 Letters = Annotated[
@@ -163,14 +176,13 @@ def _in_space(element: Element) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers rounded, whole ones without a point, so that equal numbers are equal text."""
+    """Whole numbers without a point, so that equal numbers are equal text."""
     if isinstance(value, Mapping):
         return {key: _plain(one) for key, one in cast("Mapping[str, Any]", value).items()}
     if isinstance(value, list | tuple):
         return [_plain(one) for one in cast("Iterable[Any]", value)]
     if isinstance(value, float):
-        value = round(value, DECIMALS)
-        return int(value) if value == int(value) else value
+        return int(value) if value.is_integer() else value
     return value
 
 

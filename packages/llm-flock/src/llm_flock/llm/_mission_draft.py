@@ -17,6 +17,7 @@ from llm_flock.formation._program import Flat
 from llm_flock.llm._mission_phrases import FIRST_CORNER_EAST, mission_words
 from llm_flock.mission import OPTIONAL, Mission, build_mission
 from llm_flock.obstacles import Obstacle
+from llm_flock.printable import counted
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Pair: TypeAlias = tuple[Finite, Finite]
@@ -102,10 +103,13 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
         does = f"asks about {answer.about or 'the mission'}" if answer.answer == "ask" else "refuses"
         raise InputError("words", None, says=f"the reader {does}: {answer.because}")
     n, zones = answer.robots or base.n_robots, [zone for zone in answer.keep_out if zone not in base.obstacles]
-    own = {"robots": n != base.n_robots and n, "keep_out": zones and f"{len(zones)} zones", "gaps": answer.gaps}
+    own = {"robots": n != base.n_robots and n, "keep_out": zones and counted(len(zones), "zone"), "gaps": answer.gaps}
     if wrong := next((name for name, value in own.items() if value and flying), None):
         says = "belongs to the robots, and is set before they start: no order in flight changes it"
         raise InputError(wrong, own[wrong], says=says)
+    near, far = ({wish.robot for wish in answer.prefer if wish.way == way} for way in ("center", "edge"))
+    if both := sorted(near & far):
+        raise InputError("prefer", both, says="a robot stays near the centre or at the edge, not both")
     if not answer.stages or (answer.stages[0].when is not None and not flying):
         allowed = "at least one stage, of which the first begins at once: it has no `when`"
         raise InputError("stages", len(answer.stages), allowed)
@@ -153,10 +157,10 @@ def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dic
         raise InputError("ids", twice, "each robot in one part, once")
     counts = [part.who and (part.who.count or len(part.who.ids or ()) or None) for part in parts]
     fixed, others = sum(count or 0 for count in counts), counts.count(None)
-    if fixed + others > n or (len(parts) == 1 and others and parts[0].who is not None):
-        raise InputError(
-            "who", fixed + others, f"a number of robots for a single part, and at most the {n} of the team"
-        )
+    if fixed + others > n:
+        raise InputError("count", fixed + others, f"at most the {n} robots of the team, in all parts together")
+    if len(parts) == 1 and others and parts[0].who is not None:
+        raise InputError("count", None, "a number of robots beside `side`, as no other part takes the rest")
     turns = iter(range(n))  # the first of several parts for the others get one more, as the groups of a program do
     sizes = [count or (n - fixed) // others + (next(turns) < (n - fixed) % others) for count in counts]
     if len({part.velocity for part in parts}) > 1:

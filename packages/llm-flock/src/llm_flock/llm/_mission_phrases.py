@@ -13,6 +13,7 @@ import numpy as np
 from llm_flock import shapes as formations
 from llm_flock.formation import group_sizes, program_of
 from llm_flock.mission import Mission
+from llm_flock.printable import counted
 
 FIRST_CORNER_EAST = ("triangle", "polygon")  # as shapes of a mission; programs draw them upright
 MEANS = {"formed": "as soon as a robot sees all at their places", "order": "on your order"}
@@ -27,7 +28,11 @@ GAPS = {
 def mission_words(mission: Mission, gaps: str | None = None) -> str:
     """All that is flown, for people: the stages with numbers if there are several."""
     zones = [_plain(zone.model_dump(exclude_none=True)) for zone in mission.obstacles]
-    said = [f"{mission.n_robots} robots", *(f"none enters {zone}" for zone in zones), *([GAPS[gaps]] if gaps else [])]
+    said = [
+        counted(mission.n_robots, "robot"),
+        *(f"none enters {zone}" for zone in zones),
+        *([GAPS[gaps]] if gaps else []),
+    ]
     stages, stage = [_stage_words(mission)], mission
     while stage.then:
         when, stage = stage.then[0].when, stage.following()
@@ -52,16 +57,17 @@ def _stage_words(mission: Mission) -> str:
         who = _chosen(mission, k) or ("the nearest" if group.count else "the others")
         size, role = f", size {group.size:.4g}" if group.size else "", f" as {group.role}" if group.role else ""
         drawn = ", ".join(map(_element_words, group.draw))
-        said.append(f"{sizes[k]} robots ({who}){role}: {drawn} around {_at(at.tolist())}{size}")
+        said.append(f"{counted(sizes[k], 'robot')} ({who}){role}: {drawn} around {_at(at.tolist())}{size}")
     said.append(f"neighbours {mission.spacing:g} apart")
     if mission.ideal is not None and not groups:
         said.append(f"width {float(np.ptp(np.array(mission.ideal), axis=0).max()):.4g}")
     if mission.ideal is not None:
         said.append(_orientation(mission))
     said += [f"travelling by {_at(mission.velocity)} a round"] if mission.velocity is not None else []
-    said += [f"{abs(spare)} {'robots wait aside' if spare > 0 else 'places stay empty'}"] if spare else []
+    said += [f"{counted(spare, 'robot')} wait{'s' * (spare == 1)} aside"] if spare > 0 else []
+    said += [f"{counted(-spare, 'place')} stay{'s' * (spare == -1)} empty"] if spare < 0 else []
     said += [f"robot {one.robot} {WAYS[one.way]}" for one in mission.prefer if one.way is not None]
-    said += [f"held for {mission.hold} rounds"] if mission.hold else []
+    said += [f"held for {counted(mission.hold, 'round')}"] if mission.hold else []
     return ", ".join(said)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -98,7 +99,7 @@ class MissionReader:
             while True:
                 reply: Reply = await model.ask(call)
                 try:
-                    draft = take(reply.text)
+                    draft = await asyncio.to_thread(take, reply.text)  # many stages take seconds to draw
                 except (AnswerError, InputError) as error:
                     meant = isinstance(error, InputError) and error.field == "words"  # it asks back or refuses
                     if meant or self.table is not None or call.attempt + 1 == TRIES:
@@ -176,7 +177,7 @@ def refusal(said: str) -> str | None:
     except (ValueError, RecursionError):
         return None
     why = cast("dict[str, object]", given).get("refuse") if isinstance(given, dict) else None
-    return None if why is None else one_line(str(why), 200)
+    return None if why is None else one_line(why if isinstance(why, str) else "it gives no reason in words", 200)
 
 
 def _object(said: str) -> str:

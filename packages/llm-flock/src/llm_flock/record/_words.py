@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
-from llm_flock.printable import one_line, same_model
+from llm_flock.printable import counted, one_line, same_model
 from llm_flock.protocol._agreement import PRESET_RULES
 
 if TYPE_CHECKING:
@@ -183,11 +183,6 @@ def sentence(text: str, most: int) -> str:
     """A text of at most `most` letters in one line, with a full stop or other sign at its end."""
     text = one_line(text, most).rstrip()
     return text if text.endswith((".", "!", "?", "…")) else f"{text}."
-
-
-def counted(count: object, what: str) -> str:
-    """A number of things: 1 round, 2 rounds."""
-    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def understood(parsed: Mapping[str, Any]) -> str:

@@ -45,6 +45,9 @@ class RunOrders:
         with self._lock:
             when = self.round + 1
             if self._staged:  # the schedule does not know this stage
+                if fixed := sorted(fields.keys() - MISSION_FIELDS | fields.keys() & {"since"}):
+                    allowed = ", ".join(sorted(MISSION_FIELDS - {"since"}))
+                    raise InputError("changes", fixed, f"only fields that a robot accepts by radio ({allowed})")
                 changed = self.mission.at(when).change(**fields, since=when)
                 fields = {**OPTIONAL, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
             dead = self._schedule.kills.get(when, ())

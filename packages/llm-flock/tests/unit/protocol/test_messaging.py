@@ -7,11 +7,15 @@ from driven_agent import LINE, PLAN, DrivenAgent, make, says
 from msgspec.structs import replace
 from opened_payloads import Opened
 
-from llm_flock.events import MissionGiven, Received
+from llm_flock.events import MissionGiven, Note, Received
 from llm_flock.message import Course, decode, encode
 from llm_flock.mission import Mission, mission_text
-from llm_flock.plan import Plan
-from llm_flock.protocol._agreement.messaging import COURSE_ROUNDS, MAX_REJECTED_PLANS, MAX_REPEATED
+from llm_flock.plan import Drawing, Plan
+from llm_flock.plan import _drawn as draw
+from llm_flock.protocol._agreement.messaging import COURSE_ROUNDS, MAX_CHECKED_PLANS, MAX_DRAWN, MAX_REPEATED
+from llm_flock.protocol._messages import channel
+
+TEXT = LINE.change(shape="text:a row")
 
 
 def test_the_newest_message_of_each_sender_is_handed_over_once() -> None:
@@ -107,11 +111,60 @@ def test_a_flood_of_payloads_costs_bounded_memory() -> None:
 
 
 def test_refused_plan_is_noted_once_and_a_flood_bounds_memory() -> None:
-    refused = make()._messaging
-    plans = [Plan.of([[float(k), 0.0]]) for k in range(MAX_REJECTED_PLANS + 1)]
+    refused = make(verify=True)._messaging
+    plans = [Plan.of([[float(k), 0.0]]) for k in range(MAX_CHECKED_PLANS + 1)]
     for plan in plans:
-        (note,) = refused._reject_plan(plan, "too small")
-        assert note.kind == "rejected_message" and note.detail["reason"] == "unverified_plan"
-    assert refused._reject_plan(plans[-1], "too small") == []
+        refused.begin_round()
+        nothing, (note,) = refused._check_plan(1, plan)
+        assert nothing is None and note.kind == "rejected_message" and note.detail["reason"] == "unverified_plan"
+    assert refused._check_plan(1, plans[-1]) == (None, [])
     assert refused.rejected == {"unverified_plan": len(plans) + 1}, "counted each time"
-    assert refused._reject_plan(plans[0], "too small") != [], "it was forgotten meanwhile"
+    assert refused._check_plan(1, plans[0])[1] != [], "it was forgotten meanwhile"
+
+
+def program(k: int, places: int = 3, shape: str = "line") -> Plan:
+    text = f'{{"draw":[{{"shape":"{shape}","turn":{k}}}],"name":"{k}"}}'
+    return Plan(drawing=Drawing(text, places, LINE.spacing, LINE.center))
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Drawing]:
+    """The programs that are drawn, in order."""
+    seen: list[Drawing] = []
+    for cache in (channel._decode, channel._one_plan):
+        cache.cache_clear()
+    monkeypatch.setattr("llm_flock.plan._drawn", lambda drawing: [seen.append(drawing), draw(drawing)][1])
+    return seen
+
+
+@pytest.mark.parametrize("verify", [True, False])
+def test_a_flood_of_programs_is_drawn_up_to_a_share(verify: bool, drawn: list[Drawing]) -> None:
+    driven = DrivenAgent(make(mission=TEXT, verify=verify))
+    driven.begin()
+    flood = [says(1, mission=TEXT, plan=program(k), sequence=k) for k in range(200)]
+    driven.comm_round(*flood)
+    assert len(drawn) == MAX_DRAWN and driven.agent.rejected == {"many_plans": 200 - MAX_DRAWN}
+    driven.comm_round(says(2, mission=TEXT, plan=program(7)), says(2, mission=TEXT, plan=program(500)))
+    assert len(drawn) == MAX_DRAWN + 1, "another sender has a share of its own, and a known program costs nothing"
+    driven.comm_round(*flood[:MAX_DRAWN])
+    assert len(drawn) == MAX_DRAWN + 1
+    driven.end()
+    driven.begin()
+    driven.comm_round(*flood)
+    assert len(drawn) == 2 * MAX_DRAWN + 1
+
+
+def test_programs_of_another_mission_or_size_are_not_drawn(drawn: list[Drawing]) -> None:
+    driven = DrivenAgent(make(mission=TEXT, verify=True))
+    driven.begin()
+    driven.comm_round(says(1, mission=TEXT, plan=program(1, places=2)), says(2, plan=program(2)))
+    assert drawn == [] and driven.agent.rejected == {"unverified_plan": 1}
+
+
+@pytest.mark.parametrize("verify", [True, False])
+@pytest.mark.parametrize("shape", ["cube", "blob"])
+def test_a_program_that_cannot_be_drawn_is_refused(verify: bool, shape: str) -> None:
+    driven = DrivenAgent(make(mission=TEXT, verify=verify))
+    driven.begin()
+    (note, *_) = driven.comm_round(says(1, mission=TEXT, plan=program(1, shape=shape)))
+    assert isinstance(note, Note) and "a plan that cannot be drawn" in str(note.detail["detail"])

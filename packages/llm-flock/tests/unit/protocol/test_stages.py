@@ -167,3 +167,21 @@ def test_an_order_in_flight_replaces_the_stages_that_are_left() -> None:
     flown = llm_flock.run(mission, steer=steer, trace=False)
     assert [one.shape for one in flown.summary.missions] == ["circle", "line", "line"]
     assert flown.formed and flown.positions[-1].mean(axis=0) == pytest.approx([60, 50], abs=0.1)
+
+
+@pytest.mark.parametrize("staged", [True, False])
+@pytest.mark.parametrize("field", [{"n_robots": 9}, {"obstacles": [{"center": [30, 30], "radius": 5}]}, {"since": 7}])
+def test_no_order_drops_what_it_cannot_change(staged: bool, field: dict[str, Any]) -> None:
+    later: Any = [{"set": {"shape": "line"}, "when": "formed"}]
+    orders = RunOrders(build_config({"mission": {"n_robots": 4, "comm_range": 60, "then": later}}))
+    orders._staged, orders.round = staged, 3
+    with pytest.raises(InputError, match=r"by radio|cannot be given"):
+        orders.change(field)
+
+
+def test_a_body_on_a_place_that_may_not_turn_ends_no_flight() -> None:
+    line: Any = [{"set": {"shape": "line", "turn": 0.0, "center": [50, 40]}, "when": "formed"}]
+    mission = Mission(n_robots=8, comm_range=25, then=line)
+    options: Any = {"start": "connected", "gaps": "replan", "kill": "2@10,3@30", "join": "7@12"}
+    summary = llm_flock.run(mission, seed=5, trace=False, **options).summary
+    assert summary.formed and [mission.shape for mission in summary.missions] == ["circle", "line"]

@@ -197,6 +197,7 @@ def test_a_proposal_keeps_its_places_off_bodies_that_stand_still() -> None:
     fault = check_proposal(SQUARE, here, [(x + 1.0, y)], (5.0, 5.0))
     assert fault is not None and fault.startswith("point 3 is 1 from the robot that stands still at")
     assert check_proposal(SQUARE, here, [(x + reach + 0.01, y)], (5.0, 5.0)) is None
+    assert check_proposal(SQUARE.change(turn=0.0), here, [(x + 1.0, y)], (5.0, 5.0)) is None, "it may not turn"
     assert check_proposal(SQUARE, plan(ideal(SQUARE)[:7]), [], (5.0, 5.0)) == "the plan holds 7 points, 8 are required."
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from llm_flock.errors import MessageError
+from llm_flock.errors import InputError, MessageError
 from llm_flock.events import MissionGiven, Note
 from llm_flock.message import Course, Message, MissionStamp, received_mission, time_text
 from llm_flock.mission import Mission
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 
 MAX_REPEATED = 256  # decoded payloads of a round that are kept, as neighbours repeat themselves
 MAX_BAD_PLANS = 8  # plans of one sender that may fail verification in a round; then no more are verified
+MAX_DRAWN = 16  # likewise, new programs that are drawn, each counted once and once more for each PLACES_DRAWN places
+PLACES_DRAWN = 60
 COURSE_ROUNDS = 2  # rounds for which a course counts after its sender was last heard, as messages get lost
-MAX_REJECTED_PLANS = 1024  # that are remembered, so that a flood of plans costs bounded memory
+MAX_CHECKED_PLANS = 1024  # that are remembered, so that a flood of plans costs bounded memory
 
 
 class Messaging:
@@ -41,8 +43,8 @@ class Messaging:
         self._newest: dict[int, Message] = {}
         self._beats: list[NDArray[np.int64]] = []
         self._rejected: Counter[str] = Counter()
-        self._rejected_plans: set[str] = set()
-        self._bad_plans = Counter[int]()
+        self._checked: dict[str, Plan | None] = {}  # plans for this mission, by digest; None for rejected ones
+        self._bad_plans, self._drawn = Counter[int](), Counter[int]()
         self._repeated: dict[bytes, Message] = {}
 
     @property
@@ -54,6 +56,7 @@ class Messaging:
         """Begin a round, in which neighbours may have changed. Forget courses of senders not heard lately."""
         self._dissemination.begin_round()
         self._bad_plans.clear()
+        self._drawn.clear()
         self._repeated.clear()
         self._heard_ago = {j: ago + 1 for j, ago in self._heard_ago.items()}
         for j in [j for j, ago in self._heard_ago.items() if ago > COURSE_ROUNDS]:
@@ -117,18 +120,18 @@ class Messaging:
 
     def _apply_plan(self, inbound: Inbound, payload: bytes) -> list[Note]:
         """Keep a message with its plan for the next decision, unless the plan fails verification."""
-        message, mission, verifier = inbound.message, self._agreement.mission, self._verifier
-        if message.plan is not None and self._bad_plans[message.sender] >= MAX_BAD_PLANS:
-            detail = f"robot {message.sender} sends one bad plan after another"
+        message, sent = inbound.message, inbound.message.plan
+        if sent is not None and self._exhausted(message.sender, sent):
+            detail = f"robot {message.sender} sends one bad plan after another, or too many new programs in a round"
             return [self._reject(MessageError("many_plans", detail))]
-        objection = verifier.objection(mission, message.plan)
-        if objection is not None and message.plan is not None:
-            self._dissemination.hear(message)
-            self._bad_plans[message.sender] += 1
-            return self._reject_plan(message.plan, objection)
-        plan = self._dissemination.resolve_plan(message, self._agreement.plan)
+        if sent is not None:
+            sent, notes = self._check_plan(message.sender, sent)
+            if sent is None:
+                self._dissemination.hear(message)
+                return notes
+        plan = self._dissemination.resolve_plan(message, sent, self._agreement.plan)
         if plan is not None:
-            message = inbound.resolve(plan, verifier.plan_class(mission, plan))
+            message = inbound.resolve(plan, self._verifier.plan_class(self._agreement.mission, plan))
             if inbound.repeatable and len(self._repeated) < MAX_REPEATED:
                 self._repeated[payload] = message
         self._keep(message)
@@ -138,15 +141,43 @@ class Messaging:
         """Take note of the proposals that the sender passes on, except plans that fail verification."""
         agreement, notes = self._agreement, list[Note]()
         for proposal in (message.proposals or ()) if agreement.ballot is not None else ():
-            if proposal.provenance.stamp != agreement.stamp or self._bad_plans[message.sender] >= MAX_BAD_PLANS:
-                continue
-            objection = self._verifier.objection(agreement.mission, proposal.plan)
-            if objection is None:
-                agreement.learn(proposal.provenance, proposal.plan)
-            else:
-                self._bad_plans[message.sender] += 1
-                notes += self._reject_plan(proposal.plan, objection)
+            if proposal.provenance.stamp != agreement.stamp or self._exhausted(message.sender, proposal.plan):
+                continue  # it comes again in later rounds
+            plan, said = self._check_plan(message.sender, proposal.plan)
+            notes += said
+            if plan is not None:
+                agreement.learn(proposal.provenance, plan)
         return notes
+
+    def _exhausted(self, sender: int, plan: Plan) -> bool:
+        """Whether a sender has used up its share of the round, so that its plan is not checked."""
+        known = plan.drawing is None or plan.digest in self._checked
+        return self._bad_plans[sender] >= MAX_BAD_PLANS or (not known and self._drawn[sender] >= MAX_DRAWN)
+
+    def _check_plan(self, sender: int, plan: Plan) -> tuple[Plan | None, list[Note]]:
+        """The plan, which is for this mission, if it counts; or None with notes. Each is checked, and drawn, once."""
+        new, objection = plan.digest not in self._checked, None
+        if new:
+            self._drawn[sender] += 0 if plan.drawing is None else 1 + len(plan) // PLACES_DRAWN
+            objection = self._objection(plan)
+            if len(self._checked) >= MAX_CHECKED_PLANS:
+                self._checked.clear()
+            self._checked[plan.digest] = plan if objection is None else None
+        known = self._checked[plan.digest]
+        if known is not None:
+            return known, []
+        self._bad_plans[sender] += 1
+        note = self._reject(MessageError("unverified_plan", objection or ""))
+        return None, [note] if new else []
+
+    def _objection(self, plan: Plan) -> str | None:
+        """The reason to reject a plan, which is drawn if its size is right; None if it can be followed."""
+        try:
+            objection = self._verifier.objection(self._agreement.mission, plan)
+            _ = objection or plan.points
+        except InputError as error:
+            return f"a plan that cannot be drawn: {error}"
+        return objection
 
     def _keep(self, message: Message) -> None:
         self._dissemination.hear(message)
@@ -157,16 +188,6 @@ class Messaging:
     def _reject(self, error: MessageError) -> Note:
         self._rejected[error.reason] += 1
         return Note("rejected_message", {"reason": error.reason, "detail": error.detail})
-
-    def _reject_plan(self, plan: Plan, objection: str) -> list[Note]:
-        """Count a plan that fails verification. Returns a note only the first time that this plan is rejected."""
-        note = self._reject(MessageError("unverified_plan", objection))
-        if plan.digest in self._rejected_plans:
-            return []
-        if len(self._rejected_plans) >= MAX_REJECTED_PLANS:
-            self._rejected_plans.clear()
-        self._rejected_plans.add(plan.digest)
-        return [note]
 
     def give_mission(self, order: MissionGiven) -> Note:
         """Take a mission that the operator gives to this robot, unless a later order is known already."""
@@ -185,6 +206,7 @@ class Messaging:
     def _begin_mission(self, mission: Mission, stamp: MissionStamp) -> Note:
         self._newest.clear()
         self._repeated.clear()
+        self._checked.clear()
         self._dissemination.forget_plans()
         return self._agreement.begin_mission(mission, stamp)
 

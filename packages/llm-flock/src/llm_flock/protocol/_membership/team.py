@@ -107,7 +107,8 @@ class TeamMembership(Membership):
         self._seeking.wait_for_neighbours(now, met=bool(near - live.silent) and not self._is_messenger(now, near))
         owners, wanted = {owner for _, _, owner in now.claim.table or ()}, self._wanted(mission)
         replans = self.gaps == "replan" and now.plan is not None and now.claim.table is not None
-        fits = not replans or (len(now.plan or ()) == wanted and BLOCKED not in owners)
+        blocked = BLOCKED in owners and mission.turn is None  # no other plan avoids a body if it may not turn
+        fits = not replans or (len(now.plan or ()) == wanted and not blocked)
         # Robots that were never heard of may be given up once the search for them has ended.
         waits = NO_OWNER in owners and bool(live.strangers) and not self._connectivity.given_up
         legal = fits or resized(mission, wanted) is not None

@@ -55,9 +55,9 @@ class Dissemination:
         self._peers[message.sender] = message.knowledge
         self._heard.add(message.sender)
 
-    def resolve_plan(self, message: Message, own: Plan | None) -> Plan | None:
-        """The plan that a message names; None if it names none, or one that has not arrived in full."""
-        plan, digest = message.plan, message.plan_digest
+    def resolve_plan(self, message: Message, plan: Plan | None, own: Plan | None) -> Plan | None:
+        """The plan that a message spells out, or names; None if it names none, or one that has not arrived in full."""
+        digest = message.plan_digest
         if plan is None:
             named = own if own is not None and own.digest == digest else self._plans.get(digest or "")
             return named if named is not None and len(named) == message.places else None

@@ -62,13 +62,16 @@ def blocked_within(mission: Mission) -> float:
 
 
 def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], position: Point) -> str | None:
-    """As `check_plan`, for a plan of a robot at `position`: places must be in its reach and clear of `still` bodies."""
+    """As `check_plan`, for a plan of a robot at `position`: places must be in its reach and clear of `still` bodies.
+
+    A formation that may not turn cannot keep clear of bodies: what they stand on stays empty.
+    """
     reason = check_plan(mission, plan)
     if reason is not None:
         return reason
     if mission.velocity is None and len(mission.regions_of((position, plan.points[0]))) > 1:
         return f"there is no way from {at_text(position)}, where you are, to its points: obstacles are in between."
-    for body in still:
+    for body in still if mission.turn is None else ():
         for i, point in enumerate(plan.points):
             if (gap := mission.separation(point, body)) < blocked_within(mission):
                 return (
