@@ -32,7 +32,7 @@ def draw_request(rng: np.random.Generator) -> Example | None:
     """A request for a mission, by a team that is set up or flies; its answer has the order of the schema."""
     flying, base = bool(rng.random() < 0.3), Mission()
     if flying:
-        base = build_mission(shape=pick(rng, ["circle", "line", "grid"]), n_robots=int(rng.choice([6, 8, 10, 12])))
+        base = build_mission(shape=pick(rng, ["circle", "line", "grid"]), n_robots=int(rng.choice([6, 8, 10])))
     if rng.random() < UNASKED:
         if rng.random() < 0.5:
             about = pick(rng, list(WORDS["ask"]))

@@ -50,7 +50,7 @@ class OnBoard:
         trained = name == SMOLLM2
         letters = trained and adapter == LETTERS
         return Habits(
-            prompts="letters" if letters else "brief" if trained else "full",
+            prompts="letters" if letters else "brief-program" if trained else "full",
             frame="own" if trained else "world",
             plans=is_taught if trained and adapter is None else None,
             contained=is_packaged(model),
