@@ -84,7 +84,7 @@ def test_examples_ask_as_a_run_does() -> None:
     found = next(c for c in draw_choices(0, "train") if len(c.ways) == 4 and "W" not in {w.letter for w in c.ways})
     prompts = PromptSet.load("letters", wish=found.words)
     assert prompts.step(found.question) == found.user
-    assert prompts.system(found.question.mission) == found.example().system
+    assert prompts.system(found.question.mission) == found.example().messages[0][1]
 
 
 def test_no_program_without_a_model_reads_the_held_out_wishes() -> None:

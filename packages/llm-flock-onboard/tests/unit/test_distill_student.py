@@ -14,6 +14,8 @@ from llm_flock_onboard._distill.training import TrainingOptions, TrainingProgres
 
 torch: Any = pytest.importorskip("torch")
 transformers: Any = pytest.importorskip("transformers")
+# Newer versions have another name for it.
+pytestmark = pytest.mark.filterwarnings("ignore:.*past_key_values:FutureWarning")
 
 
 def student(rank: int = 4) -> Student:
