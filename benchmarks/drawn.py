@@ -1,6 +1,6 @@
 """Formations that programs draw: letters read by a stranger, and bodies in space flown.
 
-    python -m benchmarks drawn [--seeds N] [--robots N] [--only letters|space]     200 seeds, 30 robots
+    python -m benchmarks drawn [--seeds N] [--robots N] [--only letters|space] [--downwash 1,2,3]
 
 `letters`  Each letter and digit is placed on a number of robots and compared with the outlines of all 36 in typefaces
            that matplotlib brings. The nearest one, by the mean distance both ways (Chamfer), is what is read. Both are
@@ -8,9 +8,11 @@
            O and 0 count as one, and so do I and 1. The judge is DejaVu Sans; the other typefaces show how much depends
            on it.
 `space`    Bodies in space are flown with ideal *simulated* models: how many teams formed, in how many rounds over the
-           lower bound, and how near two robots came, along the segments too.
+           lower bound, in how many flights two robots came nearer than the safe distance, along the segments too, and
+           how near they came. With each downwash the safe distance is an ellipsoid that many times as tall, and the
+           sensors reach as far as it asks for.
 
-Writes docs/data/drawn-letters.csv and docs/data/drawn-space.csv.
+Writes docs/data/drawn-letters.csv and docs/data/drawn-space.csv. Of the latter, rows of another downwash stay.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from matplotlib.textpath import TextPath
 from scipy.spatial.distance import cdist
 
 import llm_flock
-from llm_flock import shapes
+from llm_flock import metrics, shapes
 from llm_flock.arrays import Points
 from llm_flock.formation import parse_program
 from llm_flock.printable import shape_title
@@ -84,21 +86,34 @@ def letters(robots: int) -> list[dict[str, str | int]]:
     return table
 
 
-def space(seeds: int) -> list[dict[str, str | int]]:
+def space(seeds: int, downwash: float) -> list[dict[str, str | int]]:
     table: list[dict[str, str | int]] = []
     for shape, n in BODIES:
+        mission = llm_flock.Mission(shape=shape, n_robots=n, downwash=downwash)
+        mission = mission.change(sense_range=mission.height_apart + 2 * mission.max_step)
         over, nearest = list[float](), list[float]()
         for seed in range(seeds):
-            flown = llm_flock.run(llm_flock.Mission(shape=shape, n_robots=n), seed=seed, trace=False).summary
+            flown = llm_flock.run(mission, seed=seed, trace=False).summary
             nearest.append(flown.min_separation or 0.0)
             if flown.rounds_to_formed is not None and flown.lower_bound_rounds:
                 over.append(flown.rounds_to_formed / flown.lower_bound_rounds)
-        row = {"Formation": shape_title(shape).removeprefix("program:"), "Robots": n}
+        row = {"Formation": shape_title(shape).removeprefix("program:"), "Robots": n, "Downwash": f"{downwash:g}"}
         row |= {"Formed": f"{len(over)} of {seeds}"}
         middle = f"{statistics.median(over):.2f}, {max(over):.2f}" if over else ""
-        table.append(row | {"Over the bound: median, largest": middle, "Smallest separation": f"{min(nearest):.6f}"})
+        near = sum(gap < mission.safe_distance - metrics.ROUNDING for gap in nearest)
+        row |= {"Over the bound: median, largest": middle, "Flights too near": near}
+        table.append(row | {"Smallest separation": f"{min(nearest):.6f}"})
         print(*table[-1].values(), sep=" · ", flush=True)
     return table
+
+
+def beside(name: str, table: Sequence[dict[str, str | int]]) -> list[dict[str, str | int]]:
+    """The rows, among those of the file that have another downwash."""
+    path, measured = DATA / name, {str(row["Downwash"]) for row in table}
+    with path.open(encoding="utf-8", newline="") as file:
+        kept = [row for row in csv.DictReader(file) if row.get("Downwash", "1") not in measured]
+    rows = [*table, *({"Downwash": "1", **{key: row[key] for key in table[0] if key in row}} for row in kept)]
+    return sorted(rows, key=lambda row: float(row["Downwash"]))
 
 
 def write(name: str, table: Sequence[Mapping[str, str | int]]) -> None:
@@ -113,11 +128,15 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks drawn", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--seeds", type=int, default=200, help="flights of each body")
     parser.add_argument("--robots", type=int, default=30, help="robots of a letter")
+    parser.add_argument("--downwash", default="1,2,3", help="how many times as tall as wide the safe distance is")
     parser.add_argument("--only", choices=("letters", "space"), help="one of the two")
     parser.add_argument("--print", action="store_true", help="write no files")
     chosen = parser.parse_args(arguments)
-    for name, measure in (("letters", lambda: letters(chosen.robots)), ("space", lambda: space(chosen.seeds))):
-        if chosen.only in (None, name):
-            table = measure()
-            if not chosen.print:
-                write(f"drawn-{name}.csv", table)
+    if chosen.only != "space":
+        table = letters(chosen.robots)
+        if not chosen.print:
+            write("drawn-letters.csv", table)
+    for downwash in map(float, chosen.downwash.split(",") if chosen.only != "letters" else ()):
+        table = space(chosen.seeds, downwash)
+        if not chosen.print:
+            write("drawn-space.csv", beside("drawn-space.csv", table))

@@ -2,7 +2,8 @@
 
     python -m benchmarks.judgement [--worlds 40] [--jobs 2] [--write]
 
-A world is a team and one event: a robot that dies, or a battery that gets weak. In each world every option is flown
+A world is a team and one event: a robot that dies, a battery that gets weak, or an obstacle that comes to rest in a
+door or on a place. In each world every option is flown
 from the same seed. The right one loses no robot; after that it is the best by the world's wish: fewest empty places,
 fewest rounds or least flying, as flown and not as expected. Then models are asked: all are *simulated*; some, drawn by
 the seed, choose another option than the right one by its figures, each on its own or all alike. `one` is the share of
@@ -35,7 +36,13 @@ SHARES = {"unlike": (0, 30, 50, 70), "alike": (30, 50, 70)}
 """Shares of models that judge wrongly [%], each on its own or all alike."""
 
 SHAPES = ("circle", "line", "wedge")
-AFTER = 28
+USUAL = {"death": "leave", "battery": "continue", "blocked": "wait"}
+"""What is done without a choice."""
+
+VOTED = {"death": 20, "battery": 9, "blocked": 16}
+"""Rounds after an event by which the team has chosen."""
+
+AFTER = {"death": 28, "battery": 28, "blocked": 45}
 """Rounds that are flown after an event."""
 
 MOVED = 0.2
@@ -106,9 +113,11 @@ def world_of(kind: str, seed: int) -> World:
     rng = np.random.default_rng([4, seed])
     shape, aim = str(rng.choice(SHAPES)), str(rng.choice([*AIMS]))
     n = int(rng.integers(6, 9))
+    if kind == "blocked":
+        return door_world(seed, aim, n, rng) if seed % 2 else place_world(seed, aim, n, rng)
     robot, event = int(rng.integers(n)), int(rng.integers(4, 8)) if kind == "death" else int(rng.integers(4, 7))
     mission = {"shape": shape, "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
-    options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER, "stop_when_formed": False}
+    options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER[kind], "stop_when_formed": False}
     options |= {"decide": "on-event", "time_out": 5}
     if kind == "death":
         options["kill"] = f"{robot}@{event}"
@@ -119,6 +128,51 @@ def world_of(kind: str, seed: int) -> World:
     way = np.linalg.norm(np.diff(whole.positions[event - 1 :, robot], axis=0), axis=1).sum()
     options["battery"] = f"{robot}@{event}:{max(0.5, rng.uniform(0.3, 1.4) * way):.1f}"
     return World(kind=kind, mission=mission, options=options, event=event, lost=0)
+
+
+def blocked_world(seed: int, aim: str, mission: dict[str, Any], rest: Sequence[float], far: Sequence[float]) -> World:
+    """A world in which an obstacle flies from a point `far` away to where it comes to `rest` [units]."""
+    speed = 4.0
+    flies = {"center": [*map(float, far)], "radius": 2.0, "speed": speed, "path": [[*map(float, rest)]]}
+    event = int(np.ceil(np.linalg.norm(np.subtract(rest, far)) / speed))
+    options = {
+        "seed": seed,
+        "judge": "models",
+        "wish": aim,
+        "rounds": event + AFTER["blocked"],
+        "stop_when_formed": False,
+    }
+    options |= {"decide": "on-event", "time_out": 5, "moving_obstacles": [flies]}
+    return World(kind="blocked", mission=mission, options=options, event=event, lost=0)
+
+
+def door_world(seed: int, aim: str, n: int, rng: np.random.Generator) -> World:
+    """A wall between start and places has two doors; in the nearer one an obstacle comes to rest."""
+    far = float(rng.uniform(75, 92))
+    gaps = [0.0, 40.0, 50.0, far - 5, far + 5, 100.0]
+    walls = [
+        {"polygon": [[50, a], [54, a], [54, b], [50, b]]} for a, b in zip(gaps[::2], gaps[1::2], strict=True) if a < b
+    ]
+    mission = {"shape": "line", "turn": 90, "n_robots": n, "center": [78, 45], "spacing": 8, "obstacles": walls}
+    mission |= {"comm_range": 100.0, "sense_range": 100.0} | ({"places": n - 1} if rng.random() < 0.5 else {})
+    return blocked_world(seed, aim, mission, (52, 45), (64, 45))
+
+
+def place_world(seed: int, aim: str, n: int, rng: np.random.Generator) -> World:
+    """An obstacle comes to rest on the outermost place that a team has chosen by then."""
+    mission = {
+        "shape": str(rng.choice(["line", "wedge", "grid"])),
+        "n_robots": n,
+        "comm_range": 60.0,
+        "sense_range": 60.0,
+    }
+    flown = llm_flock.run(
+        llm_flock.Mission(**mission), seed=seed, decide="on-event", time_out=5, judge="models", wish=aim
+    )
+    here = flown.positions[-1]
+    out = here[np.linalg.norm(here - here.mean(axis=0), axis=1).argmax()]
+    away = (out - here.mean(axis=0)) / np.linalg.norm(out - here.mean(axis=0))
+    return blocked_world(seed, aim, mission, out, out + rng.uniform(30, 60) * away)
 
 
 def fly(world: World, model: Any, **other: Any) -> Flown:
@@ -187,11 +241,11 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], Any] | None:
     right = {one for one in flown if not any(flown[other].beats(flown[one], aim) for other in flown)}
     if len(flown) < 2 or right == {*flown}:
         return None  # there is nothing to choose
-    usual = "leave" if kind == "death" else "continue"
+    usual = USUAL[kind]
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
     for case, shares in SHARES.items():
         for share in shares:
-            rounds = world.event + (20 if kind == "death" else 9)
+            rounds = world.event + VOTED[kind]
             team = asked if share == 0 else fly(world, models(world, seed, share, alike=case == "alike"), rounds=rounds)
             choice = team.choice or usual
             found[case, share] = (
@@ -213,7 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     titles = ["Event", "Wrong models", "Wrong ones", "Worlds", "Right %", "One robot: right %", "One choice %"]
     rows = [[*titles, "Robots lost per world", "Rounds", "Flights below the safe distance"]]
     with ProcessPoolExecutor(given.jobs) as pool:
-        for kind in ("death", "battery"):
+        for kind in USUAL:
             worlds = [one for one in pool.map(partial(study, kind), range(given.worlds)) if one is not None]
             for case, share in worlds[0]:
                 seen = [one[case, share] for one in worlds]

@@ -12,8 +12,7 @@ from llm_flock_flight._crazyflie.radios import address_of
 NETWORK = {"udp": "udp", "udpin": "udp", "udpout": "udp", "tcp": "tcp"}
 """Schemes of a host and a port. Whoever listens at a port of this computer keeps others from being called there."""
 
-HERE = "127.0.0.1"
-"""This computer."""
+HERE = "127.0.0.1"  # this computer
 
 
 def one_spelling(uri: str, resolve: Callable[[str], str] = str) -> str:

@@ -15,18 +15,14 @@ from dataclasses import dataclass, field
 
 from llm_flock.robots import Position
 
-STEP_S = 0.01
-"""One turn of the position's controller, 100 a second [s]."""
-
-GRAVITY = 9.81
-"""[m/s^2]"""
+STEP_S = 0.01  # one turn of the position's controller, 100 a second [s]
+GRAVITY = 9.81  # [m/s^2]
 
 MAX_TILT_DEG = 20.0
 MAX_SPEED_M_S = 1.1
 """Limits of what is asked for: `PID_VEL_ROLL_MAX`, and `PID_POS_VEL_X_MAX` with its overhead of 10 %."""
 
-MAX_DELAY_S = 60.0
-"""A body that was not looked at for longer than this rests at its set-point [s]."""
+MAX_DELAY_S = 60.0  # a body that was not looked at for longer than this rests at its set-point [s]
 
 HOVER_THRUST, THRUST_SCALE = 36000.0, 1000.0
 """`PID_VEL_THRUST_BASE`, and the units of thrust in one of the velocity's controller."""

@@ -7,14 +7,9 @@ import threading
 from functools import cache
 from time import monotonic, sleep
 
-LOOK_S = 0.05
-"""Time between two looks at the clock [s]."""
-
-PAUSE_S = 0.25
-"""A longer time between two looks was a pause of this process [s]."""
-
-CATCH_UP_S = 0.5
-"""Time after a pause in which nobody is blamed for a silence [s]."""
+LOOK_S = 0.05  # time between two looks at the clock [s]
+PAUSE_S = 0.25  # a longer time between two looks was a pause of this process [s]
+CATCH_UP_S = 0.5  # time after a pause in which nobody is blamed for a silence [s]
 
 
 class OwnPauses:

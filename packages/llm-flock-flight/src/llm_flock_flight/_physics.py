@@ -27,8 +27,7 @@ from llm_flock_flight._cascade import GRAVITY, Cascade
 STEP_S = 0.01
 """Time between two set-points, as from the firmware's high-level commander (`RATE_HL_COMMANDER`, 100 Hz) [s]."""
 
-SUBSTEPS = 5
-"""Steps of the dynamics and the attitude controller in each of these, hence 500 Hz."""
+SUBSTEPS = 5  # steps of the dynamics and the attitude controller in each of these, hence 500 Hz
 
 DRONE = "cf2x_L250"
 """crazyflow's Crazyflie 2.1; its Brushless, `cf21B_500`, flies 8 cm too high (docs/explanation/physics.md)."""

@@ -30,9 +30,9 @@ SPACE: dict[str, Any] = {
     "arena": [[5, 5, 5], [25, 25, 25]],
     "spacing": 4,
     "comm_range": 20,
+    "downwash": 2.4,
 }
 IN_SPACE: dict[str, Any] = {
-    "stretch": 2.4,
     "altitude_m": 2.8,
     "geofence": [[-3, -3, -0.5], [3, 3, 6]],
     "max_speed_m_s": 12.0,
@@ -120,12 +120,12 @@ def test_a_dry_run_refuses_the_addresses_that_the_flight_would(robot: str, uri: 
 
 
 def test_the_vertical_rule() -> None:
-    assert flight_config(3, "points", SPACE, **IN_SPACE).frame.stretch == 2.4
+    assert flight_config(3, "points", SPACE, **IN_SPACE).mission.height_apart == pytest.approx(7.2)
     with pytest.raises(InputError, match=r"at least 2\.57 m: the lowest place is 0\.15 m above the floor"):
         flight_config(3, "points", SPACE, **IN_SPACE | {"altitude_m": 2.55})
     with pytest.raises(InputError, match="downwash") as raised:
-        flight_config(3, "points", SPACE, **IN_SPACE | {"stretch": 2.0})
-    assert raised.value.field == "stretch"
+        flight_config(3, "points", SPACE, **IN_SPACE | {"downwash": 2.0})
+    assert raised.value.field == "downwash"
 
 
 def test_the_speed_limit_is_that_of_the_middle_of_a_step() -> None:
@@ -142,7 +142,6 @@ def test_there_and_back(dim: int) -> None:
         frame = MissionFrame(
             anchor=tuple(rng.uniform(-50, 50) for _ in range(dim)),
             scale_m=rng.uniform(0.01, 2),
-            stretch=rng.uniform(1, 5),
             yaw=rng.uniform(-7, 7),
             origin=(rng.uniform(-5, 5), rng.uniform(-5, 5)),
             altitude_m=rng.uniform(0.2, 3),
@@ -153,7 +152,7 @@ def test_there_and_back(dim: int) -> None:
             frame.scale_m * math.dist(one[:2], two[:2])
         )
         assert frame.to_world(frame.anchor) == pytest.approx((*frame.origin, frame.altitude_m))
-    quarter = MissionFrame(anchor=(0, 0), scale_m=0.1, stretch=1, yaw=math.pi / 2, origin=(1, 2), altitude_m=1)
+    quarter = MissionFrame(anchor=(0, 0), scale_m=0.1, yaw=math.pi / 2, origin=(1, 2), altitude_m=1)
     assert quarter.to_world((10, 0)) == pytest.approx((1, 3, 1))
 
 

@@ -18,7 +18,7 @@ try:
 except ImportError as error:
     raise ImportError(f"llm_flock_lab._env needs PettingZoo: {EXTRAS['env'].install}") from error
 
-from llm_flock.arrays import Points
+from llm_flock.arrays import Points, flattened
 from llm_flock.errors import InputError
 from llm_flock.llm import CallLane, ModelPool
 from llm_flock.metrics import ROUNDING, segment_separation
@@ -27,8 +27,8 @@ from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol import geometric_plan
 from llm_flock.record import NullWriter, RunRecord
-from llm_flock.runtime import Journal, RunConfig, Stream, TeamPlanners, Trial, plain, stream, trace_record
-from llm_flock.simulate import InstantBodies, Readings, Sensing, start_positions
+from llm_flock.runtime import Journal, RunConfig, Stream, TeamPlanners, Trial, plain, starts_of, stream, trace_record
+from llm_flock.simulate import InstantBodies, Readings, Sensing
 
 Control: TypeAlias = Literal["waypoints", "questions"]
 Observation: TypeAlias = dict[str, Any]
@@ -221,7 +221,7 @@ class FlockEnv(ParallelEnv[str, Observation, Action]):
         self._readings.move(trial.displacements(moves))
         trial.end_round(trial.round + 1, moves)
         after = trial.bodies.positions
-        near = _too_near(before, after, self.mission.safe_distance)
+        near = _too_near(before, after, self.mission)
         ended = trial.find_end()
         for agent in rewards:
             robot = self.possible_agents.index(agent)
@@ -345,14 +345,11 @@ class RememberedReadings(Readings):
 
 def begin_trial(config: RunConfig, *, trace: bool) -> tuple[Trial, RememberedReadings]:
     """A trial of simulated bodies whose questions the caller answers; its start is recorded."""
-    given, rules = config.trial, config.protocol.rules()
-    rng = stream(given.seed, Stream.START)
-    start = start_positions(config.start_scene, given.start_positions, given.start, rng, given.start_area)
+    start = starts_of(config)
     readings = RememberedReadings(config, start)
     planners = TeamPlanners(config, CallLane(pool=ModelPool(environ={}, asks=False)))  # copies take no keys along
-    replans, moving = config.protocol.gaps == "replan", given.moving_obstacles
-    journal = Journal(config.mission, NullWriter(), replans=replans, trace=trace, moving=moving)
-    trial = Trial(config, rules, planners, InstantBodies(readings), journal, start)
+    journal = Journal(config, NullWriter(), trace=trace)
+    trial = Trial(config, config.protocol.rules(), planners, InstantBodies(readings), journal, start)
     trial.begin()
     return trial, readings
 
@@ -369,9 +366,10 @@ def _numbers(action: Action, part: str | None, shape: tuple[int, ...]) -> NDArra
     return found
 
 
-def _too_near(before: NDArray[np.float64], after: NDArray[np.float64], safe_distance: float) -> set[int]:
+def _too_near(before: NDArray[np.float64], after: NDArray[np.float64], mission: Mission) -> set[int]:
     """Robots that were nearer to another than the safe distance while they moved."""
-    limit = safe_distance - ROUNDING
+    limit = mission.safe_distance - ROUNDING
+    before, after = flattened(before, mission.downwash), flattened(after, mission.downwash)
     if segment_separation(before, after) >= limit:
         return set()
     pairs = combinations(range(len(before)), 2)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from llm_flock.algorithm1 import nearest_available
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, flattened
 from llm_flock.message import Message
 from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol import AssignmentInput, Claim, InfluenceConsensus, NearestFreeAssignment, Standing
@@ -88,10 +88,11 @@ async def central_check(
     trial: Trial, asked: Mapping[int, StepQuestion], steps: Mapping[int, StepAnswer | NoAnswer]
 ) -> dict[int, StepAnswer | NoAnswer]:
     """Ask again those who would come too near and are nearer to their goals, twice; then hold all that still would."""
-    margin = trial.config.mission.safe_distance + BUFFER
+    mission = trial.config.mission
+    margin, downwash = mission.safe_distance + BUFFER, mission.downwash
     answers, start = dict(steps), trial.bodies.positions
     for _ in range(REPROMPTS):
-        pairs = _conflicts(start, answers, margin)
+        pairs = _conflicts(start, answers, margin, downwash)
         if not pairs:
             break
         again = {_yielding(pair, asked): pair for pair in pairs}
@@ -103,7 +104,7 @@ async def central_check(
             }
         )
     held = set[int]()
-    while new := {robot for pair in _conflicts(start, answers, margin) for robot in pair} - held:
+    while new := {robot for pair in _conflicts(start, answers, margin, downwash) for robot in pair} - held:
         held |= new
         for robot in new & answers.keys():
             answers[robot] = NoAnswer(cause="held", reason="held by the collision check")
@@ -118,10 +119,13 @@ def _ends(start: np.ndarray, answers: Mapping[int, StepAnswer | NoAnswer]) -> np
     return ends
 
 
-def _conflicts(start: np.ndarray, answers: Mapping[int, StepAnswer | NoAnswer], margin: float) -> list[tuple[int, int]]:
+def _conflicts(
+    start: np.ndarray, answers: Mapping[int, StepAnswer | NoAnswer], margin: float, downwash: float
+) -> list[tuple[int, int]]:
     """Pairs of robots that would come nearer than the margin on the way, or at the end."""
     one, two = np.triu_indices(len(start), 1)
-    move = _ends(start, answers) - start
+    start, ends = (flattened(rows, downwash) for rows in (start, _ends(start, answers)))
+    move = ends - start
     offset, change = start[one] - start[two], move[one] - move[two]
     # The program looks from just after the start, so that a pair that starts too near may part.
     squared = np.maximum((change**2).sum(axis=1), 1e-12)

@@ -137,6 +137,19 @@ class Allowance:
         return True
 
 
+class Allowances:
+    """An allowance for each topic."""
+
+    def __init__(self) -> None:
+        self._by_topic: dict[str, Allowance] = {}
+
+    def spend(self, topic: str, rate: float) -> bool:
+        """Count one more message under a topic that may bring `rate` a second; whether that is not too many."""
+        if topic not in self._by_topic and len(self._by_topic) >= MAX_TOPICS:
+            self._by_topic.clear()
+        return self._by_topic.setdefault(topic, Allowance(rate)).spend(time.monotonic())
+
+
 _ID_BYTES = 2
 
 
@@ -200,7 +213,7 @@ class ZenohLink:
         self._seal = seal
         self._loop = loop
         self._rates, self._contexts = rates, contexts or {}
-        self._allowances: dict[str, Allowance] = {}
+        self._allowances = Allowances()
         self._publishers: dict[str, Any] = {}
         self._kept: list[Any] = []
         self._closed = False
@@ -247,12 +260,7 @@ class ZenohLink:
 
         def take(sample: zenoh.Sample) -> None:
             topic = str(sample.key_expr).removeprefix(f"{self._root}/")
-            allowance = self._allowances.get(topic)
-            if allowance is None:
-                if len(self._allowances) >= MAX_TOPICS:
-                    self._allowances.clear()
-                allowance = self._allowances[topic] = Allowance(self._rates[kind])
-            if allowance.spend(time.monotonic()):
+            if self._allowances.spend(topic, self._rates[kind]):
                 self._call(open_sealed, topic, sample.payload.to_bytes())
             else:  # only this thread counts them
                 self.traffic.refused["too_many"] += 1

@@ -72,13 +72,10 @@ def test_each_mission_of_a_run_has_its_own_rounds(tmp_path: Path) -> None:
     assert told(run)["headline"] == f"Mission 2 of 2 (line of 8) formed in round {13 + took} (given in round 14)"
     # Figures, notebooks and tables count as this page does.
     assert formed_in(run.history.result) == 13 + took == second.formed
-    assert formed_in({"formed": True, "rounds_to_formed": 4}) == 4 and formed_in({"missions": [{"formed": 3}]}) is None
+    assert formed_in({"formed": True}) is None and formed_in({"missions": [{"formed": 3}]}) is None
     # While it flies there is no result: what was measured says the same.
     run.history.result, run.open = None, True
     assert [part.formed for part in mission_parts(run.history)] == [given[0]["formed"], given[1]["formed"]]
-    # Older records count from the last mission only.
-    run.history.result = {"formed": True, "rounds_to_formed": took}
-    assert mission_parts(run.history)[1].formed == 13 + took
     # The result of a swarm says that it formed, but no round: it is measured.
     run.open = False
     run.history.result = {"formed": True, "mission_s": 7.5}

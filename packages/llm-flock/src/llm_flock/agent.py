@@ -228,7 +228,8 @@ class Agent:
             effects = self._give_mission(events.MissionGiven(mission=stage, ordered_at=self.ordered_at + 1))
             self._sense(event.round, event)
         if judgement is not None:
-            effects.extend(judgement.begin_round(event.round, event.position))
+            assert self._scene is not None, "a robot looks before it judges"
+            effects.extend(judgement.begin_round(event.round, event.position, self._pilot.resting(self._scene)))
         # A robot that joins a working team, or has given up its only plan, listens first, and only then proposes one.
         effects.extend([] if listening else self._proposals.ask(event))
         return (Phase.PLANNING if effects and isinstance(effects[-1], events.AskPlan) else Phase.AGREEING), effects
@@ -325,8 +326,9 @@ class Agent:
         assert scene is not None, "a round has begun"
         if rest := self._pilot.rest(scene):
             return Phase.MOVING, rest
-        if self._judgement is not None and self._judgement.waits:
-            return Phase.MOVING, self._pilot.hold(scene, "battery", "waiting for the team's choice")
+        if self._judgement is not None and (cause := self._judgement.waits) is not None:
+            why = "waiting for the team's choice" if cause == "battery" else "waiting as the team chose"
+            return Phase.MOVING, self._pilot.hold(scene, cause, why)
         effects, target, idle = list[Effect](), None, None
         unanswered = self._fallback != "hold" and self._proposals.breaker.refusals > 0
         if unanswered if plan is None else membership.lost if slot is None else membership.deserted:
@@ -346,7 +348,7 @@ class Agent:
         if plan is None or idle is not None:
             self._pilot.forget()
             return Phase.MOVING, [*effects, *self._pilot.hold(scene, "no_goal", idle or "")]
-        mission = self.mission.at(scene.round).resized(len(plan))
+        mission = agreement.terrain.at(scene.round).resized(len(plan))
         self._asked_about = self._topic
         effects.extend(self._pilot.decide(scene, mission, plan, slot, target))
         return (Phase.DECIDING if isinstance(effects[-1], events.AskStep) else Phase.MOVING), effects

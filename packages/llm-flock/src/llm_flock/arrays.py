@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Annotated, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Points: TypeAlias = Annotated[NDArray[np.float64], "n d"]
 Vector: TypeAlias = Annotated[NDArray[np.float64], "d"]
@@ -29,6 +29,25 @@ def moved(point: Point, by: Point, share: float = 1.0) -> Point:
 def between(here: Point, there: Point, share: float) -> Point:
     """The point at this share of the way to another [units]; beyond it for more than 1, and behind for less than 0."""
     return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
+
+
+def flattened(points: ArrayLike, downwash: float) -> Points:
+    """Points, shape (n, d), with heights divided by `downwash`: the ellipsoid that robots keep free becomes a sphere.
+
+    This is the one norm in which robots' distances from each other are judged (Preiss, Hönig, Ayanian, Sukhatme:
+    Downwash-aware trajectory planning for large quadrotor teams, IROS 2017). No vector gets longer by it. Points of
+    the plane, and those of a `downwash` of 1, stay as they are.
+    """
+    rows = np.asarray(points, dtype=np.float64)
+    return rows if downwash == 1.0 or not rows.size else rows / np.array([1.0, 1.0, downwash])
+
+
+def separation(one: Point, other: Point, downwash: float) -> float:
+    """The distance of two robots as `flattened` measures it [units]."""
+    if downwash == 1.0:
+        return math.dist(one, other)
+    x, y, z = (b - a for a, b in zip(one, other, strict=True))
+    return math.hypot(x, y, z / downwash)
 
 
 def spread(points: Iterable[Point], apart: float, near: Sequence[Point] = ()) -> Iterator[Point]:

@@ -74,8 +74,8 @@ MAX_STOPS = 4  #: Most points of a course.
 MAX_PROPOSALS = 4  #: Most proposals of others in one message.
 MAX_VOTES = 16  #: Most votes in one message.
 
-Choice: TypeAlias = Literal["leave", "close", "replan", "continue", "swap", "spare"]
-"""What a team can do about a place that a dead robot leaves empty (the first three), and about a weak battery."""
+Choice: TypeAlias = Literal["leave", "close", "replan", "continue", "swap", "spare", "wait", "round"]
+"""What a team can do about a place that a dead robot leaves empty (the first three), a weak battery and a blocked way."""
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -187,12 +187,13 @@ class Proposal(_OnWire, frozen=True, kw_only=True):
 
 
 class Incident(_OnWire, frozen=True, kw_only=True):
-    """Something that the robots' models judge: a place that a dead robot leaves empty, or a weak battery."""
+    """What the robots' models judge: a place that a dead robot leaves empty, a weak battery, or a blocked way."""
 
-    kind: Literal["death", "battery"]
+    kind: Literal["death", "battery", "blocked"]
     robot: Id  #: The robot that it has happened to.
-    left: Annotated[float, msgspec.Meta(ge=0, le=MAX_BID)] = 0.0  #: How far that robot can still fly [units].
-    at: Coordinates = ()  #: Where it said so [units; frame of the mission]; empty for a dead one.
+    #: How far that robot can still fly, or the radius of the obstacle in its way [units].
+    left: Annotated[float, msgspec.Meta(ge=0, le=MAX_BID)] = 0.0
+    at: Coordinates = ()  #: Where it said so, or where that obstacle is [units]; empty for a dead one.
 
 
 class Vote(_OnWire, frozen=True, kw_only=True):

@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Pairwise, Point, Points, Vector
+from llm_flock.arrays import Pairwise, Point, Points, Vector, flattened
 from llm_flock.correspondence import as_complex, longest, proven_match
 from llm_flock.errors import InputError
 
@@ -201,19 +201,25 @@ ROUNDING = 1e-6
 """A pair nearer than allowed by up to this still counts as separated [units]."""
 
 
-def min_separation(positions: ArrayLike) -> float:
-    """Distance of the closest pair [units]; infinite for a single robot."""
-    return formations.smallest_distance(positions)
+def min_separation(positions: ArrayLike, downwash: float = 1.0) -> float:
+    """Distance of the closest pair, by the norm of `arrays.flattened` [units]; infinite for a single robot."""
+    return formations.smallest_distance(flattened(positions, downwash))
 
 
-def segment_separation(before: ArrayLike, after: ArrayLike, without: frozenset[tuple[int, int]] = frozenset()) -> float:
-    """Smallest distance of any pair during a lockstep round [units]; infinite for a single robot.
+def segment_separation(
+    before: ArrayLike,
+    after: ArrayLike,
+    without: frozenset[tuple[int, int]] = frozenset(),
+    *,
+    downwash: float = 1.0,
+) -> float:
+    """Smallest distance of any pair during a lockstep round, as `min_separation` [units]; infinite for a single robot.
 
     All robots start and arrive together, on straight segments at constant speed. A pair with offset p and change of
     offset v over the round is nearest after the share t = -<p, v> / |v|^2 of the round, clipped to 0 .. 1. Pairs
     (lower id, higher id) in `without` are left out.
     """
-    start, end = np.asarray(before, dtype=np.float64), np.asarray(after, dtype=np.float64)
+    start, end = flattened(before, downwash), flattened(after, downwash)
     if len(start) < 2:
         return math.inf
     few = len(start) <= 200 or bool(without)  # beyond, a k-d tree selects the pairs that can come near
@@ -271,8 +277,8 @@ class StartSeparation:
         smallest: smallest distance of any pair from its first separation on, including along segments [units].
     """
 
-    def __init__(self, safe_distance: float) -> None:
-        self._limit = safe_distance - ROUNDING
+    def __init__(self, safe_distance: float, downwash: float = 1.0) -> None:
+        self._limit, self._downwash = safe_distance - ROUNDING, downwash
         self._together: frozenset[tuple[int, int]] = frozenset()
         self._before: NDArray[np.float64] | None = None
         self.start_violations = 0
@@ -281,6 +287,7 @@ class StartSeparation:
 
     def update(self, round_number: int, positions: NDArray[np.float64], closest: float) -> None:
         """Add a round (0 is the start), its last positions, and the smallest distance in it, segments included."""
+        positions = flattened(positions, self._downwash)
         if self._before is None:
             self._before = positions
             self._together = frozenset(scipy.spatial.KDTree(positions).query_pairs(self._limit))

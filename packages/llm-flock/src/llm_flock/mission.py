@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points
+from llm_flock.arrays import MAX_COORDINATE, Pairwise, Point, Points, flattened, separation
 from llm_flock.bounds import (
     MAX_CORNERS,
     MAX_LENGTH,
@@ -49,6 +49,8 @@ MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "v
 """Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
 
 MAX_STAGES = 20  #: Most stages of a mission: each is checked with all that follow.
+
+MAX_DOWNWASH = 3.7  #: Largest `downwash` for which docs/explanation/theory.md proves the shield with late positions.
 
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
@@ -121,6 +123,11 @@ class Mission(BaseModel):
     since: int = Field(default=0, ge=0, description="Round at which a moving formation's centre is at `center`")
     spacing: Length = Field(default=10.0, description="Desired distance between neighbouring robots d_d [units]")
     safe_distance: Length = Field(default=3.0, description="Smallest allowed distance between two robots d_s [units]")
+    downwash: Annotated[float, Field(ge=1, le=MAX_DOWNWASH)] = Field(
+        default=1.0,
+        exclude_if=lambda value: value == 1.0,
+        description="In space, how many times the safe distance applies to robots above each other: 2 to 3 for rotors",
+    )
     max_step: Length = Field(default=6.0, description="Longest move in one round v_m [units]")
     comm_range: Length = Field(default=15.0, description="Radio range r_comm [units]")
     sense_range: Length | None = Field(
@@ -184,6 +191,8 @@ class Mission(BaseModel):
             raise InputError("center", list(self.center), f"a point inside the arena {list(low)} .. {list(high)}")
         if self.spacing < self.safe_distance:
             raise InputError("spacing", self.spacing, f"at least safe_distance = {self.safe_distance:g}")
+        if self.downwash != 1.0 and dim == 2:
+            raise InputError("downwash", self.downwash, "1 in the plane, where no robot is above another")
         if (letter := hidden(self.shape)) is not None:
             raise InputError("shape", self.shape, f"visible letters only, not {letter!a}")
         self._check_velocity()
@@ -276,9 +285,9 @@ class Mission(BaseModel):
             raise InputError("points", f"{len(self.points)} rows", f"{len(self.center)} coordinates in each row")
         if self.ideal is None:
             return
-        nearest = formations.smallest_distance(self.ideal)
+        nearest = formations.smallest_distance(flattened(self.ideal, self.downwash))
         if nearest < self.safe_distance - 1e-9:
-            allowed = f"points at least safe_distance = {self.safe_distance:g} apart, not {nearest:.3g}"
+            allowed = f"points at least safe_distance = {self.safe_distance:g} apart{self.by_height}, not {nearest:.3g}"
             raise InputError("shape", self.shape, allowed)
         if formations.is_drawn(self.shape) and (gap := formations.widest_gap(self.ideal)) > self.comm_range + 1e-9:
             says = f"at least {gap:.4g}, so that all robots of '{shape_title(self.shape)}' hear each other"
@@ -384,10 +393,24 @@ class Mission(BaseModel):
         """Smallest allowed distance of a robot's centre from an obstacle: half the safe distance [units]."""
         return self.safe_distance / 2
 
+    @property
+    def height_apart(self) -> float:
+        """The safe distance between robots above each other: the longest half axis of the ellipsoid [units]."""
+        return self.safe_distance * self.downwash
+
+    @property
+    def by_height(self) -> str:
+        """How heights count where robots' distances are named in a sentence; empty if they count as they are."""
+        return "" if self.downwash == 1.0 else f" (with differences of z divided by {self.downwash:g})"
+
+    def separation(self, one: Point, other: Point) -> float:
+        """The distance of two robots to which `safe_distance` applies [units]."""
+        return separation(one, other, self.downwash)
+
     def start_volume(self, n_robots: int) -> float:
         """Volume of the smallest arena that has room for random starts, the safe distance apart [units^dim]."""
         ball = math.pi ** (self.dim / 2) / math.gamma(self.dim / 2 + 1) * self.body_radius**self.dim
-        return n_robots * ball / START_DENSITY
+        return n_robots * ball * self.downwash / START_DENSITY
 
     def __hash__(self) -> int:
         return hash(self.digest)
@@ -473,6 +496,10 @@ class Mission(BaseModel):
         """
         return self if places == self.n_places else _resize(self, places)
 
+    def among(self, obstacles: tuple[Obstacle, ...]) -> Mission:
+        """The same mission with more obstacles, for the maps of robots that know of them."""
+        return _among(self, obstacles) if obstacles else self
+
     def change(self, /, **fields: Any) -> Mission:
         """A changed copy, validated as a whole. New points set the shape to `points`; a new shape drops the points.
 
@@ -495,15 +522,16 @@ class Mission(BaseModel):
         """Check that robots sense far enough for the shield. Call before a run with the shield on.
 
         Two robots that do not see each other approach by at most 2 * max_step in one round, so the proof needs
-        sense_range >= safe_distance + 2 * max_step (Zhou et al. 2017, lockstep form).
+        sense_range >= safe_distance * downwash + 2 * max_step (Zhou et al. 2017, lockstep form).
 
         Raises:
             InputError: the range is shorter.
         """
-        needed = self.safe_distance + 2 * self.max_step
+        needed = self.height_apart + 2 * self.max_step
         if self.sensing < needed:
             ways = "(raise sense_range or comm_range, lower max_step, or switch the shield off)"
-            allowed = f"at least safe_distance + 2 * max_step = {needed:g} while the shield is on {ways}"
+            safe = "safe_distance" if self.downwash == 1.0 else "safe_distance * downwash"
+            allowed = f"at least {safe} + 2 * max_step = {needed:g} while the shield is on {ways}"
             raise InputError("sense_range", self.sensing, allowed)
 
 
@@ -515,6 +543,11 @@ def mission_text(mission: Mission) -> str:
 def _copy(mission: Mission, **fields: Any) -> Mission:
     """A changed copy without validation, and without the values of cached properties."""
     return Mission.model_construct(**{name: getattr(mission, name) for name in Mission.model_fields} | fields)
+
+
+@lru_cache(maxsize=256)
+def _among(mission: Mission, obstacles: tuple[Obstacle, ...]) -> Mission:
+    return _copy(mission, obstacles=(*mission.obstacles, *obstacles))
 
 
 @lru_cache(maxsize=256)

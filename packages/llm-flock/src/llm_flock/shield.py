@@ -4,7 +4,8 @@ Zhou, Wang, Bandyopadhyay, Schwager: Fast, on-line collision avoidance for dynam
 cells (IEEE RA-L 2017). Each robot stays on its own side of the bisector with every neighbour, shrunk by half the safe
 distance. If all robots do so from one snapshot and move in step along straight segments, no pair is ever nearer than
 the safe distance, not even on the way: along the line of sight each robot uses at most half of the room between them,
-so their distance along it never falls below `safe_distance`. For bodies that do not move in step, use
+so their distance along it never falls below `safe_distance`. Distances of robots are those of `arrays.flattened`, in
+which a step is never longer than it is. For bodies that do not move in step, use
 `llm_flock.protocol._motion.shield_async`.
 
 For a pair that is already too close, the sides ask both robots to move back. As long as each moves back at least a
@@ -16,8 +17,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from llm_flock.arrays import Point, moved
-from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, relaxed_move
+from llm_flock.arrays import Point, moved, separation
+from llm_flock.protocol._motion.projection import TOLERANCE, HalfSpace, line_of_sight, relaxed_move
 
 Sides = Callable[[float], Sequence[HalfSpace]]
 """Further sides of a cell for a given longest step [units]: walls and obstacles."""
@@ -30,6 +31,7 @@ def separation_half_spaces(
     safe_distance: float,
     max_step: float,
     noise_bound: float = 0.0,
+    downwash: float = 1.0,
 ) -> list[HalfSpace]:
     """The sides of the buffered Voronoi cell within one step, as limits on the displacement.
 
@@ -39,14 +41,14 @@ def separation_half_spaces(
     """
     sides: list[HalfSpace] = []
     for other in neighbors:
-        gap = math.dist(position, other)
+        gap = separation(position, other, downwash)
         if gap < TOLERANCE:
             continue  # no line of sight: see `spread_coincident`
         margin = noise_bound * (1.0 + 4.0 * max_step / gap)
         room = (gap - safe_distance) / 2.0 - margin
         if room < max_step:
-            normal = tuple((b - a) / gap for a, b in zip(position, other, strict=True))
-            sides.append(HalfSpace(normal, max(-max_step, room), gap < safe_distance - 2.0 * noise_bound))
+            normal, share = line_of_sight(position, other, gap, downwash)
+            sides.append(HalfSpace(normal, max(-max_step, room / share), gap < safe_distance - 2.0 * noise_bound))
     return sides
 
 
@@ -76,6 +78,7 @@ def project(
     safe_distance: float,
     max_step: float,
     noise_bound: float = 0.0,
+    downwash: float = 1.0,
     also: Sides | None = None,
 ) -> Point:
     """The point of the robot's buffered Voronoi cell, within `max_step`, nearest to `waypoint`.
@@ -89,6 +92,7 @@ def project(
         safe_distance: smallest allowed distance between two robots [units].
         max_step: longest allowed move [units].
         noise_bound: largest error of each believed position [units].
+        downwash: how many times the safe distance applies to robots above each other, at most `mission.MAX_DOWNWASH`.
         also: further sides of the cell for a given longest step, from walls and obstacles.
 
     Returns:
@@ -98,7 +102,12 @@ def project(
 
     def within(longest: float) -> Point:
         sides = separation_half_spaces(
-            position, others, safe_distance=safe_distance, max_step=longest, noise_bound=noise_bound
+            position,
+            others,
+            safe_distance=safe_distance,
+            max_step=longest,
+            noise_bound=noise_bound,
+            downwash=downwash,
         )
         if also is not None:
             sides.extend(also(longest))

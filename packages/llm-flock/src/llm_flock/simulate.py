@@ -10,7 +10,7 @@ from typing import Literal, Protocol, TypeAlias
 import numpy as np
 
 from llm_flock import graph
-from llm_flock.arrays import Pairwise, Point, Points, Vector
+from llm_flock.arrays import Pairwise, Point, Points, Vector, flattened
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Mover, MovingObstacle, clearance
@@ -79,7 +79,7 @@ def draw_start(mission: Mission, rule: StartRule, rng: np.random.Generator, area
     for k in range(mission.n_robots):
         for _ in range(MAX_DRAWS):
             draw = _near(placed[:k], mission.comm_range, rng) if k and rule == "connected" else rng.uniform(low, high)
-            apart = rule == "uniform" or not k or _nearest(placed[:k], draw) >= mission.safe_distance
+            apart = rule == "uniform" or not k or _nearest(placed[:k] - draw, mission) >= mission.safe_distance
             inside = bool((low <= draw).all() and (draw <= high).all())
             if apart and inside and clearance(tuple(draw.tolist()), mission.obstacles) >= mission.body_radius:
                 placed[k] = draw
@@ -101,8 +101,8 @@ def _area(mission: Mission, area: Area) -> tuple[Point, Point]:
     return area
 
 
-def _nearest(placed: Points, draw: Vector) -> float:
-    return float(np.linalg.norm(placed - draw, axis=1).min())
+def _nearest(offsets: Points, mission: Mission) -> float:
+    return float(np.linalg.norm(flattened(offsets, mission.downwash), axis=1).min())
 
 
 def _near(placed: Points, reach: float, rng: np.random.Generator) -> Vector:
@@ -191,7 +191,8 @@ class Readings:
             return Sensing(position=rows[robot], sensed=sensed, moving=self._movers(robot))
         here = self._reading(robot, self.places)
         sensed = {j: self._reading(j, self._seen) for j in self.in_sense_range[robot]}
-        self.nearest_read = min(self.nearest_read, *(math.dist(here, there) for there in sensed.values()), math.inf)
+        gaps = (self._mission.separation(here, there) for there in sensed.values())
+        self.nearest_read = min(self.nearest_read, *gaps, math.inf)
         return Sensing(position=here, sensed=sensed, moving=self._movers(robot))
 
     def _movers(self, robot: int) -> tuple[Mover, ...]:

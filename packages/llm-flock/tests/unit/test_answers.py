@@ -12,8 +12,8 @@ from answer_readers import parse_path, parse_path_json, parse_plan, parse_plan_j
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError
 from llm_flock.llm._answer_forms import answer_schema
-from llm_flock.llm._answers import MAX_CHARS
 from llm_flock.llm._port import AnswerForm
+from llm_flock.llm._thoughts import MAX_CHARS
 from llm_flock.plan import Plan
 
 POINTS = [[55.77, 50.0], [47.11, 55.0], [47.11, 45.0]]

@@ -9,6 +9,7 @@ from llm_flock.llm._port import Attempt, Call, Reply
 from llm_flock.mission import Mission
 from llm_flock.record._schema import Entry, LlmEntry, NullWriter, ProtocolEvent, RecordSink
 from llm_flock.runtime import _journal as journals
+from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._journal import Journal
 
 CALL = Call(robot=0, round=1, kind="step", attempt=0, messages=())
@@ -25,7 +26,7 @@ class Entries:
 
 
 def kept(sink: RecordSink) -> Journal:
-    journal = Journal(Mission(shape="line", n_robots=3), sink)
+    journal = Journal(RunConfig(mission=Mission(shape="line", n_robots=3)), sink)
     journal.note(1, None, 0, Note("proposed", {"plan": "a", "slot": 1, "by": "model"}))
     journal.attempt(Attempt(call=CALL, reply=Reply(text="", model="x", faults=("timeout",)), error=("timeout", "x")))
     journal.flush_attempts()

@@ -13,12 +13,12 @@ import llm_flock
 from llm_flock.errors import AnswerError
 from llm_flock.formation import parse_program, program_points
 from llm_flock.llm._answer_forms import answer_grammar, longest_answer
-from llm_flock.llm._answers import MAX_CHARS
 from llm_flock.llm._port import AnswerForm
 from llm_flock.llm._program_answers import read_program
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock.llm._thoughts import MAX_CHARS
 from llm_flock.mission import Mission
 from llm_flock.planner import PlanQuestion
 

@@ -8,9 +8,8 @@ import pytest
 from answer_readers import parse_plan, parse_step, parse_step_json
 
 from llm_flock.errors import AnswerError
-from llm_flock.llm._answers import MAX_CHARS
 from llm_flock.llm._port import Reply
-from llm_flock.llm._thoughts import spoken, whole_answer
+from llm_flock.llm._thoughts import MAX_CHARS, spoken, whole_answer
 
 SAID = "Position: [1, 2]"
 DRAFT = "I could go to Position: [5, 0]. "

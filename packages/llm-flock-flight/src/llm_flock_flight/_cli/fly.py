@@ -46,8 +46,7 @@ if TYPE_CHECKING:
     from llm_flock_flight._flight.flight import FlightResult
     from llm_flock_flight._flight.preflight import Check, PreflightReport
 
-WORD = "fly"
-"""The word that confirms a flight."""
+WORD = "fly"  # the word that confirms a flight
 
 
 SHOWN = (

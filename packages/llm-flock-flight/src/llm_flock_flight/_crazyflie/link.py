@@ -35,11 +35,8 @@ from llm_flock_flight._crazyflie.threads import Worker, in_thread, new_thread
 SILENCE_S, MAX_SILENCE_S = 1.0, 4.0
 """An attempt to open a link is given up after this silence [s]; each attempt has more patience, up to the second."""
 
-AGAIN_S = 0.3
-"""The version of the protocol is asked for again after this time [s]."""
-
-SEND_S = 2.5
-"""Longest time to send one packet: cflib's radio driver gives up after 2 s [s]."""
+AGAIN_S = 0.3  # the version of the protocol is asked for again after this time [s]
+SEND_S = 2.5  # longest time to send one packet: cflib's radio driver gives up after 2 s [s]
 
 HIGH_LEVEL_PORT = 8
 SCHEMES = ("radio://", "udp://", "usb://", "tcp://", "serial://")

@@ -16,17 +16,13 @@ from typing import Any, TypeAlias
 from llm_flock.errors import InputError
 from llm_flock.robots import RobotError
 
-PORT, READ, WRITE = 2, 1, 2
-"""Port of parameters, and the channels on which they are read and written."""
-
-ANSWER_S = 0.25
-"""Wait for an answer before a packet is sent again [s]."""
+PORT, READ, WRITE = 2, 1, 2  # port of parameters, and the channels on which they are read and written
+ANSWER_S = 0.25  # wait for an answer before a packet is sent again [s]
 
 RESET_THEMSELVES = ("kalman.resetEstimation", "kalmanUKF.resetEstimation")
 """Parameters that the firmware sets back to 0 as soon as it has acted on them."""
 
-Send: TypeAlias = Callable[[int, int, bytes], Awaitable[None]]
-"""Sends a packet: its port, its channel and its data."""
+Send: TypeAlias = Callable[[int, int, bytes], Awaitable[None]]  # sends a packet: its port, its channel and its data
 
 
 class FirmwareParameters:

@@ -22,14 +22,9 @@ from itertools import combinations
 from types import MappingProxyType
 from urllib.parse import urlsplit
 
-EXCHANGE_S = 0.0007
-"""Time of an exchange at 2 Mbit/s without changes of settings [s]."""
-
-SETTING_S = 0.001
-"""Time to set address, channel or data rate before it [s]."""
-
-BITS_PER_S: Mapping[str, float] = MappingProxyType({"250K": 250e3, "1M": 1e6, "2M": 2e6})
-"""Data rates in addresses."""
+EXCHANGE_S = 0.0007  # time of an exchange at 2 Mbit/s without changes of settings [s]
+SETTING_S = 0.001  # time to set address, channel or data rate before it [s]
+BITS_PER_S: Mapping[str, float] = MappingProxyType({"250K": 250e3, "1M": 1e6, "2M": 2e6})  # data rates in addresses
 
 MAX_PACKET_BITS = 2 * 8 * 41
 """In the air for the longest packet and the longest answer: 32 bytes, and 9 around them, each."""
@@ -46,8 +41,7 @@ WIFI_MHZ: Mapping[int, int] = MappingProxyType({1: 2412, 6: 2437, 11: 2462})
 WIFI_HALF_MHZ, RADIO_HALF_MHZ = 11, 1
 """Half of the width of a Wi-Fi channel of 20 MHz with its edges, and of a Crazyradio channel at 2 Mbit/s."""
 
-LAST_IN_BAND = 83
-"""Channels beyond are above 2.4835 GHz, where few countries allow sending without a licence."""
+LAST_IN_BAND = 83  # channels beyond are above 2.4835 GHz, where few countries allow sending without a licence
 
 LAST_CHANNEL = 125
 

@@ -46,8 +46,7 @@ from llm_flock_flight._pauses import own_pauses
 TAKE_OFF, LAND, GO_TO, GO_TO_OLD = 7, 8, 12, 4
 """Commands of the high-level commander (firmware: `crtp_commander_high_level.c`)."""
 
-ANSWER_S = 0.2
-"""Wait for the answer to a command before it is resent [s]."""
+ANSWER_S = 0.2  # wait for the answer to a command before it is resent [s]
 
 ATTEMPTS = 8
 """Tries of a command: with a tenth of all packets lost, four fail once in 800 commands, eight once in 600,000."""
@@ -56,8 +55,7 @@ ARM_S = 2.0
 STOP_S = 1.0
 """Longest time to try arming, and an emergency stop [s]."""
 
-REFUSED = 1
-"""The firmware's answer to a take-off in flight, and to a second landing."""
+REFUSED = 1  # the firmware's answer to a take-off in flight, and to a second landing
 
 RELAX_TIMES, RELAX_S = 4, 0.02
 """How often the drone is told that no set-points come from here, and the time in between [s]: nothing confirms it."""
@@ -65,8 +63,7 @@ RELAX_TIMES, RELAX_S = 4, 0.02
 UNPREPARED = "it was flying, or had landed less than 2 s ago, as it was connected: try again"
 """Why a drone is not ready whose parameters were left alone."""
 
-LINK_TIMEOUT_S = 1.0
-"""A link is lost after this silence, unless a flight puts up with more [s]."""
+LINK_TIMEOUT_S = 1.0  # a link is lost after this silence, unless a flight puts up with more [s]
 
 
 class _Refused(RobotError):

@@ -22,17 +22,13 @@ NOT_IN_FLIGHT = (
 )
 """Fields of a run that flights do not support: faults, noise and starts of real drones are real."""
 
-DOWN_M = 0.12
-"""A drone with an estimate this near to the floor is down [m]."""
+DOWN_M = 0.12  # a drone with an estimate this near to the floor is down [m]
 
 HEIGHT_TRACKING_M = 0.15
 """Default of `height_tracking_m` in the plane: a Crazyflie's stock controller overshoots a take-off by 8 cm [m]."""
 
-ROUNDING_M = 1e-6
-"""Tolerance of limits on lengths and times [m, s]."""
-
-ON_FLOOR_M = 0.3
-"""Largest distance of the estimate from the floor for a drone on it [m]."""
+ROUNDING_M = 1e-6  # tolerance of limits on lengths and times [m, s]
+ON_FLOOR_M = 0.3  # largest distance of the estimate from the floor for a drone on it [m]
 
 
 class FlightConfig(RunConfig):
@@ -87,17 +83,16 @@ class FlightConfig(RunConfig):
                 f"unit is {world.scale_m:g} m (here {self.safe_distance_m:g} m)",
             )
         above = safety.downwash_m + 2 * self.height_tracking_m
-        if self.mission.dim == 3 and self.safe_distance_m * world.stretch < above - ROUNDING_M:
+        if self.mission.dim == 3 and self.safe_distance_m * self.mission.downwash < above - ROUNDING_M:
             raise InputError(
-                "stretch",
-                world.stretch,
+                "downwash",
+                self.mission.downwash,
                 f"at least {above / self.safe_distance_m:.3g}, so that no drone flies in another's downwash: "
                 f"downwash_m + 2 height_tracking_m = {above:g} m above each other",
             )
 
     def _check_speed(self) -> None:
-        steepest = self.world.stretch if self.mission.dim == 3 else 1.0
-        longest = self.mission.max_step * self.world.scale_m * steepest
+        longest = self.mission.max_step * self.world.scale_m
         least = PEAK_SPEED * longest / self.safety.max_speed_m_s
         if self.safety.round_s < least - ROUNDING_M:
             raise InputError(
@@ -172,8 +167,7 @@ class FlightConfig(RunConfig):
     @property
     def fastest_m_s(self) -> float:
         """Highest speed of a set-point in a round [m/s]: the longest step, from rest to rest."""
-        steepest = self.world.stretch if self.mission.dim == 3 else 1.0
-        return PEAK_SPEED * self.mission.max_step * self.world.scale_m * steepest / self.safety.round_s
+        return PEAK_SPEED * self.mission.max_step * self.world.scale_m / self.safety.round_s
 
     @property
     def frame(self) -> MissionFrame:

@@ -33,8 +33,7 @@ from llm_flock_flight._flight.shown import ros2_bridge
 from llm_flock_flight._flight.team import FlyingTeam
 from llm_flock_flight._pauses import PAUSE_S
 
-LOOK_S = 0.02
-"""Time between two checks of the heartbeats [s]."""
+LOOK_S = 0.02  # time between two checks of the heartbeats [s]
 
 
 class HeartbeatListener:

@@ -123,7 +123,7 @@ def _starts(config: FlightConfig) -> Points:
 
 async def _fly_trial(config: FlightConfig, team: DryRunTeam, starts: Points) -> Trial:
     planners = TeamPlanners(config)
-    journal = Journal(config.mission, NullWriter(), replans=config.protocol.gaps == "replan")
+    journal = Journal(config, NullWriter())
     planners.listen(journal.attempt)
     trial = Trial(config, config.protocol.rules(), planners, team, journal, starts)
     try:

@@ -22,8 +22,7 @@ LAG_MARGIN_S = 0.25
 """The longest delay allowed is that expected of the controller, times the factor, plus the margin [s]: the loops below
 the position's add to it, and estimates arrive late."""
 
-TRIES = 17
-"""Delays tried at once, twice: the step is 1/128 of the longest one."""
+TRIES = 17  # delays tried at once, twice: the step is 1/128 of the longest one
 
 
 def lag_bound_s(config: FlightConfig, equipment: Iterable[Equipment]) -> float:

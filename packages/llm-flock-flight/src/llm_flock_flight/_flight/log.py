@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from llm_flock.arrays import flattened
 from llm_flock.record import BodySample, FlightEvent, RecordSink
 from llm_flock.robots import RobotState, Segment
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.lag import Tracking
-from llm_flock_flight._flight.setpoints import scale_heights
 
 SAMPLE_S = 0.1  # time between two samples in the record [s]
 
@@ -68,8 +68,7 @@ class FlightLog:
                 weight = math.hypot(*motion.at(states[robot].stamp_s - delay_s)[1]) ** 2
                 delays, weights = self._lags.get(motion.began_s, (0.0, 0.0))
                 self._lags[motion.began_s] = (delays + weight * delay_s, weights + weight)
-        safety = self._safety
-        places = scale_heights([state.position for state in states], safety.min_separation_m, safety.downwash_m)
+        places = flattened([state.position for state in states], self._safety.downwash)
         for robot in aloft:  # from each other, and from those that stand
             others = np.delete(places, robot, axis=0)
             self.nearest_m = min(self.nearest_m, *np.linalg.norm(others - places[robot], axis=1).tolist(), math.inf)

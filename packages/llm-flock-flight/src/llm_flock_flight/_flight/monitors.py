@@ -14,13 +14,12 @@ from itertools import combinations
 
 import scipy
 
+from llm_flock.arrays import flattened
 from llm_flock.robots import RobotState
 from llm_flock_flight._flight.config import FlightConfig
 from llm_flock_flight._flight.lag import Tracking
-from llm_flock_flight._flight.setpoints import scale_heights
 
-PERIOD_S = 0.05
-"""Time between two checks [s]."""
+PERIOD_S = 0.05  # time between two checks [s]
 
 
 class TroubleKind(Enum):
@@ -149,9 +148,7 @@ class Monitors:
         if len(flying) < 2:
             return []
         safety, places = self._safety, [states[k].position for k in flying]
-        distances = scipy.spatial.distance.pdist(
-            scale_heights(places, safety.min_separation_m, safety.downwash_m)
-        ).tolist()
+        distances = scipy.spatial.distance.pdist(flattened(places, safety.downwash)).tolist()
         nearest, (one, two) = min(zip(distances, combinations(flying, 2), strict=True))
         if nearest >= safety.min_separation_m:
             return []

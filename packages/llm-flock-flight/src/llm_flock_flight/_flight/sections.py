@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from llm_flock.errors import InputError
-from llm_flock.runtime import ConfigSection, Metres, metres, seconds
+from llm_flock.runtime import ConfigSection, Metres, metres, number, seconds
 
 _seconds = partial(seconds, most=3600)
 
@@ -88,19 +88,11 @@ class SafetyConfig(ConfigSection):
     min_separation_m: float = metres(0.2, "Smallest distance between two drones side by side, centre to centre")
     downwash_m: float = metres(0.6, "Smallest distance between two drones above each other")
     tracking_m: float = metres(0.05, "Largest distance between a drone and its set-point, as late as the team is")
-    height_tracking_m: float | None = Field(
-        default=None,
-        gt=0,
-        le=1000,
-        allow_inf_nan=False,
-        description="The same for heights; none: 0.15 in the plane (or tracking_m, if larger), tracking_m in space [m]",
+    height_tracking_m: float | None = metres(
+        None, "The same for heights; none: 0.15 in the plane (or tracking_m, if larger), tracking_m in space"
     )
-    lag_s: float | None = Field(
-        default=None,
-        ge=0,
-        le=60,
-        allow_inf_nan=False,
-        description="Longest delay of the team behind its set-points; none: by the drones' controllers [s]",
+    lag_s: float | None = number(
+        None, "Longest delay of the team behind its set-points; none: by the drones' controllers [s]", most=60
     )
     max_speed_m_s: float = Field(
         default=1.0, gt=0, le=20, allow_inf_nan=False, description="Highest speed of a set-point [m/s]"
@@ -133,6 +125,11 @@ class SafetyConfig(ConfigSection):
     )
     reach_s: float = _seconds(15.0, "Keep calling a drone that is out of reach, to land it, for this time")
 
+    @property
+    def downwash(self) -> float:
+        """How many times the smallest distance side by side applies to drones above each other."""
+        return self.downwash_m / self.min_separation_m
+
 
 class PositionsConfig(ConfigSection):
     """Positions from outside, for drones that do not find out by themselves where they are."""
@@ -154,24 +151,14 @@ class PositionsConfig(ConfigSection):
     pose_attitude: bool = Field(
         default=False, description="Send orientations too: only if bodies in the motion capture point as the drones do"
     )
-    pose_rate_hz: float = Field(
-        default=30.0, ge=5, le=200, allow_inf_nan=False, description="Most poses a second to one drone"
-    )
+    pose_rate_hz: float = number(30.0, "Most poses a second to one drone", least=5, most=200)
     pose_late_s: float = seconds(0.1, "Largest delay of a pose over the fastest one; a later one is not sent", most=10)
     pose_lost_s: float = seconds(0.5, "In flight: land after this time without an accepted pose of a drone", most=10)
-    pose_frozen_s: float = Field(
-        default=0.5,
-        ge=0,
-        le=60,
-        allow_inf_nan=False,
-        description="A pose that repeats the very same numbers for longer than this is not sent; 0: any may [s]",
+    pose_frozen_s: float = number(
+        0.5, "A pose that repeats the very same numbers for longer than this is not sent; 0: any may [s]", most=60
     )
-    pose_jump_m: float = Field(
-        default=0.1,
-        gt=0,
-        le=10,
-        allow_inf_nan=False,
-        description="Largest jump of a pose, beyond what a drone can fly; a farther one is not sent [m]",
+    pose_jump_m: float = metres(
+        0.1, "Largest jump of a pose, beyond what a drone can fly; a farther one is not sent", most=10
     )
 
     @property

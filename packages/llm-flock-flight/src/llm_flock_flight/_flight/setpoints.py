@@ -5,10 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-import numpy as np
-
 from llm_flock import metrics
-from llm_flock.arrays import Points
 from llm_flock.robots import PEAK_SPEED, Position, Segment
 from llm_flock_flight._flight.config import FlightConfig
 
@@ -20,13 +17,6 @@ def resting(position: Position) -> Segment:
     return Segment(start=position, target=position, duration_s=1.0, began_s=-math.inf)
 
 
-def scale_heights(positions: Sequence[Position], beside: float, above: float) -> Points:
-    """Positions with heights scaled so that an ellipsoid with these half axes becomes a sphere of radius `beside`."""
-    scaled = np.array(positions, dtype=np.float64).reshape(-1, 3)
-    scaled[:, 2] *= beside / above
-    return scaled
-
-
 class SetPointCheck:
     """Checks the set-points of a round."""
 
@@ -35,13 +25,11 @@ class SetPointCheck:
         self._low, self._high = config.inner_fence
         self._fastest = safety.max_speed_m_s
         self._beside = safety.min_separation_m + 2 * safety.tracking_m
-        self._above = safety.downwash_m + 2 * config.height_tracking_m
+        self._downwash = (safety.downwash_m + 2 * config.height_tracking_m) / self._beside
 
     def separation(self, before: Sequence[Position], after: Sequence[Position]) -> float:
         """Smallest distance of two set-points during the motion, heights scaled by the vertical rule [m]."""
-        return metrics.segment_separation(
-            scale_heights(before, self._beside, self._above), scale_heights(after, self._beside, self._above)
-        )
+        return metrics.segment_separation(before, after, downwash=self._downwash)
 
     def faults(self, before: Sequence[Position], after: Sequence[Position], duration_s: float) -> list[str]:
         """The limits that a joint motion from rest to rest would break; empty if it may be flown [m, s]."""

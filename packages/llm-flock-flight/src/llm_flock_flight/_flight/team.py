@@ -18,14 +18,12 @@ from llm_flock_flight._flight.lag import distance_m, lag_bound_s
 from llm_flock_flight._flight.log import FlightLog
 from llm_flock_flight._flight.setpoints import SetPointCheck, resting
 
-LOOK_S = 0.02
-"""Time between two checks whether the drones have arrived [s]."""
+LOOK_S = 0.02  # time between two checks whether the drones have arrived [s]
 
 CLIPPED_M = 1e-3
 """A driver that sends a point this near to its target did not change it: floats on the wire are short [m]."""
 
-SEND_S = 1.0
-"""Longest wait for a driver to send a command [s]."""
+SEND_S = 1.0  # longest wait for a driver to send a command [s]
 
 
 class SetPointRefused(Exception):

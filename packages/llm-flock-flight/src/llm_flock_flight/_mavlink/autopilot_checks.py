@@ -50,8 +50,7 @@ ARDUPILOT_NAMES = (
 )
 MAX_HEIGHT, CIRCLE, POLYGON, MIN_HEIGHT = 1, 2, 4, 8  # bits of FENCE_TYPE
 
-MAX_DELAY_S = 5.0
-"""Longest silence of this computer after which an autopilot has to act [s]."""
+MAX_DELAY_S = 5.0  # longest silence of this computer after which an autopilot has to act [s]
 
 LOSS_ACTIONS = ("Position mode", "Altitude mode", "Stabilized mode", "Return", "Land", "Hold", "Terminate", "Disarm")
 """Of PX4's COM_OBL_RC_ACT, by value."""

@@ -16,8 +16,7 @@ PERIODS_MS = {0: 200, 1: 500, 30: 200, 32: 50, 193: 500, 230: 500, 245: 200}
 """Messages to send, by number, and their periods [ms]: HEARTBEAT, SYS_STATUS, ATTITUDE, LOCAL_POSITION_NED, the reports
 of ArduPilot's and of PX4's estimator, EXTENDED_SYS_STATE."""
 
-SET_INTERVAL, REQUEST_MESSAGE = 511, 512
-"""Commands (MAV_CMD)."""
+SET_INTERVAL, REQUEST_MESSAGE = 511, 512  # commands (MAV_CMD)
 
 
 async def introduce(

@@ -113,5 +113,4 @@ ARDUPILOT_FLAVOUR = Flavour(
     integers_as_bits=False,
 )
 
-FLAVOURS: Mapping[int, Flavour] = MappingProxyType({PX4: PX4_FLAVOUR, ARDUPILOT: ARDUPILOT_FLAVOUR})
-"""By MAV_AUTOPILOT."""
+FLAVOURS: Mapping[int, Flavour] = MappingProxyType({PX4: PX4_FLAVOUR, ARDUPILOT: ARDUPILOT_FLAVOUR})  # by MAV_AUTOPILOT

@@ -34,8 +34,7 @@ from llm_flock_flight._mavlink.stream import SetPointStream
 from llm_flock_flight._mavlink.telemetry import VehicleTelemetry
 from llm_flock_flight._pauses import own_pauses
 
-BELOW_M = 0.3
-"""Until take-off, set-points are this far below the ground: PX4 would lift off for one above it [m]."""
+BELOW_M = 0.3  # until take-off, set-points are this far below the ground: PX4 would lift off for one above it [m]
 
 LIFT_M = 0.3
 """It lifts off to this height above the ground, ArduPilot by a command of its own; then it follows set-points [m]."""
@@ -48,8 +47,7 @@ LIFT_S = 10.0
 TOUCH_DOWN_S = 30.0
 """Longest wait for a lift-off by command, and for a touch-down after which the motors can be stopped [s]."""
 
-AGAIN_S = 0.3
-"""Time between two tries to disarm on the ground [s]."""
+AGAIN_S = 0.3  # time between two tries to disarm on the ground [s]
 
 logger = logging.getLogger(__name__)
 

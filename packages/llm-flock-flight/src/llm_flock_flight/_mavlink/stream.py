@@ -15,15 +15,13 @@ from llm_flock.robots import MotionLimits, Position, Segment
 from llm_flock_flight._mavlink.conversation import Conversation
 from llm_flock_flight._mavlink.frames import LocalFrame, ned_of
 
-PERIOD_S = 0.05
-"""Time between two set-points [s]."""
+PERIOD_S = 0.05  # time between two set-points [s]
 
 ASTRAY_M = 1.0
 """A vehicle with an estimate farther than this from its set-point is not led any more [m]: the estimate has jumped, and
 the set-point means another place now; or the vehicle cannot follow."""
 
-LOCAL_NED = 1
-"""The frame of the set-points (MAV_FRAME_LOCAL_NED)."""
+LOCAL_NED = 1  # the frame of the set-points (MAV_FRAME_LOCAL_NED)
 
 WITHOUT_YAW, WITH_YAW = 0x0DC0, 0x09C0
 """Fields that the autopilot has to ignore: accelerations, the rate of yaw, and the yaw where it is not known."""

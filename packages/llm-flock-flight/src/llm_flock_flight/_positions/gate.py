@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from llm_flock.robots import Pose, PoseFrame, Position
 from llm_flock_flight._flight.sections import PositionsConfig
 
-STEPS = 10
-"""Poses of a drone's last `lost_s` that are remembered."""
+STEPS = 10  # poses of a drone's last `lost_s` that are remembered
 
 LATE, OUT_OF_ORDER, JUMP, SWAP, FROZEN, UNKNOWN = "late", "out_of_order", "jump", "swap", "frozen", "unknown_name"
 """Reasons to refuse a pose."""

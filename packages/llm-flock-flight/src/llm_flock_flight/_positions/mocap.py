@@ -27,8 +27,7 @@ from llm_flock_flight._positions.udp import MAX_DISTANCE_M, MAX_POSES, UdpPoses,
 HOST = "127.0.0.1"
 
 
-FAREWELL_S = 2.0
-"""Longest wait for the process to end [s]."""
+FAREWELL_S = 2.0  # longest wait for the process to end [s]
 
 
 class MocapPoses:

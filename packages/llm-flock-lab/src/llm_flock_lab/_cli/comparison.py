@@ -22,11 +22,8 @@ if TYPE_CHECKING:
     from llm_flock_lab._experiments.trial import TrialResult
 
 
-WIDE = 140
-"""Columns of a terminal that take all of the table."""
-
-FIRST_S = 3.0
-"""Time after the first trial of a comparison, after which the rest is estimated [s]."""
+WIDE = 140  # columns of a terminal that take all of the table
+FIRST_S = 3.0  # time after the first trial of a comparison, after which the rest is estimated [s]
 
 
 @with_config_flags(

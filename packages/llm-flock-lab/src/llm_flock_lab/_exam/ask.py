@@ -48,8 +48,7 @@ from llm_flock_lab._exam.score import (
     word_marks,
 )
 
-SCRIPT = "exam:script"
-"""Name of the model of answers that are put into a model's mouth."""
+SCRIPT = "exam:script"  # name of the model of answers that are put into a model's mouth
 
 SAID = "I have worked it out."
 

@@ -31,8 +31,7 @@ from llm_flock_lab._exam.draws import (
 from llm_flock_lab._exam.generate_plans import among_obstacles
 from llm_flock_lab._exam.questions import Question
 
-STEPS_EACH = 16
-"""Questions for steps of each kind."""
+STEPS_EACH = 16  # questions for steps of each kind
 
 OTHERS_STEPS, OTHERS_PLANS = 16, 8
 PATHS = 24

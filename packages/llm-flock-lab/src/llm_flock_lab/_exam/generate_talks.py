@@ -18,8 +18,7 @@ from llm_flock_lab._exam.generate_steps import draw_step, sidestep
 from llm_flock_lab._exam.questions import Question
 from llm_flock_lab._exam.score import shortfall
 
-RETRIES_EACH = 5
-"""Questions for each kind of refused answer."""
+RETRIES_EACH = 5  # questions for each kind of refused answer
 
 UNREADABLE = (
     "I would go towards my place, but it depends on the others.",

@@ -39,8 +39,7 @@ require("exam", "llm-flock exam")
 _model: Any = import_module("inspect_ai.model")
 ModelAPI: Any = _model.ModelAPI
 
-PREFIX = "flock"
-"""Inspect's name for the provider of our models."""
+PREFIX = "flock"  # Inspect's name for the provider of our models
 
 
 class AskedByInspect:

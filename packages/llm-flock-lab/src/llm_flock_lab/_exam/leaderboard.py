@@ -13,8 +13,7 @@ from llm_flock_lab._experiments.store import is_inside, write_whole
 
 PAGE = "index.md"
 
-MARK = "<!-- Written by `llm-flock exam"
-"""Stands in every page that this module writes."""
+MARK = "<!-- Written by `llm-flock exam"  # stands in every page that this module writes
 
 
 def publish(folder: Path, rows: Sequence[Row]) -> list[Path]:

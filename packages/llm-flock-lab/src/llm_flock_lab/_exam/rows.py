@@ -64,7 +64,6 @@ class Row(BaseModel):
     total: Share | None  # mean over all sections, right at first ask; None if one was not asked
     total_two: Share | None  # the same after two reasons
     sections: Mapping[str, Figures]
-    bands: Any = Field(default=None, exclude=True)  # older rows have the sections by size, too
     calls: Count
     tokens: Count
     seconds: Number  # for a question, median
@@ -88,7 +87,6 @@ def read_log(path: Path | str) -> Row:
     samples: list[Any] = log.samples or []
     if log.status != "success" or not samples or any(sample.error is not None for sample in samples):
         raise InputError("log", str(path), "a log whose questions all have an answer: go on with the same command")
-    # Older logs have more fields.
     outcomes = [msgspec.convert(sample.scores["by_our_checks"].metadata, Outcome) for sample in samples]
     own = log.eval.model.startswith("flock/")
     model: str = log.eval.model.removeprefix("flock/")

@@ -20,13 +20,11 @@ VERSION = 2
 """Version of the exam. It changes with the questions, their scoring or the kinds of questions; prompts have their own
 digest in every result."""
 
-PUBLIC_SEED = 20_250
-"""Seed of the public split. A private split may not have it."""
+PUBLIC_SEED = 20_250  # seed of the public split. A private split may not have it
 
 PUBLIC_FILE = "public-v2.jsonl"
 
-WRITTEN_FILE = "written-v2.jsonl"
-"""Questions in words, which were written and not generated; there are no private ones."""
+WRITTEN_FILE = "written-v2.jsonl"  # questions in words, which were written and not generated; there are no private ones
 
 _MAKERS: Mapping[str, Callable[[np.random.Generator], Iterator[Question]]] = {
     "plan": plan_questions,

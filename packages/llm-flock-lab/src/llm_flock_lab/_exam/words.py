@@ -20,11 +20,8 @@ SIDES = {"west": "left", "east": "right", "north": "front", "south": "back", "ne
 OTHER_SIDE = {"left": "right", "right": "left", "front": "back", "back": "front"}
 FOLDS = {"line": 2, "triangle": 3, "square": 4, "cross": 4, "star": 5, "grid": 2}
 """How often a turn of a full circle shows a shape as it was; a polygon of K corners K times."""
-ROUND = ("circle", "sphere", "dome", "cylinder")
-"""Shapes that show no turn."""
-
-ROBOTS = 60
-"""Robots that show a drawing; groups that are counted have their own."""
+ROUND = ("circle", "sphere", "dome", "cylinder")  # shapes that show no turn
+ROBOTS = 60  # robots that show a drawing; groups that are counted have their own
 
 ALIKE = 0.25
 """Two drawings are the same if no robot is farther from those of the other, in distances between neighbours."""

@@ -110,8 +110,7 @@ def build_cells(
     return cells
 
 
-OnResult = Callable[[Cell, int, TrialResult], None]
-"""Called with a trial's cell, its seed and its result."""
+OnResult = Callable[[Cell, int, TrialResult], None]  # called with a trial's cell, its seed and its result
 
 
 class _Collected(Display):

@@ -24,8 +24,7 @@ from llm_flock_lab._experiments.grid import TrialSpec
 from llm_flock_lab._experiments.store import SpendingLog
 from llm_flock_lab._experiments.trial import KeepRecords, TrialResult, code_version, fly
 
-TRIES = 3
-"""How often a trial is flown before the sweep gives up, if its worker is lost each time."""
+TRIES = 3  # how often a trial is flown before the sweep gives up, if its worker is lost each time
 
 
 def fly_on_cluster(specs: Sequence[TrialSpec], session: Session, address: str, jobs: int | None) -> None:

@@ -12,8 +12,7 @@ import scipy
 
 from llm_flock_lab._experiments.statistics import CONFIDENCE, Estimate, mean_interval, wilson
 
-MOST_EXACT = 200
-"""Most pairs of which the distribution of rank sums is counted; beyond, the normal one is as good."""
+MOST_EXACT = 200  # most pairs of which the distribution of rank sums is counted; beyond, the normal one is as good
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,14 +18,12 @@ CONFIDENCE = 0.95
 NOT_KNOWN = "-"
 MINUS = "\N{MINUS SIGN}"
 
-RESAMPLES = 4000
-"""Draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed."""
+RESAMPLES = 4000  # draws of a bootstrap: its ends move by a few hundredths of its width from seed to seed
 
 Duration: TypeAlias = tuple[float, bool]
 """A time and whether the trial formed then. Otherwise it had not formed by then; inf: it cannot form any more."""
 
-Column: TypeAlias = NDArray[np.float64]
-"""One number for each column of a table, shape (k,)."""
+Column: TypeAlias = NDArray[np.float64]  # one number for each column of a table, shape (k,)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -22,8 +22,7 @@ from llm_flock.validation import checked
 from llm_flock_lab._experiments.grid import Cell, TrialSpec, arena_of, naming_team, parse_teams
 from llm_flock_lab._experiments.trial import KeepRecords
 
-MAX_TRIALS = 100_000
-"""Most trials of a sweep; all of them are in memory."""
+MAX_TRIALS = 100_000  # most trials of a sweep; all of them are in memory
 
 Positive = Annotated[int, Field(ge=1)]
 

@@ -22,11 +22,8 @@ from llm_flock_lab._experiments.store import TRIALS as TRIALS_FOLDER
 from llm_flock_lab._experiments.store import read_trial, trial_files, write_whole
 from llm_flock_lab._experiments.trial import TrialResult
 
-AXIS = "axis_"
-"""Prefix of the columns for further axes of a grid."""
-
-WAYPOINTS = "waypoints_"
-"""Prefix of the columns that count waypoints by their origin."""
+AXIS = "axis_"  # prefix of the columns for further axes of a grid
+WAYPOINTS = "waypoints_"  # prefix of the columns that count waypoints by their origin
 
 KINDS: Mapping[type[pl.DataType], str] = {
     pl.String: "text",

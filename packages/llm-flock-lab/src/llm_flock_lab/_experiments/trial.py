@@ -25,13 +25,10 @@ from llm_flock.runtime import RECORD_NAME, run_async
 from llm_flock.user_code import describe_exception
 from llm_flock_lab._experiments.grid import Earlier, TrialSpec
 
-KeepRecords: TypeAlias = Literal["all", "failed", "none"]
-"""Trials whose record is kept."""
-
+KeepRecords: TypeAlias = Literal["all", "failed", "none"]  # trials whose record is kept
 NO_WAY = 1e6  # length that stands for a way that does not exist [units]
 
-FORMAT = 1
-"""Version of the files in `trials/`."""
+FORMAT = 1  # version of the files in `trials/`
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):

@@ -33,14 +33,9 @@ FLIGHTS = (Team(3, "triangle"), Team(4, "square"), Team(5, "cross"), Team(5, "ci
 STRONG, GENERAL = ("o3-mini", "deepseek"), ("claude", "llama", "qwen")
 """Parts of the names of the paper's models: those that it calls strong in reasoning, and the others."""
 
-CONSISTENTLY, MOSTLY = 0.95, 0.5
-"""Shares of trials that these words stand for, if the whole interval is above them."""
-
-SETTLED = 10
-"""Rounds at the end in which the error of a team that has converged does not rise."""
-
-MOST_CELLS = 4
-"""Cells that a verdict lists with their figures."""
+CONSISTENTLY, MOSTLY = 0.95, 0.5  # shares of trials that these words stand for, if the whole interval is above them
+SETTLED = 10  # rounds at the end in which the error of a team that has converged does not rise
+MOST_CELLS = 4  # cells that a verdict lists with their figures
 
 REPRODUCED, NOT_REPRODUCED, UNDECIDED, UNTESTED = "reproduced", "not reproduced", "undecided", "cannot be tested"
 
@@ -52,8 +47,7 @@ Test: TypeAlias = "Callable[[PaperEvidence, Team], Tested]"
 Verdict: TypeAlias = tuple[str, str]
 """One of the three words above, perhaps with what is missing, and the figures that it follows from."""
 
-Figures: TypeAlias = Mapping[tuple[str, int], float]
-"""A figure by condition and seed."""
+Figures: TypeAlias = Mapping[tuple[str, int], float]  # a figure by condition and seed
 
 
 @dataclass(frozen=True, kw_only=True)

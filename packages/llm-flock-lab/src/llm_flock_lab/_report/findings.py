@@ -17,8 +17,7 @@ from llm_flock_lab._experiments.statistics import (
 )
 from llm_flock_lab._report.results import ResultCell, Results, TrialRow
 
-INTERVAL = "95 % Student-t interval"
-"""Name of the interval of a mean."""
+INTERVAL = "95 % Student-t interval"  # name of the interval of a mean
 
 
 UNIT_M, SPEED_M_S = 0.1, 0.3

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from llm_flock.arrays import flattened
 from llm_flock.errors import FlockError, InputError
 from llm_flock.metrics import ROUNDING, segment_separation
 from llm_flock.record import ENDINGS, Cause, ChatLine, RunRecord, read_record
@@ -21,8 +22,7 @@ from llm_flock_lab._experiments.store import TRIALS, is_inside, read_trial
 from llm_flock_lab._report.results import Results, TrialRow
 from llm_flock_view._figures.figures import snapshots
 
-LONGEST = 6000
-"""Letters of a message that are shown at most."""
+LONGEST = 6000  # letters of a message that are shown at most
 
 SEVERITY = ("broke off", "no answers", "no plan", "interrupted", "budget", "not formed", "formed")
 """Outcomes, the worst first."""
@@ -108,7 +108,8 @@ def find_causes(record: RunRecord) -> list[Cause]:
 
 def _crash(record: RunRecord) -> Cause | None:
     """The first round in which two robots came nearer than the safe distance while they moved."""
-    safe, places = float(record.mission.mission["safe_distance"]) - ROUNDING, record.positions
+    mission = record.mission.mission
+    safe, places = float(mission["safe_distance"]) - ROUNDING, flattened(record.positions, mission.get("downwash", 1.0))
     for number, after in enumerate(places):
         before = places[max(0, number - 1)]
         if segment_separation(before, after) >= safe:

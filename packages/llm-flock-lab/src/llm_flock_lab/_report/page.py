@@ -39,8 +39,7 @@ FORMATS = ("svg", "pdf", "png")
 
 DRAFT = "A draft, written by llm-flock report from the results alone. Check every sentence before you use it."
 
-TABLES = "draft_tables.j2"
-"""Template of all tables of the page in LaTeX."""
+TABLES = "draft_tables.j2"  # template of all tables of the page in LaTeX
 
 SECTIONS = {
     "success": "Success",

@@ -29,11 +29,8 @@ FLIGHT_STEPS = (0, 4, 7, 12)
 FAILED_STEP = 19
 """Of the paper's first failure; its second is shown over four rounds."""
 
-CONSENSUS = ("paper", "released", "paper-literal", "flock")
-"""Protocols with consensus, the paper's first."""
-
-MOST_READ = 12
-"""Records that are read in search of a failure."""
+CONSENSUS = ("paper", "released", "paper-literal", "flock")  # protocols with consensus, the paper's first
+MOST_READ = 12  # records that are read in search of a failure
 
 
 def evidence_of(results: Results, reference: str, flights: Sequence[RunRecord]) -> list[PaperEvidence]:

@@ -73,7 +73,7 @@ class BodyControl:
         # The body may obey a little later than commanded; until then the others may fly on.
         lasts_s = self._period_s + self._lag_s
         # A robot out of sight was outside the sensing range at the last reading, and may have approached since.
-        room = self._mission.sensing - self._mission.safe_distance - self._speed * (unseen_s + lasts_s)
+        room = self._mission.sensing - self._mission.height_apart - self._speed * (unseen_s + lasts_s)
         longest = min(longest, max(room, 0.0))
         reach = min(1.0, longest / max(math.dist(here, waypoint), STILL))
         wish = tuple(x + reach * (w - x) for x, w in zip(here, waypoint, strict=True))
@@ -84,6 +84,7 @@ class BodyControl:
             safe_distance=self._mission.safe_distance,
             speed=self._speed,
             period_s=lasts_s,
+            downwash=self._mission.downwash,
             also=static_half_spaces(here, self._mission, max_step=self._speed * lasts_s),
         )
         # The cell is convex, and contains the robot or only lets it move away: a shorter move that way is safe too.

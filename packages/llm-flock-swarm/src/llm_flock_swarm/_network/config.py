@@ -11,7 +11,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from llm_flock.errors import InputError
 from llm_flock.llm import parse_model, parse_models, says_simulated
 from llm_flock.mission import Mission
-from llm_flock.runtime import ConfigSection, Ros2Config, RunConfig, is_endpoint, seconds
+from llm_flock.runtime import ConfigSection, Ros2Config, RunConfig, is_endpoint, number, seconds
 from llm_flock_swarm._signed.certificates import LIARS
 
 logger = logging.getLogger(__name__)
@@ -49,15 +49,8 @@ class NetworkConfig(ConfigSection):
     frame_s: float = seconds(0.04, "Time between two readings of the sensors")
     beacon_s: float = seconds(0.1, "Time between two beacons")
     lag_s: float = seconds(0.05, "Longest delay of a command to the body; later ones are refused")
-    clock_error_s: float = Field(
-        default=0.002, ge=0, allow_inf_nan=False, description="Largest difference between two machines' clocks [s]"
-    )
-    gather_s: float = Field(
-        default=5.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="Longest wait for the other robots before the first round [s]",
-    )
+    clock_error_s: float = number(0.002, "Largest difference between two machines' clocks [s]")
+    gather_s: float = number(5.0, "Longest wait for the other robots before the first round [s]")
     answer_s: float = seconds(300.0, "Longest wait for a model's answer, retries included")
     max_s: float = seconds(120.0, "End the swarm after this time")
     partition: str | None = Field(

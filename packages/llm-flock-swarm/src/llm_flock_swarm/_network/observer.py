@@ -369,7 +369,7 @@ class Observer:
             round=self._row,
             procrustes_mean=error,
             procrustes_mean_squared=None,
-            min_separation=finite(metrics.min_separation(positions)),
+            min_separation=finite(metrics.min_separation(positions, self.mission.downwash)),
             segment_separation=finite(self._row_closest),
             plans_in_use=metrics.plans_in_use(plan_ids),
             distinct_goals=metrics.distinct_goals(plan_ids, [self.reports[robot].slot for robot in robots]),

@@ -17,8 +17,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Point, Points
 from llm_flock.members import WORLD
-from llm_flock.runtime import Stream, finite, stream
-from llm_flock.simulate import start_positions
+from llm_flock.runtime import finite, starts_of
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.connection import open_link
 from llm_flock_swarm._network.process import until_stopped
@@ -37,10 +36,12 @@ class WorldBodies:
     `lag_s`.
     """
 
-    def __init__(self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float) -> None:
+    def __init__(
+        self, start: Points, *, speed: float, period_s: float, lag_s: float, now: float, downwash: float = 1.0
+    ) -> None:
         self.positions: Points = np.array(start, dtype=np.float64)
-        self.late = 0
-        self._closest = metrics.min_separation(self.positions)
+        self.late, self._downwash = 0, downwash
+        self._closest = metrics.min_separation(self.positions, downwash)
         self._standing: float | None = None
         self._speed, self._period_s, self._lag_s = speed, period_s, lag_s
         self._now = now
@@ -79,7 +80,8 @@ class WorldBodies:
                 if path:
                     self._fly(robot, path, step)
             self._now += step
-            self._closest = min(self._closest, metrics.segment_separation(before, self.positions))
+            closest = metrics.segment_separation(before, self.positions, downwash=self._downwash)
+            self._closest = min(self._closest, closest)
 
     def _fly(self, robot: int, path: list[Point], step: float) -> None:
         left = self._speed * min(step, self._deadlines[robot] - self._now)
@@ -108,7 +110,7 @@ class WorldBodies:
             self._standing = None
             return closest
         if self._standing is None:  # the first call since the bodies stopped
-            self._standing = metrics.min_separation(self.positions)
+            self._standing = metrics.min_separation(self.positions, self._downwash)
         return self._standing
 
     def states(self) -> tuple[Body, ...]:
@@ -118,10 +120,15 @@ class WorldBodies:
 
 async def run_world(config: SwarmConfig, on_ready: Callable[[], object] | None = None) -> None:
     """Simulate the bodies until the process is stopped; `on_ready` is called once the endpoint is open."""
-    mission, network, trial = config.mission, config.network, config.trial
-    rng = stream(trial.seed, Stream.START)
-    start = start_positions(mission, trial.start_positions, trial.start, rng, trial.start_area)
-    bodies = WorldBodies(start, speed=config.speed, period_s=network.control_s, lag_s=network.lag_s, now=time.time())
+    mission, network, start = config.mission, config.network, starts_of(config)
+    bodies = WorldBodies(
+        start,
+        speed=config.speed,
+        period_s=network.control_s,
+        lag_s=network.lag_s,
+        now=time.time(),
+        downwash=mission.downwash,
+    )
 
     def obey(sender: int, order: Command) -> None:
         if 0 <= sender < mission.n_robots:

@@ -159,9 +159,14 @@ class Bridge:
         state, mission = self.observer.state(), self.observer.mission
         if state is None:
             return None
-        safe_m = mission.safe_distance * self.unit_m
-        places = self.observer.said.places
-        return view_of(state, self.to_world, safe_m=safe_m, comm_range=mission.comm_range, places=places)
+        return view_of(
+            state,
+            self.to_world,
+            safe_m=mission.safe_distance * self.unit_m,
+            downwash=mission.downwash,
+            comm_range=mission.comm_range,
+            places=self.observer.said.places,
+        )
 
     async def live(self) -> None:
         """Show markers, state and diagnostics, until cancelled."""

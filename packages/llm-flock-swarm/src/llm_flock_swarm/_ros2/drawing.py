@@ -62,10 +62,17 @@ class TeamView:
     places: Sequence[Position]  # of the plan that most robots follow
     links: Sequence[tuple[int, int]]  # pairs in radio contact
     safe_m: float
+    downwash: float
 
 
 def view_of(
-    state: State, to_world: ToWorld, *, safe_m: float, comm_range: float, places: Mapping[str, Sequence[Point]]
+    state: State,
+    to_world: ToWorld,
+    *,
+    safe_m: float,
+    downwash: float,
+    comm_range: float,
+    places: Mapping[str, Sequence[Point]],
 ) -> TeamView:
     """A recorded or observed state in metres; `places` are those of known plans by their ids [units]."""
 
@@ -87,6 +94,7 @@ def view_of(
         places=[to_world(tuple(point)) for point in places.get(common, ())],
         links=[(a, b) for a, b in pairs],
         safe_m=safe_m,
+        downwash=downwash,
     )
 
 
@@ -177,7 +185,9 @@ class MarkerDrawer:
         for name, kind, size, points, codes, alpha in drawn:
             colours = [_colour(code, alpha) for code in codes]
             plain = "#7F7F7F" if name in ("places", "links") else "#FFFFFF"
-            made.append(self._marker(name, 0, kind, size * view.safe_m, stamp_ns, points, colours, plain))
+            tall = view.downwash if name == "safe_distance" else 1.0
+            size *= view.safe_m
+            made.append(self._marker(name, 0, kind, size, stamp_ns, points, colours, plain, tall=tall))
         for robot, (x, y, z) in enumerate(view.positions):
             above = (x, y, z + view.safe_m / 2)
             made.append(self._marker("ids", robot, _TEXT, view.safe_m / 2, stamp_ns, at=above, text=str(robot)))
@@ -204,6 +214,7 @@ class MarkerDrawer:
         *,
         at: Position = (0.0, 0.0, 0.0),
         text: str = "",
+        tall: float = 1.0,
     ) -> Any:
         empty = np.zeros(0, dtype=np.uint8)
         return message_class("visualization_msgs/msg/Marker")(
@@ -213,7 +224,7 @@ class MarkerDrawer:
             type=kind,
             action=_ADD if points or text else _DELETE,
             pose=_pose(at),
-            scale=message_class("geometry_msgs/msg/Vector3")(x=size, y=size, z=size),
+            scale=message_class("geometry_msgs/msg/Vector3")(x=size, y=size, z=size * tall),
             color=_colour(colour, 0.6),
             lifetime=message_class("builtin_interfaces/msg/Duration")(sec=0, nanosec=0),
             frame_locked=False,

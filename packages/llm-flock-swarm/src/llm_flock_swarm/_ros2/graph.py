@@ -15,7 +15,7 @@ from llm_flock.errors import InputError, MessageError
 from llm_flock.extras import ExtraMissing
 from llm_flock_swarm._ros2.types import MAX_BYTES, from_cdr, prepare, to_cdr, type_hash
 from llm_flock_swarm._ros2.wire import PUBLISHER, SUBSCRIBER, Attachment, NodeName, gid_of, tokens_of, topic_key
-from llm_flock_swarm._zenoh import MAX_TOPICS, Allowance, open_session
+from llm_flock_swarm._zenoh import Allowances, open_session
 
 if TYPE_CHECKING:
     import zenoh
@@ -129,7 +129,7 @@ class Graph:
         key = topic_key(self._domain, topic, type_name, type_hash(type_name))
         ending = key.removeprefix(f"{self._domain}/{topic.removeprefix('/')}")
 
-        allowances: dict[str, Allowance] = {}
+        allowances = Allowances()
 
         def read(name: str, data: bytes, attached: bytes) -> None:
             if self._closed:
@@ -141,9 +141,7 @@ class Graph:
 
         def take(sample: zenoh.Sample) -> None:
             name = "/" + str(sample.key_expr).removeprefix(f"{self._domain}/").removesuffix(ending)
-            if name not in allowances and len(allowances) >= MAX_TOPICS:
-                allowances.clear()
-            if not allowances.setdefault(name, Allowance(rate)).spend(time.monotonic()):
+            if not allowances.spend(name, rate):
                 refuse(name, MessageError("too_many", f"more than {rate:g} messages a second"))
             elif len(sample.payload) > MAX_BYTES:
                 refuse(name, MessageError("oversized", f"{len(sample.payload)} bytes"))

@@ -61,6 +61,7 @@ class RecordedTeam:
             self.state,
             self._to_world,
             safe_m=float(fields["safe_distance"]) * self._unit_m,
+            downwash=float(fields.get("downwash", 1.0)),
             comm_range=float(fields["comm_range"]),
             places=self._places,
         )

@@ -69,8 +69,15 @@ async def _run_sensors(
         link = stack.enter_context(closing(open_link(world_config(config), WORLD)))
         observer = observer_of(config, WORLD, writer, on_row)
         reach = config.speed * (network.control_s + network.lag_s)
-        n_robots = config.mission.n_robots
-        bodies = SensedBodies(n_robots, speed=config.speed, reach=reach, lag_s=network.lag_s, clock=time.time)
+        mission, n_robots = config.mission, config.mission.n_robots
+        bodies = SensedBodies(
+            n_robots,
+            speed=config.speed,
+            reach=reach,
+            lag_s=network.lag_s,
+            clock=time.time,
+            downwash=mission.downwash,
+        )
         bridge = stack.enter_context(closing(Bridge(graph, config, observer)))
         bridge.take_poses(bodies)
         if config.ros2.ros_missions:

@@ -10,8 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import MessageError
@@ -43,8 +41,17 @@ class _Track:
 class SensedBodies:
     """Where all bodies are, by their sources, and where each is to stop; `reach` is what a command covers [units]."""
 
-    def __init__(self, n_robots: int, *, speed: float, reach: float, lag_s: float, clock: Callable[[], float]) -> None:
-        self.late = 0
+    def __init__(
+        self,
+        n_robots: int,
+        *,
+        speed: float,
+        reach: float,
+        lag_s: float,
+        clock: Callable[[], float],
+        downwash: float = 1.0,
+    ) -> None:
+        self.late, self._downwash = 0, downwash
         self._speed = speed
         self._n, self._reach, self._lag_s, self._clock = n_robots, reach, lag_s, clock
         self._tracks: dict[int, _Track] = {}
@@ -114,7 +121,7 @@ class SensedBodies:
         tracks = [self._tracks[robot] for robot in range(self._n)]
         return WorldState(
             stamp=min(track.stamp_s for track in tracks),
-            closest=finite(metrics.min_separation(np.array([track.position for track in tracks]))),
+            closest=finite(metrics.min_separation([track.position for track in tracks], self._downwash)),
             bodies=tuple(
                 Body(track.position, track.end, answered)
                 for track, answered in zip(tracks, self._answered, strict=True)

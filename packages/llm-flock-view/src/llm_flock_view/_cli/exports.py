@@ -10,8 +10,7 @@ import typer
 
 from llm_flock.cli import needed
 
-PAGE, LAYOUT, INDEXED, RERUN = "replay.html", "foxglove-layout.json", "foxglove.mcap", "run.rrd"
-"""Names of the files."""
+PAGE, LAYOUT, INDEXED, RERUN = "replay.html", "foxglove-layout.json", "foxglove.mcap", "run.rrd"  # names of the files
 
 
 def export_html(

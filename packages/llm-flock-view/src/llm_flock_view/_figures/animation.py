@@ -29,36 +29,26 @@ from llm_flock_view._figures.labels import size_of
 from llm_flock_view._figures.panel import Panel
 from llm_flock_view._figures.style import DANGER, MAX_TITLE, heading, house_style, line_colour, whole_file
 
-STEPS_A_ROUND = 4
-"""Most frames of a round; robots fly straight between rounds, from rest to rest."""
-
-MAX_GIF_PIXELS = 2_000_000
-"""A GIF that would be larger has fewer frames [bytes]."""
-
-FPS = 12
-"""Frames per second."""
+STEPS_A_ROUND = 4  # most frames of a round; robots fly straight between rounds, from rest to rest
+MAX_GIF_PIXELS = 2_000_000  # a GIF that would be larger has fewer frames [bytes]
+FPS = 12  # frames per second
 
 CODECS = {".mp4": ("libx264", "-movflags", "+faststart"), ".webm": ("libvpx-vp9", "-crf", "34", "-b:v", "0")}
 """ffmpeg's coder for each kind of video, and its settings."""
 
-HOLD_S = 2.0
-"""Time that the end is shown [s]."""
+HOLD_S = 2.0  # time that the end is shown [s]
 
 INCHES = 4.8
 HEAD_INCHES = 0.6
 KEY_INCHES, ROW_INCHES = 0.42, 0.14
 """Below the arena: for its scale, and for each row of the legend."""
 
-WIDTH = 0.88
-"""Share of the picture's width that the arena takes."""
+WIDTH = 0.88  # share of the picture's width that the arena takes
 
 DPI = 100
 
-KEY_POINTS, KEY_SCALE = 6.5, 0.72
-"""Size of the letters of the legend, and of its signs in those of figures."""
-
-TITLE_POINTS = 8.0
-"""Size of the title; a longer one is smaller, so that it keeps to one line."""
+KEY_POINTS, KEY_SCALE = 6.5, 0.72  # size of the letters of the legend, and of its signs in those of figures
+TITLE_POINTS = 8.0  # size of the title; a longer one is smaller, so that it keeps to one line
 
 
 def animate(record: RunRecord, path: Path, *, fps: int = FPS) -> None:

@@ -27,8 +27,7 @@ DPI = 160
 COLUMN, PAGE = 3.5, 7.16
 """Widths of figures [inches]: a column, and a page of two columns. Their smallest letters have 6 points."""
 
-LETTER_INCHES = 0.062
-"""Width of a letter of a tick label, about."""
+LETTER_INCHES = 0.062  # width of a letter of a tick label, about
 
 Numbers = NDArray[np.float64]
 

@@ -15,23 +15,12 @@ from scipy.sparse.csgraph import connected_components
 
 from llm_flock_view._figures.labels import Rectangle, beside, box_at
 
-ONE_PLACE = 0.9
-"""Discs nearer than this many radii hide one another."""
-
-APART = 1.6
-"""Radii from which on one disc leaves the number of another in sight."""
-
-ROOM = 7.0
-"""Between the middle of a crowd and its discs, for the number in it [points]."""
-
-MIN_ROOM = 6.0
-"""Room without which the number of a crowd is left out [points]."""
-
-PASSES = 4
-"""How often discs are moved aside: each move may bring one near another."""
-
-TURNS = 12
-"""Angles that are tried for a crowd among others."""
+ONE_PLACE = 0.9  # discs nearer than this many radii hide one another
+APART = 1.6  # radii from which on one disc leaves the number of another in sight
+ROOM = 7.0  # between the middle of a crowd and its discs, for the number in it [points]
+MIN_ROOM = 6.0  # room without which the number of a crowd is left out [points]
+PASSES = 4  # how often discs are moved aside: each move may bring one near another
+TURNS = 12  # angles that are tried for a crowd among others
 
 
 class Crowd(NamedTuple):

@@ -42,8 +42,7 @@ from llm_flock_view._figures.style import (
     whole_file,
 )
 
-CONFIDENCE = 0.95
-"""Of the intervals of means."""
+CONFIDENCE = 0.95  # of the intervals of means
 
 Column: TypeAlias = NDArray[np.float64]
 
@@ -52,17 +51,10 @@ PANEL_INCHES = 2.75
 LEAST_PANEL = 1.6
 """Least width of a panel, where the width of the whole figure is given [inches]."""
 
-BETWEEN_INCHES = 0.3
-"""Between two rows of panels, for the label of an axis and a title."""
-
-ROWS, ROW_INCHES = 2, 0.17
-"""Rows of a legend for which there is room anyway, and the height of each further one."""
-
-LETTERS = 6.7
-"""Smallest letters of a sheet [points]: the number of a crowd is a tenth smaller."""
-
-MAX_LABEL = 100
-"""Longest label of a curve [characters]."""
+BETWEEN_INCHES = 0.3  # between two rows of panels, for the label of an axis and a title
+ROWS, ROW_INCHES = 2, 0.17  # rows of a legend for which there is room anyway, and the height of each further one
+LETTERS = 6.7  # smallest letters of a sheet [points]: the number of a crowd is a tenth smaller
+MAX_LABEL = 100  # longest label of a curve [characters]
 
 UNDATED: dict[str, dict[str, Any]] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 """No date goes into a file, so that the same figure is always the same file."""

@@ -26,11 +26,8 @@ from llm_flock_view._figures.style import DANGER, FAINT, INK, NOT_BEGUN, QUIET, 
 
 Entry: TypeAlias = Line2D | Patch | PathCollection
 
-LEGEND_EMS = 4.2
-"""Width of a sign in a legend with the room around it, in sizes of its letters."""
-
-SIGN = 7.0
-"""Diameter of a robot in a legend [points]."""
+LEGEND_EMS = 4.2  # width of a sign in a legend with the room around it, in sizes of its letters
+SIGN = 7.0  # diameter of a robot in a legend [points]
 
 
 def key_of(shown: Iterable[tuple[Panel, Iterable[int]]]) -> list[Entry]:

@@ -15,23 +15,15 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 from numpy.typing import NDArray
 
-Rectangle = tuple[float, float, float, float]
-"""Left, right, bottom, top."""
+Rectangle = tuple[float, float, float, float]  # left, right, bottom, top
 
 DIRECTIONS = tuple(math.radians(angle) for angle in (90, 270, 45, 135, 315, 225, 0, 180))
 """Tried in this order: above is where readers look first."""
 
-STEPS = 6
-"""Distances from the disc that are tried in each direction; each is half a disc farther out."""
-
-HINTED = 1.1
-"""Small words on a screen are wider than their outlines by up to this factor."""
-
-LINE = 0.6
-"""Half the width of a ring [points]."""
-
-GAP = 1.0
-"""Gap between a word and its neighbours [points]."""
+STEPS = 6  # distances from the disc that are tried in each direction; each is half a disc farther out
+HINTED = 1.1  # small words on a screen are wider than their outlines by up to this factor
+LINE = 0.6  # half the width of a ring [points]
+GAP = 1.0  # gap between a word and its neighbours [points]
 
 
 class Outlines(NamedTuple):

@@ -17,7 +17,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from llm_flock import graph
-from llm_flock.arrays import Points
+from llm_flock.arrays import Points, flattened
 from llm_flock.metrics import ROUNDING
 from llm_flock.record import ASLEEP, DEAD, SILENT, RunRecord, State
 from llm_flock_view._figures.crowd import spots, spread
@@ -30,34 +30,21 @@ MAX_LABELLED = 30
 MIN_LABELLED = 6.5
 """With more robots, or smaller discs [points], words are left out: there is no room for them."""
 
-DISC_SHARE = 0.62
-"""Diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart."""
-
-MAX_VIEW_SHARE = 0.7
-"""A team that takes more of the view than this share is not shown any closer."""
+DISC_SHARE = 0.62  # diameter of a disc as a share of the spacing, so that neighbours in a formation stand apart
+MAX_VIEW_SHARE = 0.7  # a team that takes more of the view than this share is not shown any closer
 
 ROOM = (1.5, 2.1)
 """Widths of a close-up in widths of what it shows: the second where the first leaves no corner for the inset."""
 
-RING = 1.4
-"""Diameter of the ring of a goal, in discs."""
-
-TAG, TALL = 0.75, 1.35
-"""Room for a tag around its letters, and height of a word, in sizes of letters."""
-
-MARGIN = 0.02
-"""Between the inset and the middle of a disc, as a share of the panel's width."""
-
-INSET = 0.24
-"""Width and height of the inset that shows the whole view, as a share of the panel's."""
+RING = 1.4  # diameter of the ring of a goal, in discs
+TAG, TALL = 0.75, 1.35  # room for a tag around its letters, and height of a word, in sizes of letters
+MARGIN = 0.02  # between the inset and the middle of a disc, as a share of the panel's width
+INSET = 0.24  # width and height of the inset that shows the whole view, as a share of the panel's
 
 TIMES = "\u00d7"
 
-Box = tuple[float, float, float, float]
-"""Left, right, bottom, top [units]."""
-
-ABOVE, SIDE = [0, 1], [0, 2]
-"""Coordinates that are seen from above, and of space from the side."""
+Box = tuple[float, float, float, float]  # left, right, bottom, top [units]
+ABOVE, SIDE = [0, 1], [0, 2]  # coordinates that are seen from above, and of space from the side
 
 
 class Panel:
@@ -82,7 +69,8 @@ class Panel:
         self.window = view(record, seen=seen) if window is None else window
         n = record.positions.shape[1]
         self._scale = width / (self.window[1] - self.window[0])
-        self._safe = float(record.mission.mission["safe_distance"])
+        mission = record.mission.mission
+        self._safe, self._downwash = float(mission["safe_distance"]), float(mission.get("downwash", 1.0))
         spacing = float(record.mission.mission["spacing"]) * self._scale
         self._disc = max(3.5, letters / 0.6, min(width / 17.0, DISC_SHARE * spacing))
         self._font = min(7.5, 0.6 * self._disc)
@@ -93,7 +81,7 @@ class Panel:
 
     def close_pairs(self, positions: NDArray[np.float64]) -> NDArray[np.intp]:
         """Pairs nearer than the safe distance in all dimensions, shape (k, 2)."""
-        return np.argwhere(np.triu(graph.distances(positions) < self._safe - ROUNDING, 1))
+        return np.argwhere(np.triu(graph.distances(flattened(positions, self._downwash)) < self._safe - ROUNDING, 1))
 
     def crowded(self, round_number: int) -> set[bool]:
         """Whether robots hide one another in a round: True for crowds with a pair too near, False for others."""

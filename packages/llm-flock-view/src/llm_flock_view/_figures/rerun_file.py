@@ -20,8 +20,7 @@ TIMELINE = "round"
 TRAIL = 24
 """Longest trail [rounds]."""
 
-MAX_LINE_LENGTH = 400
-"""Longest line of the log [characters]."""
+MAX_LINE_LENGTH = 400  # longest line of the log [characters]
 
 FIGURES = ("procrustes_mean", "plans_in_use", "distinct_goals", "robots_at_goal", "segment_separation", "model_calls")
 

@@ -28,11 +28,8 @@ DANGER = "#C81E1E"
 QUIET = "#56606B"
 """Marks robots that only hide one another in the picture; as in the viewer."""
 
-BRIGHT = 0.6
-"""Relative luminance from which a thin line is hard to see on white."""
-
-LETTERS_AN_INCH = 15
-"""Letters of a title that surely fit into an inch."""
+BRIGHT = 0.6  # relative luminance from which a thin line is hard to see on white
+LETTERS_AN_INCH = 15  # letters of a title that surely fit into an inch
 
 GRID = "#E4E4E4"
 SERIES: tuple[str, ...] = ("#0072B2", "#D55E00", "#009E73", "#A8548A", "#B07A00", "#3D8FBF", "#757575")
@@ -72,8 +69,7 @@ RC: dict[Any, Any] = {
 """Settings of all figures; a user's own settings do not change them."""
 
 
-FONT = RC["font.size"]
-"""Size of letters [points]; those of titles are larger, those at axes smaller, in proportion."""
+FONT = RC["font.size"]  # size of letters [points]; those of titles are larger, those at axes smaller, in proportion
 
 
 def house_style(font: float = FONT) -> AbstractContextManager[None]:
@@ -95,8 +91,7 @@ class PlanLook:
     rim: str
 
 
-MAX_TITLE = 400
-"""Longest title [characters]."""
+MAX_TITLE = 400  # longest title [characters]
 
 WITHOUT_PLAN = PlanLook(name="", fill=NO_PLAN, line=FAINT, ink=INK, rim=":")
 NOT_BEGUN = PlanLook(name="", fill=FAINT, line=FAINT, ink=PAPER, rim=":")

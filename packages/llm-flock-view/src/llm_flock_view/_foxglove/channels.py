@@ -44,14 +44,9 @@ ARENA, TRAILS, LOG = "/arena", "/trails", "/log"
 MAX_TRAIL_ROUNDS = 24
 """Longest trail [rounds]."""
 
-MAX_TRAIL_POINTS = 6000
-"""Most points of all trails in one message: large teams have shorter trails."""
-
-MAX_LOG_LINE = 300
-"""Longest line of the log [characters]."""
-
-OBSTACLE_HEIGHT = 1.0
-"""Height of obstacles in a plane, so that they can be seen from the side [units]."""
+MAX_TRAIL_POINTS = 6000  # most points of all trails in one message: large teams have shorter trails
+MAX_LOG_LINE = 300  # longest line of the log [characters]
+OBSTACLE_HEIGHT = 1.0  # height of obstacles in a plane, so that they can be seen from the side [units]
 
 _INFO, _WARNING = 2, 3
 _WARNINGS = frozenset({"killed", "fallback", "no_plan", "accused", "rejected_message", "injected", "link_lost", "cut"})

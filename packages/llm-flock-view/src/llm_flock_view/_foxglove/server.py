@@ -26,14 +26,9 @@ HOST = "127.0.0.1"
 KEPT = frozenset({"/run", "/mission", "/plan", "/summary", ARENA, SCENE_TOPIC, TRAILS})
 """Channels whose last message is sent again to clients that come later."""
 
-BACKLOG = 256
-"""Messages that wait for a slow client; three of each robot more. Then the oldest are dropped."""
-
-MAX_SERVED_ROBOTS = 250
-"""Team size for which a server is made whose runs are not known yet."""
-
-LINGER_S = 0.5
-"""Time for the end of a run to reach the clients [s]."""
+BACKLOG = 256  # messages that wait for a slow client; three of each robot more. Then the oldest are dropped
+MAX_SERVED_ROBOTS = 250  # team size for which a server is made whose runs are not known yet
+LINGER_S = 0.5  # time for the end of a run to reach the clients [s]
 
 logger = logging.getLogger(__name__)
 

@@ -9,8 +9,7 @@ from typing import Any
 from llm_flock.printable import printable
 from llm_flock_view._viewer.paths import RECORD_NAME
 
-TOO_CLOSE = "too close"
-"""Track of the timeline that counts pairs nearer than the safe distance."""
+TOO_CLOSE = "too close"  # track of the timeline that counts pairs nearer than the safe distance
 
 TRACKS: tuple[dict[str, str], ...] = (
     {"name": "plans", "mark": "circle", "about": "A robot proposed a plan or took over another's"},

@@ -26,11 +26,8 @@ MAX_FRAMES = 256
 MAX_EVENTS = 100
 """Most events of a round that are listed."""
 
-MAX_WORDS, MAX_TOLD_LENGTH = 400, 4_000
-"""Longest event in a page that holds its run, and in the viewer [characters]."""
-
-LARGEST = 10_000_000
-"""Largest number that a request may contain."""
+MAX_WORDS, MAX_TOLD_LENGTH = 400, 4_000  # longest event in a page that holds its run, and in the viewer [characters]
+LARGEST = 10_000_000  # largest number that a request may contain
 
 FIGURES = (
     "procrustes_mean",
@@ -95,6 +92,7 @@ def about(run: Recording) -> dict[str, Any]:
         "robots": history.n_robots,
         "space": len(fields["arena"][0]) > 2,
         **{name: fields[name] for name in ("safe_distance", "comm_range", "spacing")},
+        "downwash": fields.get("downwash", 1.0),
         "arena": [list(corner) for corner in fields["arena"]],
         "obstacles": [dict(obstacle) for obstacle in fields.get("obstacles", ())],
     }

@@ -7,8 +7,7 @@ from typing import Any, cast
 
 from llm_flock.record import MAX_PLACES, ProtocolEvent, counted, robots_text
 
-LARGEST = 1e12
-"""Numbers from here on are not shortened: a record may hold any."""
+LARGEST = 1e12  # numbers from here on are not shortened: a record may hold any
 
 _TRACKS = {
     "proposed": "plans",

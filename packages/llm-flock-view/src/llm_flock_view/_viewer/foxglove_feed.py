@@ -13,11 +13,8 @@ from llm_flock_view._viewer.recording import Recording
 if TYPE_CHECKING:
     from llm_flock_view._foxglove.server import FoxgloveServer
 
-PACE = 2.0
-"""Rounds a second of a finished record."""
-
-END_S = 3.0
-"""Time for which the end of a record is shown before it begins again [s]."""
+PACE = 2.0  # rounds a second of a finished record
+END_S = 3.0  # time for which the end of a record is shown before it begins again [s]
 
 
 class Feed:

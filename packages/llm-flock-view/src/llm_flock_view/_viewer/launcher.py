@@ -29,11 +29,8 @@ MAX_RUNS = 4
 """Runs that fly at the same time: they share the processor with the pages."""
 
 
-BEGINS_S = 10.0
-"""Longest time until the record of a run has begun [s]."""
-
-WARM_AFTER_S = 0.3
-"""The form is shown first [s]."""
+BEGINS_S = 10.0  # longest time until the record of a run has begun [s]
+WARM_AFTER_S = 0.3  # the form is shown first [s]
 
 
 def fly_nothing() -> None:

@@ -17,11 +17,8 @@ from llm_flock.record import RECORD_NAME, RecordStream
 from llm_flock_view._viewer.paths import title_of
 from llm_flock_view._viewer.recording import Recording, version_of
 
-POLL_S = 0.1
-"""Time between two reads of a record that grows [s]."""
-
-WATCH_S = 1.0
-"""Time between two looks for new records [s]."""
+POLL_S = 0.1  # time between two reads of a record that grows [s]
+WATCH_S = 1.0  # time between two looks for new records [s]
 
 
 def identity(path: Path) -> str | None:

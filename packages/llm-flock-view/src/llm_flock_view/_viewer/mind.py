@@ -14,8 +14,7 @@ from llm_flock_view._viewer.events import breaker_text
 
 MAX_CLAIMS = 30
 
-USUAL = "idle"
-"""Phase between two rounds; any other is told."""
+USUAL = "idle"  # phase between two rounds; any other is told
 
 _ORIGINS = {
     "start": "at its start",

@@ -113,7 +113,8 @@ class PageOrders:
     def _preview(self, fields: object) -> dict[str, Any]:
         """Arena, starts and places of a run of the form's fields, which does not fly yet [units]."""
         self.launcher.loaded()
-        from llm_flock_view._viewer.steered_run import config_of, starts_of
+        from llm_flock.runtime import starts_of
+        from llm_flock_view._viewer.steered_run import config_of
 
         if not isinstance(fields, dict):
             raise FieldError("fields", None, says="a picture needs the fields of a run")

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from llm_flock.arrays import flattened
 from llm_flock.printable import printable, shape_title
 from llm_flock.record import Entry, FlightEvent, LlmEntry, ProtocolEvent, RoundEnd, RunHistory, protocol_text
 from llm_flock_view._viewer.canvases import TOO_CLOSE
@@ -20,11 +21,11 @@ ROUTINE = frozenset({"preflight", "take_off", "aloft", "clipped", "landing", "la
 """Flight events that belong to every flight."""
 
 
-def close_pairs(positions: Sequence[Sequence[float]], safe: float) -> int:
+def close_pairs(positions: Sequence[Sequence[float]], safe: float, downwash: float = 1.0) -> int:
     """Number of pairs nearer than the safe distance [units]."""
     from scipy.spatial import KDTree  # slow to load, and seldom needed
 
-    return len(KDTree(positions).query_pairs(safe - 1e-6))
+    return len(KDTree(flattened(positions, downwash)).query_pairs(safe - 1e-6))
 
 
 def box(rows: Sequence[Sequence[float] | None]) -> list[float]:
@@ -92,10 +93,11 @@ class Recording:
         run = self.history
         if not run.missions or number >= len(run.states):
             return
-        state, safe = run.states[number], float(run.mission_at(number).mission["safe_distance"])
+        state, mission = run.states[number], run.mission_at(number).mission
+        safe = float(mission["safe_distance"])
         near = run.rows[number].min_separation if number < len(run.rows) else None
         if near is not None and near < safe:
-            pairs = close_pairs(state.positions, safe)
+            pairs = close_pairs(state.positions, safe, mission.get("downwash", 1.0))
             if pairs:
                 self.marks[number][TOO_CLOSE] = pairs
         half = len(self.extent) // 2

@@ -25,8 +25,7 @@ from llm_flock_view._viewer.page import PAGE, PLAYER, as_data, bundle, css
 from llm_flock_view._viewer.paths import title_of
 from llm_flock_view._viewer.recording import Recording
 
-MAX_ROBOT_ROUNDS = 200_000
-"""Most robots times rounds of a page."""
+MAX_ROBOT_ROUNDS = 200_000  # most robots times rounds of a page
 
 
 def write_page(record: Path, target: Path) -> int:

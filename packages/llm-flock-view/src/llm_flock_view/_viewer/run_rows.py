@@ -10,8 +10,7 @@ from llm_flock_view._figures.style import plan_look
 from llm_flock_view._viewer.outcome import outcome, protocol_name
 from llm_flock_view._viewer.recording import Recording, in_unit_square
 
-MAX_DOTS = 250
-"""Most robots of a thumbnail."""
+MAX_DOTS = 250  # most robots of a thumbnail
 
 FIGURES: tuple[tuple[str, str], ...] = (
     ("procrustes_mean", "Shape error [units]"),

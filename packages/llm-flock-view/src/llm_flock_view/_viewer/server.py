@@ -12,8 +12,7 @@ from urllib.parse import quote
 from llm_flock.errors import FieldError, InputError
 from llm_flock.printable import hidden
 
-MIN_TOKEN_LENGTH = 16
-"""Fewest characters of a token."""
+MIN_TOKEN_LENGTH = 16  # fewest characters of a token
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

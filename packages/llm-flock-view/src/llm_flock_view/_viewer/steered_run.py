@@ -8,7 +8,6 @@ import time
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from llm_flock.arrays import Points
 from llm_flock.errors import FieldError, FlockError, InputError, unknown
 from llm_flock.events import Note
 from llm_flock.llm import MissionDraft, habits_of
@@ -17,20 +16,17 @@ from llm_flock.record import DEAD
 from llm_flock.runtime import (
     RunConfig,
     RunOrders,
-    Stream,
     TeamPlanners,
     Trial,
     build_config,
     run_async,
-    stream,
+    starts_of,
 )
 from llm_flock.shapes import names_file
-from llm_flock.simulate import start_positions
 from llm_flock_view._viewer.library import load
 from llm_flock_view._viewer.recording import Recording
 
-POLL_S = 0.02
-"""Time between two checks of a paused run [s]."""
+POLL_S = 0.02  # time between two checks of a paused run [s]
 
 HALLUCINATING = "simulated:collapse,distorted,malformed@0.3"
 """Replaces the model of a robot that is made to hallucinate."""
@@ -85,12 +81,6 @@ def config_of(
         TeamPlanners(config)
         starts_of(config)
     return config
-
-
-def starts_of(config: RunConfig) -> Points:
-    """Where the robots of a run start, shape (n, d) [units]."""
-    trial, rng = config.trial, stream(config.trial.seed, Stream.START)
-    return start_positions(config.start_scene, trial.start_positions, trial.start, rng, trial.start_area)
 
 
 def _free(model: str) -> bool:

@@ -25,8 +25,7 @@ from llm_flock.errors import InputError
 from llm_flock.extras import EXTRAS
 from llm_flock.printable import one_line
 
-WAIT_S = 60.0
-"""Longest wait for the answer of a model [s]; a run waits longer."""
+WAIT_S = 60.0  # longest wait for the answer of a model [s]; a run waits longer
 
 
 @extended("doctor")

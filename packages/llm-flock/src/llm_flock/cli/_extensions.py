@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from llm_flock.runtime._config import RunConfig
     from llm_flock.runtime._trial import Trial
 
-PACE = 2.0
-"""Rounds a second at most while a run is shown: runs of simulated models would be too fast to watch."""
+PACE = 2.0  # rounds a second at most while a run is shown: runs of simulated models would be too fast to watch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

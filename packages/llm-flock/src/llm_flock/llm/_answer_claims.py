@@ -24,8 +24,7 @@ _VALUES = ("point", "points", "bad", "axes")
 _BETWEEN = frozenset({"comma", "line", "to", "sign", "stop", "number"})
 """What may stand between two points of a list, with a bullet or a word such as "place"."""
 
-_REACH = 14
-"""How far a label's words are looked at [items]."""
+_REACH = 14  # how far a label's words are looked at [items]
 
 Value: TypeAlias = tuple[tuple[tuple[str, ...], ...], str, int]
 """Rows of numbers as they are spelled, one a point; what is wrong with them; and where the value ends."""

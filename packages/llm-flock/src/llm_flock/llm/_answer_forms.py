@@ -13,11 +13,8 @@ from typing import Any
 from llm_flock.bounds import MAX_PROGRAM_BYTES
 from llm_flock.llm._port import AnswerForm, Kind
 
-WHOLE_DIGITS = 6
-"""Most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`."""
-
-DECIMALS = 4
-"""Most digits after the decimal point: a confused model must not write a number without end."""
+WHOLE_DIGITS = 6  # most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`
+DECIMALS = 4  # most digits after the decimal point: a confused model must not write a number without end
 
 LETTER_TOKENS = 4
 """Longest answer of one letter [tokens]: some room, to notice a model that does not stop after the letter."""
@@ -29,8 +26,7 @@ REASON_LINES = 3
 REASON_CHARS = 200
 """Longest reason: lines, and characters of each line. In JSON, a reason is one line."""
 
-CHARS_PER_TOKEN = 3
-"""Only of prose: each digit and bracket is one token."""
+CHARS_PER_TOKEN = 3  # only of prose: each digit and bracket is one token
 
 _ANY_OBJECT = r"""root ::= object
 value ::= object | array | string | number | "true" | "false"

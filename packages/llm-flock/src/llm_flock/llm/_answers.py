@@ -30,17 +30,11 @@ from llm_flock.llm._answer_claims import (
 )
 from llm_flock.llm._answer_items import CUT, PLACEHOLDERS, SAID, items_of, plain
 from llm_flock.llm._port import AnswerForm
-from llm_flock.llm._thoughts import spoken
+from llm_flock.llm._thoughts import answer_text
 from llm_flock.plan import Plan
 
-MAX_CHARS = 1_000_000
-"""Longer answers are not read."""
-
-MAX_DIGITS = 40
-"""Longest spelling of a number."""
-
-HERE = 0.01
-"""A position this near to the robot's own is its own [units]: prompts and models round it."""
+MAX_DIGITS = 40  # longest spelling of a number
+HERE = 0.01  # a position this near to the robot's own is its own [units]: prompts and models round it
 
 
 def read_plan(text: str, form: AnswerForm) -> tuple[Plan, int]:
@@ -167,13 +161,9 @@ def _complete(items: Items, claim: AnswerClaim | None, what: str, required: str)
 
 def _items(text: str) -> Items:
     """What an answer says without its thoughts, because a position in a thought is a draft."""
-    if len(text) > MAX_CHARS:
-        raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
-    answer = spoken(text)
-    if answer.unfinished or (answer.thought and not answer.text.strip()):
-        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
-    text = plain(answer.text)
-    items = Items(items_of(text), text, answer.text)
+    answer = answer_text(text)
+    text = plain(answer)
+    items = Items(items_of(text), text, answer)
     for at in range(len(items.all)):
         if items.word(at) in ("unit", "units", "coordinates", "values", "numbers", "axes"):
             near = {*items.words(items.start(at, reach=6), items.sentence(at, 8))} - {"in"}

@@ -41,8 +41,7 @@ from llm_flock.printable import printable, same_model
 
 logger = logging.getLogger(__name__)
 
-DETAIL_LENGTH = 400
-"""Longest error text of a provider [characters]."""
+DETAIL_LENGTH = 400  # longest error text of a provider [characters]
 
 CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_length", "context_length_exceeded"})
 """Finish reasons of some servers that mean `length`; pydantic-ai passes them on unchanged."""
@@ -50,8 +49,7 @@ CUT_OFF = frozenset({"max_tokens", "max_output_tokens", "max_length", "model_len
 BROKEN_OFF = frozenset({"error", "abort", "aborted", "cancelled", "failed", "insufficient_system_resource"})
 """Finish reasons that mean that the server broke the answer off."""
 
-CHARACTERS_PER_TOKEN = 4
-"""As common tokenizers have in English text, on average."""
+CHARACTERS_PER_TOKEN = 4  # as common tokenizers have in English text, on average
 
 _SECONDS = re.compile(r"(?:^|retryDelay['\"]?\s*:\s*['\"])([0-9]{1,9}(?:\.[0-9]{1,9})?)s")
 

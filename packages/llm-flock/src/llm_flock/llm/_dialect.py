@@ -20,8 +20,7 @@ from llm_flock.printable import printable
 
 logger = logging.getLogger(__name__)
 
-FIRST_S = 1.0
-"""Longest wait for the first answer of a server, from which the others learn its dialect [s]."""
+FIRST_S = 1.0  # longest wait for the first answer of a server, from which the others learn its dialect [s]
 
 _WORDS = tomllib.loads(Path(__file__).with_name("server_words.toml").read_text(encoding="utf-8"))
 

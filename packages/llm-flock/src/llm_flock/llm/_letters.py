@@ -14,9 +14,9 @@ from typing import Literal, TypeAlias, get_args
 
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
-from llm_flock.obstacles import nearest_on_segment, segment_clearance
+from llm_flock.obstacles import segment_clearance
 from llm_flock.planner import StepQuestion
-from llm_flock.protocol._verification.steps import blocked, step_faults
+from llm_flock.protocol._verification.steps import blocked, passing, step_faults
 
 Letter: TypeAlias = Literal["S", "H", "L", "R", "W"]
 """Straight on, straight on by half, round to the left, round to the right, wait."""
@@ -26,11 +26,8 @@ Room: TypeAlias = Literal["tight", "wide", "free"]
 ROOMS: tuple[tuple[float, Room], ...] = ((1.5, "tight"), (2.5, "wide"), (math.inf, "free"))
 """Words for room, each with the gap at which the next word begins [least allowed distances]."""
 
-NO_WISH = "None."
-"""The wish of a mission that has none."""
-
-MAX_WISH_LENGTH = 200
-"""Longest wish [characters]: it is part of every question."""
+NO_WISH = "None."  # the wish of a mission that has none
+MAX_WISH_LENGTH = 200  # longest wish [characters]: it is part of every question
 
 _LETTER = re.compile(rf"\s*([{''.join(get_args(Letter))}])\b")
 
@@ -127,7 +124,7 @@ def _gap(question: StepQuestion, end: Point) -> float:
     edge = min(min(x - a, b - x) for a, x, b in zip(low, end, high, strict=True))
     gaps = [1.0 + max(0.0, edge) / mission.safe_distance]
     for other in question.neighbors:
-        gap = math.dist(nearest_on_segment(other, here, end), other) / mission.safe_distance
-        gaps.append(max(gap, 1.0) if math.dist(other, here) < mission.safe_distance else gap)
+        gap = passing(mission, other, here, end) / mission.safe_distance
+        gaps.append(max(gap, 1.0) if mission.separation(other, here) < mission.safe_distance else gap)
     gaps.append(segment_clearance(here, end, mission.obstacles) / mission.body_radius)
     return min(gaps)

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 
-LONGEST_S = 600.0
-"""Longest time-out to which a first answer is waited for, unless the operator says how long [s]."""
+LONGEST_S = 600.0  # longest time-out to which a first answer is waited for, unless the operator says how long [s]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,8 +26,7 @@ from llm_flock.point_files import file_text
 from llm_flock.printable import one_line
 from llm_flock.validation import input_error
 
-MAX_TEXT_LENGTH = 2000
-"""Longest text of a mission [characters]."""
+MAX_TEXT_LENGTH = 2000  # longest text of a mission [characters]
 
 TRIES = 3  #: Answers until the reader is given up; each rejected one is sent back with the reason.
 
@@ -214,7 +213,7 @@ INSTRUCTION = """\
 You turn a request to a team of robots into JSON. Answer with one JSON object and nothing else. Its schema: {schema}
 The world: x to the east, y to the north, in units; a round is one move, of {mission.max_step:g} units at most; the
 corners of the arena are {mission.arena}. The team has {mission.n_robots} robots with the ids 0 to {last}; neighbours in
-a formation stand {mission.spacing:g} apart, and never less than {mission.safe_distance:g}. {now}
+a formation stand {mission.spacing:g} apart, and never less than {mission.safe_distance:g}{mission.by_height}. {now}
 Shapes, the team sizes that they take, and what they are: {shapes}
 "answer" is "mission" for what can be flown: "stages" one after the other, each with "parts", one for each sub-team.
 It is "ask" if the words allow two readings that would fly differently, or leave out what nobody can guess. A centre,

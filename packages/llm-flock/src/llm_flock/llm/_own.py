@@ -22,8 +22,7 @@ logger = logging.getLogger(__name__)
 
 _REPLY = TypeAdapter(Reply)
 
-CLOSE_S = 10.0
-"""Longest wait for a model of the user's own to close [s]."""
+CLOSE_S = 10.0  # longest wait for a model of the user's own to close [s]
 
 ModelChoice: TypeAlias = str | Answers | Sequence[str | Answers]
 """One model for all robots, by its name or as an object, or one for each."""

@@ -8,8 +8,7 @@ from typing import Any, cast
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import parse_program
-from llm_flock.llm._answers import MAX_CHARS
-from llm_flock.llm._thoughts import spoken
+from llm_flock.llm._thoughts import answer_text
 from llm_flock.mission import Mission
 from llm_flock.plan import Drawing, Plan
 
@@ -23,12 +22,7 @@ def read_program(text: str, mission: Mission) -> tuple[Plan, int]:
     Raises:
         AnswerError: no such object, several that differ, or a program that cannot be drawn by this team; a sentence.
     """
-    if len(text) > MAX_CHARS:
-        raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
-    answer = spoken(text)
-    if answer.unfinished or (answer.thought and not answer.text.strip()):
-        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
-    found = [given for given in _objects(answer.text) if "program" in given or "my_plan" in given]
+    found = [given for given in _objects(answer_text(text)) if "program" in given or "my_plan" in given]
     if not found:
         raise AnswerError(f"it holds no complete program; {REQUIRED}.")
     if any(given != found[0] for given in found[1:]):

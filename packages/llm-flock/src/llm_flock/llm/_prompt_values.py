@@ -59,7 +59,7 @@ def short_text(position: Point, decimals: int) -> str:
 def nearest_text(position: Point, neighbors: Sequence[Point], mission: Mission) -> str:
     """The at most three nearest robots that one step could come too near to, nearest first, or `none`."""
     reach = mission.max_step + mission.safe_distance
-    by_distance = sorted((math.dist(position, other), other) for other in neighbors)
+    by_distance = sorted((mission.separation(position, other), other) for other in neighbors)
     near = [other for distance, other in by_distance[:3] if distance < reach]
     decimals = position_decimals(mission.max_step)
     return ", ".join(short_text(other, decimals) for other in near) or "none"
@@ -129,7 +129,7 @@ MISSION: Mapping[str, Callable[[Mission], Any]] = {
     "center": lambda mission: _row(mission.center),
     "velocity": lambda mission: "" if mission.velocity is None else place_text(mission.velocity),
     "spacing": lambda mission: number_text(mission.spacing),
-    "safe_distance": lambda mission: number_text(mission.safe_distance),
+    "safe_distance": lambda mission: f"{number_text(mission.safe_distance)}{mission.by_height}",
     "max_step": lambda mission: number_text(mission.max_step),
     "comm_range": lambda mission: number_text(mission.comm_range),
     "obstacles": obstacles_text,

@@ -51,11 +51,8 @@ PACKAGED: Mapping[str, str] = {
 `brief-program` takes them from `brief` first.
 """
 
-PROGRAMS = ("program", "brief-program")
-"""The packaged sets that ask for a plan as a formation program."""
-
-LETTERS = "letters"
-"""The packaged set that asks for the letter of one of the computed ways, and for no plan."""
+PROGRAMS = ("program", "brief-program")  # the packaged sets that ask for a plan as a formation program
+LETTERS = "letters"  # the packaged set that asks for the letter of one of the computed ways, and for no plan
 
 COMMON = frozenset({"json", "wish", *MISSION})
 OBSERVED: Mapping[str, Callable[[PlanQuestion | StepQuestion], Any]] = {
@@ -102,8 +99,7 @@ VARIABLES: Mapping[str, frozenset[str]] = {
 """The templates, and the variables that each may use."""
 
 
-AIM = next(iter(AIMS))
-"""The aim of a judgement where the operator wishes nothing."""
+AIM = next(iter(AIMS))  # the aim of a judgement where the operator wishes nothing
 
 NOT_FLOWN = "Your last answer is not flown."
 """Begins what is added to the question for a step when it is asked again in the same round."""

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
     from llm_flock.mission import Mission
     from llm_flock.planner import PlanQuestion
 
-MAX_URL_LENGTH = 2_000
-"""Longest address of a provider [characters]."""
+MAX_URL_LENGTH = 2_000  # longest address of a provider [characters]
 
 SEND_KEY_TO = "LLM_FLOCK_SEND_KEY_TO"
 """Environment variable with hosts, separated by commas, that files may have keys sent to."""

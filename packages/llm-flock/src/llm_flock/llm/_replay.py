@@ -30,8 +30,7 @@ MAX_LINE_LENGTH = 1 << 26
 """Lines of a cassette are shorter [bytes]."""
 
 
-Plain = Annotated[dict[str, Any], AfterValidator(check_plain)]
-"""Values that a record can hold."""
+Plain = Annotated[dict[str, Any], AfterValidator(check_plain)]  # values that a record can hold
 
 
 class CassetteLine(BaseModel):
@@ -59,10 +58,9 @@ class CassetteLine(BaseModel):
     cost_usd: Amount | None
     latency_s: Amount
     faults: tuple[str, ...]
-    finish_reason: str | None = None
-    thought: bool = False
-    clipped: str | None = None
-    """Older cassettes lack the last three fields."""
+    finish_reason: str | None
+    thought: bool
+    clipped: str | None
 
 
 class _Cassette:

@@ -14,21 +14,19 @@ from dataclasses import dataclass
 from llm_flock.errors import AnswerError
 from llm_flock.llm._port import Reply
 
+MAX_CHARS = 1_000_000  # longer answers are not read
+
 MAX_QUOTED = 20_000
 """Longest answer that is quoted to the model [characters]; a runaway answer must not fill every later request."""
 
-NO_TEXT = "(no text)"
-"""Replaces an empty answer in the conversation, because providers refuse empty messages."""
-
-TAIL = 800
-"""How much of the end of an answer that was cut off is looked at [characters]."""
+NO_TEXT = "(no text)"  # replaces an empty answer in the conversation, because providers refuse empty messages
+TAIL = 800  # how much of the end of an answer that was cut off is looked at [characters]
 
 REPEATS = 4
 MIN_REPEATED = 24
 """How often the same words end an answer that repeats itself, and how long they are together [characters]."""
 
-ECHOED = 30
-"""Shortest line that is a repetition of the question [characters]."""
+ECHOED = 30  # shortest line that is a repetition of the question [characters]
 
 _MARK = re.compile(
     r"<(?P<bar>\|?)\s*+(?P<close>/?)\s*+(?P<turn>(?:START|END|begin_of|end_of)_)?(?:[a-z]{1,12}[:_]){0,2}"
@@ -86,6 +84,16 @@ def spoken(text: str) -> Spoken:
     if inside:
         return _UNFINISHED
     return Spoken(text) if after < 0 else Spoken(text[after:], thought=True)
+
+
+def answer_text(text: str) -> str:
+    """A text without thoughts; AnswerError if it is too long, or holds only thoughts."""
+    if len(text) > MAX_CHARS:
+        raise AnswerError(f"it is {len(text)} characters long, {MAX_CHARS} are the limit.")
+    answer = spoken(text)
+    if answer.unfinished or (answer.thought and not answer.text.strip()):
+        raise AnswerError("it holds nothing but thoughts; think less, and give the answer itself.")
+    return answer.text
 
 
 def _meaning(mark: re.Match[str]) -> tuple[bool, str]:

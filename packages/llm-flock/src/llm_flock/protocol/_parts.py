@@ -18,7 +18,7 @@ from llm_flock.arrays import Point, moved
 from llm_flock.events import Note, Origin
 from llm_flock.message import Course, Message, PositionReport, TeamPositions
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Mover
+from llm_flock.obstacles import Mover, Obstacle
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._agreement.assignment import AssignmentRule, Claim, IndexAssignment, Occupancy
@@ -76,6 +76,12 @@ class Situation:
         self.sensed: Mapping[int, Point] = {}
         self.weights: Mapping[int, float] = {}  #: Of robots whose ways count for more than others' in exchanges.
         self.earlier: tuple[Point, ...] = ()  #: Where robots may stand that missed the last orders.
+        self.resting: tuple[Obstacle, ...] = ()  #: Moving obstacles that the team takes to stay where they are.
+
+    @property
+    def terrain(self) -> Mission:
+        """The mission with these obstacles besides its own."""
+        return self.mission.among(self.resting)
 
     @property
     def ways(self) -> Roadmap | None:
@@ -196,6 +202,10 @@ class Safety:
     def stay(self, scene: Observation) -> SafeStep:
         """The step of a robot without a waypoint."""
         return SafeStep(waypoint=scene.position, origin=Origin.HOLD)
+
+    def resting(self, scene: Observation) -> tuple[Obstacle, ...]:
+        """Moving obstacles in sight that have come to rest, as large as robots keep away from them."""
+        return ()
 
     def room(self, scene: Observation, leg: Leg) -> float:
         """How much nearer to the leg's stop a straight step leads now, as far as others leave it free [units]."""

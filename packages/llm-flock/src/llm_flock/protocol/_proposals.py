@@ -33,7 +33,7 @@ class Proposals:
 
     def ask(self, event: RoundBegan) -> list[AskPlan | Note]:
         """Notes, and last the question for this round. None is asked if no plan is needed, or geometry answers."""
-        agreement, mission = self._agreement, self._agreement.mission
+        agreement, mission = self._agreement, self._agreement.terrain
         places = self._membership.places(agreement)
         if places is None and agreement.owes_proposal and agreement.plan is not None:
             places = len(agreement.plan)

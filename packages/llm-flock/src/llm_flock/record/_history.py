@@ -25,8 +25,7 @@ from llm_flock.record._schema import (
 )
 from llm_flock.record._words import letters
 
-HELD_ROUNDS = 3
-"""Rounds in order after which a team has formed, as in `llm_flock.metrics`."""
+HELD_ROUNDS = 3  # rounds in order after which a team has formed, as in `llm_flock.metrics`
 
 
 class PlanOrigin(NamedTuple):

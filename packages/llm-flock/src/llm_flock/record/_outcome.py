@@ -41,7 +41,7 @@ def outcome_of(run: RunHistory, *, over: bool = True) -> RunOutcome:
     stood = [span for span in run.formations if part.first <= span[0] <= last]
     end = ending(run.result) if over else "formed" if stood and stood[-1][1] >= last else ""
     name = f"Mission {len(parts)} of {len(parts)} ({part.text}) " if len(parts) > 1 else ""
-    # A record without any is older than they are, or of a swarm that ended as soon as it had formed.
+    # A swarm that ended as soon as it had formed stood in no round.
     broken = bool(stood) and run.rows[last].in_order_since is None
     empty, lacks = _empty_places(run)
     now = _empty_text(empty)
@@ -77,9 +77,8 @@ def mission_parts(run: RunHistory) -> list[MissionPart]:
             number = cast("Mapping[str, Any]", entry).get("formed") if isinstance(entry, Mapping) else None
             formed = number if isinstance(number, int) else None
         elif last is None and run.result is not None:
-            # Older results are about the last mission only, and that of a swarm, whose clock is no round, has none.
-            took, row = result.get("rounds_to_formed"), run.rows[run.last_round].in_order_since
-            since = max(0, info.round - 1) + took if isinstance(took, int) else formed or row or run.last_round
+            # The result of a swarm, whose clock is no round, tells of no missions.
+            since = formed or run.rows[run.last_round].in_order_since or run.last_round
             formed = since if ending(result) == "formed" else None
         parts.append(MissionPart(info.round, last, shape_text(info.mission), formed))
     return parts

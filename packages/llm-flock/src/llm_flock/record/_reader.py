@@ -108,12 +108,28 @@ class RunRecord:
         return plugins.load("views", "animation")(self, fps=fps)
 
     def to_polars(self, table: TableName = "rounds") -> polars.DataFrame:
-        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round."""
-        return to_polars(self, table)
+        """The run as a table: `rounds` has a row for each round, `robots` one for each robot and round.
+
+        Needs the extra `sweep`.
+        """
+        require("sweep", "to_polars()")
+        import polars as pl
+
+        table_columns = columns(self, table)
+        return pl.DataFrame(table_columns, schema={name: getattr(pl, _kind(name)) for name in table_columns})
 
     def to_pandas(self, table: TableName = "rounds") -> pandas.DataFrame:
-        """As `to_polars`, for pandas."""
-        return to_pandas(self, table)
+        """As `to_polars`, for pandas, where whole numbers that may be missing are of type Int64.
+
+        Needs the extra `notebook`.
+        """
+        require("notebook", "to_pandas()")
+        table_columns = columns(self, table)
+        library: Any = import_module("pandas")
+        frame = library.DataFrame(table_columns)
+        kinds = {name: "Int64" for name in ("slot", "in_order_since") if name in table_columns}
+        kinds |= {name: "float64" for name in table_columns if _kind(name) == "Float64"}
+        return cast("pandas.DataFrame", frame.astype(kinds))
 
     def __repr__(self) -> str:
         state = "complete" if self.complete else "ends early"
@@ -161,28 +177,8 @@ def columns(record: RunRecord, table: TableName) -> dict[str, list[Any]]:
     return table_columns
 
 
-def to_polars(record: RunRecord, table: TableName) -> polars.DataFrame:
-    """A table as a polars frame; needs the extra `sweep`."""
-    require("sweep", "to_polars()")
-    import polars as pl
-
-    table_columns = columns(record, table)
-    return pl.DataFrame(table_columns, schema={name: getattr(pl, _kind(name)) for name in table_columns})
-
-
 def _kind(name: str) -> str:
     return (KINDS | KINDS_OF_ROBOTS).get(name, "Float64")
-
-
-def to_pandas(record: RunRecord, table: TableName) -> pandas.DataFrame:
-    """A table as a pandas frame; whole numbers that may be missing are of type Int64. Needs the extra `notebook`."""
-    require("notebook", "to_pandas()")
-    table_columns = columns(record, table)
-    library: Any = import_module("pandas")
-    frame = library.DataFrame(table_columns)
-    kinds = {name: "Int64" for name in ("slot", "in_order_since") if name in table_columns}
-    kinds |= {name: "float64" for name in table_columns if _kind(name) == "Float64"}
-    return cast("pandas.DataFrame", frame.astype(kinds))
 
 
 def iter_messages(path: str | Path) -> Iterator[RawMessage]:

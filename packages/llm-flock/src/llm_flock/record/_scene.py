@@ -43,6 +43,7 @@ class SceneDrawer:
 
     def __init__(self, mission: MissionInfo) -> None:
         self._diameter = float(mission.mission["safe_distance"])
+        self._tall = float(mission.mission.get("downwash", 1.0))
         self._comm_range = float(mission.mission["comm_range"])
         self._plans: dict[str, int] = {}
 
@@ -61,7 +62,7 @@ class SceneDrawer:
             _BLACK if phase == DEAD else _WHITE if colour is None else _SOLID[colour]
             for phase, colour in zip(state.phases, colours, strict=True)
         ]
-        robots = [_sphere(point, self._diameter, look) for point, look in zip(points, looks, strict=True)]
+        robots = [_sphere(point, self._diameter, look, self._tall) for point, look in zip(points, looks, strict=True)]
         goals = [
             _sphere(xyz(goal), self._diameter / 2, _WHITE if colour is None else _FAINT[colour])
             for goal, colour in zip(state.goals, colours, strict=True)
@@ -69,7 +70,7 @@ class SceneDrawer:
         ]
         ids = [
             {
-                "pose": _pose({**point, "z": point["z"] + self._diameter}),
+                "pose": _pose({**point, "z": point["z"] + self._diameter * (self._tall + 1.0) / 2}),
                 "billboard": True,
                 "font_size": self._diameter / 2,
                 "scale_invariant": False,
@@ -117,8 +118,8 @@ def _pose(position: dict[str, float]) -> dict[str, Any]:
     return {"position": position, "orientation": _UPRIGHT}
 
 
-def _sphere(at: dict[str, float], diameter: float, color: dict[str, float]) -> dict[str, Any]:
-    return {"pose": _pose(at), "size": {"x": diameter, "y": diameter, "z": diameter}, "color": color}
+def _sphere(at: dict[str, float], diameter: float, color: dict[str, float], tall: float = 1.0) -> dict[str, Any]:
+    return {"pose": _pose(at), "size": {"x": diameter, "y": diameter, "z": diameter * tall}, "color": color}
 
 
 def entity(name: str, time: dict[str, int], **primitives: list[dict[str, Any]]) -> dict[str, Any]:

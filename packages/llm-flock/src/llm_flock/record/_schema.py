@@ -8,17 +8,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from llm_flock import bounds
 
-RECORD_NAME = "run.mcap"
-"""Name of a record in its folder."""
-
-MAGIC = b"\x89MCAP0\r\n"
-"""How an MCAP file begins."""
+RECORD_NAME = "run.mcap"  # name of a record in its folder
+MAGIC = b"\x89MCAP0\r\n"  # how an MCAP file begins
 
 Finite = Annotated[float, Field(ge=-bounds.MAX_FIGURE, le=bounds.MAX_FIGURE, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(ge=-bounds.MAX_DISTANCE, le=bounds.MAX_DISTANCE, allow_inf_nan=False)]
 
-Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]
-"""One position, d coordinates [units; world frame]."""
+Row = Annotated[list[Coordinate], Field(min_length=2, max_length=3)]  # one position, d coordinates [units; world frame]
 
 Rows = Annotated[list[Row], Field(max_length=bounds.MAX_ROBOTS)]
 
@@ -56,6 +52,7 @@ class _MissionFields(BaseModel):
     n_robots: Annotated[int, Field(ge=1, le=bounds.MAX_ROBOTS)]
     spacing: Length
     safe_distance: Length
+    downwash: Annotated[float, Field(ge=1, le=100)] = 1.0
     comm_range: Length
     arena: Annotated[list[Row], Field(min_length=2, max_length=2)]
     places: Whole | None = None
@@ -123,25 +120,17 @@ def _with(known: type[BaseModel]) -> AfterValidator:
     return AfterValidator(check)
 
 
-Config = Annotated[dict[str, Any], _with(_ConfigFields)]
-"""A configuration under current names, section by section."""
+Config = Annotated[dict[str, Any], _with(_ConfigFields)]  # a configuration under current names, section by section
 
 MissionFields = Annotated[dict[str, Any], _with(_MissionFields)]
 Figures = Annotated[dict[str, Any], _with(_ResultFields)]
 Details = Annotated[dict[str, Any], AfterValidator(_details)]
 
 
-FORMAT_VERSION = 1
-"""Increased whenever a reader of older records would misread a newer one."""
-
-ROUND_NS = 1_000_000_000
-"""Log time of one round [ns]: a record plays one round a second, however long the run took."""
-
-_VOLATILE: dict[str, Any] = {"volatile": True}
-"""Marks fields that may differ between two runs of one seed."""
-
-DEAD, ASLEEP = "dead", "asleep"
-"""Phase of a robot after it died, and before it began."""
+FORMAT_VERSION = 1  # increased whenever a reader of older records would misread a newer one
+ROUND_NS = 1_000_000_000  # log time of one round [ns]: a record plays one round a second, however long the run took
+_VOLATILE: dict[str, Any] = {"volatile": True}  # marks fields that may differ between two runs of one seed
+DEAD, ASLEEP = "dead", "asleep"  # phase of a robot after it died, and before it began
 
 SILENT = frozenset({DEAD, ASLEEP})
 

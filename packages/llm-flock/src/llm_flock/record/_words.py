@@ -11,8 +11,7 @@ from llm_flock.protocol._agreement import PRESET_RULES
 if TYPE_CHECKING:
     from llm_flock.record._schema import LlmEntry
 
-MAX_PLACES = 12
-"""Number of places of a plan that are listed."""
+MAX_PLACES = 12  # number of places of a plan that are listed
 
 PALETTE = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#8B462E", "#7400E8", "#8B74FF", "#B9A25D")
 """Ten colours, any two of which can be told apart with any colour vision; the first six are of Okabe and Ito (2008)."""
@@ -76,8 +75,7 @@ def formed_in(result: Mapping[str, Any]) -> int | None:
     """The round of the run in which its last mission was formed, by its result; None if it was not."""
     if ending(result) != "formed":
         return None
-    formed = _last_mission(result).get("formed")
-    number = formed if isinstance(formed, int) else result.get("rounds_to_formed")
+    number = _last_mission(result).get("formed")
     return number if isinstance(number, int) else None
 
 
@@ -93,7 +91,7 @@ def formed_text(result: Mapping[str, Any], number: int | None = None) -> str:
 
 
 def help_text(result: Mapping[str, Any]) -> str:
-    """Whether the models of a run that formed had help; older records do not say."""
+    """Whether the models of a run that formed had help; the result of a swarm does not say."""
     if result.get("formed_by_models", True):
         return ""
     without = {*cast("Sequence[str]", result.get("models") or ())} == {"geometry"}

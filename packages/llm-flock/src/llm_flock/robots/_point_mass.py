@@ -12,17 +12,10 @@ from llm_flock.robots._segment import Segment
 
 Mode: TypeAlias = Literal["idle", "flying", "landing"]
 
-GRAVITY = 9.81
-"""[m/s^2]"""
-
-FALL_HEIGHT = 0.1
-"""A landing that ends below this height ends on the ground [m]."""
-
-REFUSED = 1
-"""The firmware's answer to a command that is impossible now."""
-
-BUSY = 16
-"""The firmware's answer while motors may not run (EBUSY)."""
+GRAVITY = 9.81  # [m/s^2]
+FALL_HEIGHT = 0.1  # a landing that ends below this height ends on the ground [m]
+REFUSED = 1  # the firmware's answer to a command that is impossible now
+BUSY = 16  # the firmware's answer while motors may not run (EBUSY)
 
 
 class BodyController(Protocol):

@@ -8,6 +8,7 @@ from ._config import RunConfig as RunConfig
 from ._config import build_config as build_config
 from ._config import load_config as load_config
 from ._config import metres as metres
+from ._config import number as number
 from ._config import read_toml as read_toml
 from ._config import seconds as seconds
 from ._config import warn_of_mission as warn_of_mission
@@ -54,3 +55,4 @@ from ._schedule import stream as stream
 from ._trial import Trial as Trial
 from ._trial import TrialProgress as TrialProgress
 from ._trial import commonest as commonest
+from ._trial import starts_of as starts_of

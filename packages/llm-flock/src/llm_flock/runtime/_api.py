@@ -29,8 +29,8 @@ from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._result import RunResult
 from llm_flock.runtime._rules import LeftOut, assignment_rule, consensus_rule, own_rules
 from llm_flock.runtime._schedule import Change, Stream, stream
-from llm_flock.runtime._trial import Steer, Trial, TrialProgress
-from llm_flock.simulate import InstantBodies, Readings, start_positions
+from llm_flock.runtime._trial import Steer, Trial, TrialProgress, starts_of
+from llm_flock.simulate import InstantBodies, Readings
 
 if TYPE_CHECKING:
     from llm_flock.llm._limits import CallLane
@@ -71,8 +71,7 @@ def wait_for(main: Coroutine[Any, Any, T]) -> T:
             raise
 
 
-Row: TypeAlias = Sequence[float]
-"""Coordinates of a point [units]."""
+Row: TypeAlias = Sequence[float]  # coordinates of a point [units]
 
 
 class Parameters(TypedDict, total=False):
@@ -95,6 +94,7 @@ class Parameters(TypedDict, total=False):
     since: int
     spacing: float
     safe_distance: float
+    downwash: float
     max_step: float
     comm_range: float
     sense_range: float | None
@@ -256,8 +256,7 @@ async def run_async(mission: Mission | None = None, **given: Unpack[Parameters])
     # Build every part first, which rejects invalid values; then open files, and fly.
     asked = config.trial
     warn_of_mission(config.mission, asked.noise + asked.drift)
-    rng = stream(asked.seed, Stream.START)
-    start = start_positions(config.start_scene, asked.start_positions, asked.start, rng, asked.start_area)
+    start = starts_of(config)
     rng, errors = stream(asked.seed, Stream.NOISE), {"drift": asked.drift, "delay": asked.sensing_delay}
     bodies = InstantBodies(Readings(config.mission, start, asked.noise, rng, **errors, moving=asked.moving_obstacles))
     planners = TeamPlanners(config, lane, own)
@@ -317,8 +316,7 @@ def open_outputs(
             from llm_flock.record._writer import Guarded, Tee
 
             target = Tee(writer, sink if ended is None else Guarded("sink", sink.write, ended))
-        moving, replans = config.trial.moving_obstacles, config.protocol.gaps == "replan"
-        journal = Journal(config.mission, target, replans=replans, trace=trace, moving=moving)
+        journal = Journal(config, target, trace=trace)
         journal.unrepeatable = [*planners.unrepeatable, *unrepeatable]
         planners.listen(journal.attempt)
         if path is not None:  # only a record needs it, and asking git takes longer than many rounds

@@ -42,8 +42,7 @@ Count = Annotated[int, Field(ge=1, le=MAX_INTEGER)]
 PerRobot = Annotated[str | None, BeforeValidator(lambda v: str(v) if isinstance(v, int | float) else v)]
 """One value for all robots ("0.2"), or a list by id ("0-4=0.2,5-9=0.7"); plain numbers are accepted too."""
 
-_NO_NAME = re.compile("[\0\ud800-\udfff]")
-"""What neither the names of files nor the texts of a record can hold."""
+_NO_NAME = re.compile("[\0\ud800-\udfff]")  # what neither the names of files nor the texts of a record can hold
 
 _PLAIN = re.compile("shape|kill|join|battery|history|wish|temperature|reasoning_effort|model_seed|swarm")
 """Fields with free text that names no file, no code and no address."""
@@ -55,14 +54,19 @@ class ConfigSection(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
 
+def number(default: float | None, description: str, *, least: float = 0, most: float | None = None) -> Any:
+    """A field for a finite number from `least` on."""
+    return Field(default=default, ge=least, le=most, allow_inf_nan=False, description=description)
+
+
 def seconds(default: float, description: str, *, most: float | None = None) -> Any:
     """A field for a positive time [s]."""
     return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [s]")
 
 
-def metres(default: float, description: str) -> Any:
+def metres(default: float | None, description: str, *, most: float = 1000) -> Any:
     """A field for a positive length [m]."""
-    return Field(default=default, gt=0, le=1000, allow_inf_nan=False, description=f"{description} [m]")
+    return Field(default=default, gt=0, le=most, allow_inf_nan=False, description=f"{description} [m]")
 
 
 class ProtocolConfig(ConfigSection):
@@ -414,12 +418,15 @@ def warn_of_mission(mission: Mission, noise: float = 0.0) -> None:
             mission.spacing,
         )
     room = 1.05 * mission.safe_distance  # see docs/explanation/safe-motion.md
+    if ideal is not None and mission.downwash != 1.0:  # places above each other may be nearer than they are apart
+        room *= max(1.0, mission.spacing / metrics.min_separation(ideal, mission.downwash))
     if mission.n_places > 1 and mission.spacing < room and not math.isclose(mission.spacing, room):
         logger.warning(
-            "spacing = %g leaves robots no room to move: they keep %g apart. The team may take long to form, or never "
-            "do; a spacing of %g would do.",
+            "spacing = %g leaves robots no room to move: they keep %g apart%s. The team may take long to form, or "
+            "never do; a spacing of %g would do.",
             mission.spacing,
             mission.safe_distance,
+            mission.by_height,
             room,
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from llm_flock import metrics
 from llm_flock.agent import Agent
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Point, Points, flattened
 from llm_flock.errors import InputError
 from llm_flock.message import NO_OWNER
 from llm_flock.mission import Mission
@@ -126,5 +126,5 @@ def blocked_places(agents: Sequence[Agent], plan: Plan, bodies: Points, mission:
     """Slots without an owner that any of these agents takes for blocked, and on which one of the `bodies` does lie."""
     tables = (agent.claim.table or () for agent in agents)
     said = {slot for table in tables for slot, entry in enumerate(table) if entry[2] < NO_OWNER}
-    apart = {slot: np.linalg.norm(bodies - plan.array[slot], axis=1) for slot in said}
+    apart = {slot: np.linalg.norm(flattened(bodies - plan.array[slot], mission.downwash), axis=1) for slot in said}
     return frozenset(slot for slot, ways in apart.items() if ways.size and ways.min() < mission.safe_distance)

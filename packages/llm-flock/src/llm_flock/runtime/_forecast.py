@@ -15,11 +15,8 @@ from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._planners import check_planners
 from llm_flock.runtime._trial import TrialProgress
 
-OUTPUT_TOKENS = 400
-"""Assumed tokens of a real model's answer, with reasoning."""
-
-PROFILE = "distorted@0.3,overshoot@0.3"
-"""Failures of the stand-in that rehearses for a real model."""
+OUTPUT_TOKENS = 400  # assumed tokens of a real model's answer, with reasoning
+PROFILE = "distorted@0.3,overshoot@0.3"  # failures of the stand-in that rehearses for a real model
 
 
 @dataclass(frozen=True, slots=True)

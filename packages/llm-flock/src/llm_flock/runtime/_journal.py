@@ -22,7 +22,7 @@ from llm_flock.events import MoveTo, Note, Origin
 from llm_flock.links import Traffic
 from llm_flock.llm._port import Attempt, Usage
 from llm_flock.mission import Mission
-from llm_flock.obstacles import MovingObstacle, segment_clearance
+from llm_flock.obstacles import segment_clearance
 from llm_flock.record._schema import (
     CallUsage,
     ChatLine,
@@ -127,22 +127,13 @@ A larger team is measured when all are at their goals, which `formed` needs anyw
 class Journal:
     """Counts and records one run; for a `NullWriter` no entries are built.
 
-    If the team `replans` after deaths, only a plan of the right size, which no robot is about to leave, then counts as
-    formed. With `trace`, missions,
-    plans, states and figures are also kept in memory, to draw the run. `moving` obstacles are measured, too.
+    If the team replans after deaths, only a plan of the right size, which no robot is about to leave, then counts as
+    formed. With `trace`, missions, plans, states and figures are also kept in memory, to draw the run.
     """
 
-    def __init__(
-        self,
-        mission: Mission,
-        writer: RecordSink,
-        *,
-        replans: bool = False,
-        trace: bool = False,
-        moving: Sequence[MovingObstacle] = (),
-    ) -> None:
-        self.mission, self._moving = mission, moving
-        self._replans = replans
+    def __init__(self, config: RunConfig, writer: RecordSink, *, trace: bool = False) -> None:
+        self.mission, self._moving = config.mission, config.trial.moving_obstacles
+        self._replans = config.protocol.gaps == "replan"
         self.writer = writer
         self._recording = not isinstance(writer, NullWriter)
         self.trace: list[Entry] | None = [] if trace else None
@@ -158,7 +149,7 @@ class Journal:
         self.min_separation = float("inf")
         self.min_clearance = float("inf")
         self.obstacle_violations = 0
-        self.start = metrics.StartSeparation(mission.safe_distance)
+        self.start = metrics.StartSeparation(config.mission.safe_distance, config.mission.downwash)
         self.positions: list[Points] = []
         self.errors: list[metrics.ShapeError | None] = []
         self.episodes: list[Episode] = []
@@ -345,9 +336,9 @@ class Journal:
 
     def _measure_separation(self, round_number: int, positions: Points) -> tuple[float, float | None]:
         """Smallest distance of two robots now, and while they moved here (None at the start) [units]."""
-        before = self.positions[-1] if self.positions else positions
-        separation = metrics.min_separation(positions)
-        on_segment = metrics.segment_separation(before, positions) if self.positions else None
+        before, downwash = self.positions[-1] if self.positions else positions, self.mission.downwash
+        separation = metrics.min_separation(positions, downwash)
+        on_segment = metrics.segment_separation(before, positions, downwash=downwash) if self.positions else None
         if self.mission.obstacles:
             for start, end in zip(before.tolist(), positions.tolist(), strict=True):
                 clearance = segment_clearance(tuple(start), tuple(end), self.mission.obstacles)

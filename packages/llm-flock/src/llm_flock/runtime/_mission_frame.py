@@ -12,8 +12,7 @@ from llm_flock.arrays import Point
 from llm_flock.robots._base import Position
 from llm_flock.runtime._config import ConfigSection, metres
 
-Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
-"""A coordinate in the world [m]."""
+Metres: TypeAlias = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]  # a coordinate in the world [m]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,8 +20,7 @@ class MissionFrame:
     """Position, orientation and scale of a mission in the world; a mission in the plane is flown at one altitude."""
 
     anchor: Point  # point of the mission that lies at the origin, d coordinates [units]
-    scale_m: float  # one unit in the plane [m]
-    stretch: float  # in 3D, how much more z is scaled than x and y: downwash reaches far down
+    scale_m: float  # one unit [m]
     yaw: float  # from the mission's x axis to the world's, counterclockwise [rad]
     origin: tuple[float, float]  # of the plane [m; world frame]
     altitude_m: float  # z of the anchor, and of every point of a mission in the plane [m; world frame]
@@ -31,7 +29,7 @@ class MissionFrame:
         """A point of the mission in the world [m]."""
         dx, dy = ((x - a) * self.scale_m for x, a in zip(point[:2], self.anchor[:2], strict=True))
         cos, sin = math.cos(self.yaw), math.sin(self.yaw)
-        rise = (point[2] - self.anchor[2]) * self.scale_m * self.stretch if len(point) > 2 else 0.0
+        rise = (point[2] - self.anchor[2]) * self.scale_m if len(point) > 2 else 0.0
         return (self.origin[0] + cos * dx - sin * dy, self.origin[1] + sin * dx + cos * dy, self.altitude_m + rise)
 
     def to_mission(self, position: Position) -> Point:
@@ -44,16 +42,13 @@ class MissionFrame:
         )
         if len(self.anchor) == 2:
             return plane
-        return (*plane, self.anchor[2] + (position[2] - self.altitude_m) / (self.scale_m * self.stretch))
+        return (*plane, self.anchor[2] + (position[2] - self.altitude_m) / self.scale_m)
 
 
 class WorldConfig(ConfigSection):
     """Place of the mission in the world frame of the localisation system, z up."""
 
     scale_m: float = metres(0.1, "Length of one mission unit")
-    stretch: float = Field(
-        default=1.0, ge=1, le=100, allow_inf_nan=False, description="Missions in space: extra scale of z over x and y"
-    )
     yaw_deg: float = Field(
         default=0.0, ge=-360, le=360, description="The mission's x axis in the world, counterclockwise [degrees]"
     )
@@ -72,7 +67,6 @@ class WorldConfig(ConfigSection):
         return MissionFrame(
             anchor=tuple((a + b) / 2 for a, b in zip(low, high, strict=True)),
             scale_m=self.scale_m,
-            stretch=self.stretch if len(low) == 3 else 1.0,
             yaw=math.radians(self.yaw_deg),
             origin=self.origin_m,
             altitude_m=self.altitude_m,

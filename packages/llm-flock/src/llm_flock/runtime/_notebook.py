@@ -15,11 +15,8 @@ from llm_flock.record import Guarded
 if TYPE_CHECKING:
     from llm_flock.runtime._trial import TrialProgress
 
-PATIENCE_S = 0.5
-"""Shorter runs show no progress [s]: a hundred of them would fill the notebook with lines."""
-
-REDRAW_S = 0.1
-"""Shortest time between two drawings [s]."""
+PATIENCE_S = 0.5  # shorter runs show no progress [s]: a hundred of them would fill the notebook with lines
+REDRAW_S = 0.1  # shortest time between two drawings [s]
 
 
 def in_notebook() -> bool:

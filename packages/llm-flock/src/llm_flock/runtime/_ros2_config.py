@@ -9,10 +9,9 @@ from typing import Any
 from pydantic import Field, field_validator
 
 from llm_flock.errors import InputError
-from llm_flock.runtime._config import ConfigSection
+from llm_flock.runtime._config import ConfigSection, number
 
-NAME = r"[A-Za-z_][A-Za-z0-9_]*"
-"""A token of a ROS name."""
+NAME = r"[A-Za-z_][A-Za-z0-9_]*"  # a token of a ROS name
 
 _PATH: Any = {
     "pattern": rf"^{NAME}(/{NAME})*$",
@@ -22,8 +21,7 @@ _PATH: Any = {
     },
 }
 
-ROBOT = "{id}"
-"""Stands for a robot's id in `ros_pose_topic`."""
+ROBOT = "{id}"  # stands for a robot's id in `ros_pose_topic`
 
 
 def is_endpoint(text: str) -> bool:
@@ -49,9 +47,7 @@ class Ros2Config(ConfigSection):
         default=None, description="Namespace of the team's nodes and topics; the swarm's name if unset", **_PATH
     )
     ros_frame: str = Field(default="world", description="Frame of all positions", **_PATH)
-    ros_rate_hz: float = Field(
-        default=10.0, ge=0.1, le=100, allow_inf_nan=False, description="Poses of each robot per second"
-    )
+    ros_rate_hz: float = number(10.0, "Poses of each robot per second", least=0.1, most=100)
     unit_m: float | None = Field(
         default=None,
         gt=0,

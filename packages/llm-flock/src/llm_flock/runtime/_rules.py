@@ -22,8 +22,7 @@ from llm_flock.protocol._agreement.consensus import (
     Ties,
 )
 
-Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]
-"""The two rules of an agent."""
+Rules: TypeAlias = tuple[ConsensusRule, AssignmentRule]  # the two rules of an agent
 
 
 LeftOut: TypeAlias = Literal["exchanges", "path-cost", "joint-assignment", "search", "right-of-way"]

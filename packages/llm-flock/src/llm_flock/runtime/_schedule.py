@@ -41,8 +41,7 @@ RANDOM_ROUNDS = 20
 """Random deaths and joins happen in a round from 1 to this: about twice the rounds that a team of ten needs to form."""
 
 
-Turn: TypeAlias = tuple[int, int]
-"""A robot and a round."""
+Turn: TypeAlias = tuple[int, int]  # a robot and a round
 
 
 class Change(BaseModel):
@@ -128,7 +127,7 @@ class Sight:
         """
         whole = math.floor(delay)
         unseen = (delay - whole) * limits.max_step
-        most, needed = limits.safe_distance / 4, limits.safe_distance + 2 * limits.max_step + 2 * unseen
+        most, needed = limits.safe_distance / 4, limits.height_apart + 2 * limits.max_step + 2 * unseen
         if unseen > 0.0 and (error + unseen / 2 > most or limits.sensing < needed):
             return cls(error=error, rests=whole + 1)
         return cls(error=error + unseen / 2, rests=whole)

@@ -38,15 +38,12 @@ from llm_flock.runtime._planners import TeamPlanners
 from llm_flock.runtime._roster import Roster, make_agent, parts_of
 from llm_flock.runtime._rules import Rules
 from llm_flock.runtime._schedule import MAX_ROUNDS, Stream, stream
-from llm_flock.simulate import Bodies
+from llm_flock.simulate import Bodies, start_positions
 
 T = TypeVar("T")
 
-WAIT_S = 10.0
-"""Time between two notes of who waits for a model [s]."""
-
-STEP_TOLERANCE = 1e-3
-"""Share of the step limit that a step may be longer by: waypoints are rounded."""
+WAIT_S = 10.0  # time between two notes of who waits for a model [s]
+STEP_TOLERANCE = 1e-3  # share of the step limit that a step may be longer by: waypoints are rounded
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +100,12 @@ class TrialProgress:
 
 def _new_agent(config: RunConfig, rules: Rules, robot: int) -> Agent:
     return make_agent(config, robot, parts_of(config, rules, robot))
+
+
+def starts_of(config: RunConfig) -> Points:
+    """Where the robots of a run start, shape (n, d) [units]."""
+    trial, rng = config.trial, stream(config.trial.seed, Stream.START)
+    return start_positions(config.start_scene, trial.start_positions, trial.start, rng, trial.start_area)
 
 
 class Trial:

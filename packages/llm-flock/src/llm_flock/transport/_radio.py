@@ -17,8 +17,7 @@ from llm_flock.links import LinkFaults
 from llm_flock.mission import Mission
 from llm_flock.protocol._motion.shield_async import Sighting
 
-FRESH_BEACONS = 5.0
-"""Largest age of a neighbour's last beacon, in beacon periods."""
+FRESH_BEACONS = 5.0  # largest age of a neighbour's last beacon, in beacon periods
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

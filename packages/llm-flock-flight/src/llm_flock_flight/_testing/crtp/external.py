@@ -12,14 +12,9 @@ from llm_flock.robots import PointMass, Position
 POSITION_CHANNEL, GENERIC_CHANNEL, EXT_POSE = 0, 1, 8
 """Channels of the localisation port, and the kind of packet with a pose (firmware: `crtp_localization_service.c`)."""
 
-TRUST = 0.3
-"""Share by which one position corrects the estimate."""
-
-FAR_M = 1.0
-"""A position that is farther off replaces the estimate [m]."""
-
-SILENT_S = 0.15
-"""The estimate stands still after this time without a position [s]."""
+TRUST = 0.3  # share by which one position corrects the estimate
+FAR_M = 1.0  # a position that is farther off replaces the estimate [m]
+SILENT_S = 0.15  # the estimate stands still after this time without a position [s]
 
 
 class ExternalPosition:

@@ -34,14 +34,12 @@ STOP_WATCHDOG_S = 1.0
 DISABLED, BY_HIGH_LEVEL, BY_PACKETS = 0, 1, 2
 """Priorities of set-points (`commander.h`): one with a lower priority than the last is dropped."""
 
-PID, INDI = 1, 3
-"""Controllers that lag behind a moving set-point; the stand-in follows it exactly with the others."""
+PID, INDI = 1, 3  # controllers that lag behind a moving set-point; the stand-in follows it exactly with the others
 
 NO_SUCH = 2
 EXISTS = 17
 
-NOISE_M = 1e-4
-"""Noise of the estimate. It need not be random: it only keeps two estimates from being equal."""
+NOISE_M = 1e-4  # noise of the estimate. It need not be random: it only keeps two estimates from being equal
 
 LOG_TYPES: Mapping[int, str] = MappingProxyType(
     {1: "<B", 2: "<H", 3: "<L", 4: "<b", 5: "<h", 6: "<i", 7: "<f", 8: "<e"}

@@ -17,14 +17,9 @@ import numpy as np
 Delivery: TypeAlias = tuple[int, Literal["up", "down"], bytes]
 """A drone by its number, whether the packet is for it or from it, and the packet."""
 
-SLOW_POLL_S = 0.01
-"""Poll interval of a drone that had nothing to send [s] (cflib: `radiodriver.py`)."""
-
-EMPTY_POLLS = 10
-"""Number of empty polls in a row after which a drone is polled slowly."""
-
-QUEUE_LENGTH = 40
-"""Most packets of one drone that wait in each direction; further ones are dropped."""
+SLOW_POLL_S = 0.01  # poll interval of a drone that had nothing to send [s] (cflib: `radiodriver.py`)
+EMPTY_POLLS = 10  # number of empty polls in a row after which a drone is polled slowly
+QUEUE_LENGTH = 40  # most packets of one drone that wait in each direction; further ones are dropped
 
 MAX_LAG_S = 0.2
 """Longest simulated gap between calls of `step` [s]; a longer one is a stall of this computer and is skipped."""

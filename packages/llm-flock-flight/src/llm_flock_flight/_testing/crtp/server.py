@@ -1,9 +1,8 @@
-"""UDP server of the stand-ins: one socket per drone, one thread for all."""
+"""Stand-ins of drones behind UDP sockets."""
 
 from __future__ import annotations
 
 import contextlib
-import selectors
 import socket
 import struct
 import threading
@@ -16,6 +15,7 @@ import numpy as np
 from llm_flock.robots import PointMass, Position
 from llm_flock_flight._testing.crtp.firmware import COMMANDER, PID, Firmware, packet
 from llm_flock_flight._testing.crtp.radio import ModelledRadio
+from llm_flock_flight._testing.serving import Team
 
 STEP_S = 0.002  # time between two checks for log packets that are due [s]
 
@@ -170,8 +170,8 @@ class StandIn:
                 self.socket.sendto(data, self._peer)
 
 
-class StandIns:
-    """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`.
+class StandIns(Team[StandIn]):
+    """Several stand-ins, served from `__enter__` to `__exit__`.
 
     Those with `auto_arm` are armed from the start, as Crazyflies 2.1 are shipped; those that fly by positions from
     `outside` believe to be at the origin without. Drones are spread among the modelled `radios` in turn.
@@ -191,30 +191,18 @@ class StandIns:
         outside: bool = False,
         radios: Sequence[ModelledRadio] = (),
     ) -> None:
-        self._drones: list[StandIn] = []
+        super().__init__(STEP_S)
         self._radios = radios
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="stand-ins", daemon=True)
         rng = np.random.default_rng(seed)
         try:
             for k, home in enumerate(homes):
                 body = PointMass(home=home, ground_m=home[2], auto_arm=auto_arm)
                 firmware = Firmware(body, controller=controller, missing=missing, outside=outside)
                 shared = (radios[k % len(radios)], k) if radios else None
-                self._drones.append(StandIn(host, port + k if port else 0, firmware, loss, rng, radio=shared))
+                self._members.append(StandIn(host, port + k if port else 0, firmware, loss, rng, radio=shared))
         except OSError:
             self._close()
             raise
-
-    @property
-    def uris(self) -> list[str]:
-        return [drone.uri for drone in self._drones]
-
-    def __getitem__(self, index: int) -> StandIn:
-        return self._drones[index]
-
-    def __len__(self) -> int:
-        return len(self._drones)
 
     def swap(self, one: int, two: int) -> None:
         """Let two drones take each other's position for their own, as a mix-up of their markers does."""
@@ -222,31 +210,7 @@ class StandIns:
         self[one].jump((bx - ax, by - ay, bz - az))
         self[two].jump((ax - bx, ay - by, az - bz))
 
-    def __enter__(self) -> StandIns:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        self._close()
-
-    def _close(self) -> None:
-        for drone in self._drones:
-            drone.socket.close()
-
-    def _serve(self) -> None:
-        with selectors.DefaultSelector() as selector:
-            for drone in self._drones:
-                selector.register(drone.socket, selectors.EVENT_READ, drone)
-            due = time.monotonic()
-            while not self._stop.is_set():
-                for key, _ in selector.select(max(0.0, due - time.monotonic())):
-                    key.data.receive()
-                for radio in self._radios:
-                    for drone, way, data in radio.step(time.monotonic()):
-                        self._drones[drone].pass_radio(way, data)
-                if time.monotonic() >= due:
-                    due = time.monotonic() + STEP_S
-                    for drone in self._drones:
-                        drone.tick()
+    def _between(self) -> None:
+        for radio in self._radios:
+            for drone, way, data in radio.step(time.monotonic()):
+                self[drone].pass_radio(way, data)

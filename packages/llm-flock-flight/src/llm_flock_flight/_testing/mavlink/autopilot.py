@@ -13,11 +13,8 @@ from llm_flock_flight._mavlink.frames import Geodetic
 from llm_flock_flight._mavlink.modes import ARDUPILOT, ARDUPILOT_FLAVOUR, PX4, PX4_FLAVOUR, px4
 from llm_flock_flight._testing.mavlink.body import CLIMB_M_S, FAST_LANDING_M_S, LANDING_M_S, REST, Airframe
 
-ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = range(5)
-"""Answers to a command (MAV_RESULT)."""
-
-GAP_S = 0.5
-"""PX4: set-points farther apart than this are no stream [s]."""
+ACCEPTED, TEMPORARILY, DENIED, UNSUPPORTED, FAILED = range(5)  # answers to a command (MAV_RESULT)
+GAP_S = 0.5  # PX4: set-points farther apart than this are no stream [s]
 
 HEALTHY, ASTRAY = 0x1 | 0x2 | 0x4 | 0x8 | 0x20, 0x1 | 0x80
 """Reports of an estimator with a position, and of one that holds it constant for want of measurements."""

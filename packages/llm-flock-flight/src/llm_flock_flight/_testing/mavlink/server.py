@@ -1,10 +1,9 @@
-"""Serves stand-in autopilots, each behind a UDP socket of its own, in one thread."""
+"""Stand-in autopilots behind UDP sockets."""
 
 from __future__ import annotations
 
 import contextlib
 import random
-import selectors
 import socket
 import threading
 import time
@@ -17,6 +16,7 @@ from llm_flock.robots import Position
 from llm_flock_flight._mavlink.codec import GROUND_STATION, Codec
 from llm_flock_flight._mavlink.frames import enu
 from llm_flock_flight._testing.mavlink.autopilot import Autopilot
+from llm_flock_flight._testing.serving import Team
 
 PORTS = (20_000, 32_000)  # of drivers: below those that systems choose by themselves
 STEP_S = 0.005  # time between two steps of the vehicles [s]
@@ -126,8 +126,8 @@ class AutopilotStandIn:
                     self.socket.sendto(packet, self._peer)
 
 
-class AutopilotStandIns:
-    """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`.
+class AutopilotStandIns(Team[AutopilotStandIn]):
+    """Several stand-ins, served from `__enter__` to `__exit__`.
 
     They start at `homes` [m; world frame], the zeros of their local frames, and call the driver at `host`: if `shared`
     all at one port, with system ids 1, 2 and so on; otherwise each at its own, from `port` on (0: free ones). When
@@ -147,13 +147,11 @@ class AutopilotStandIns:
         seed: int = 0,
         lifelike: bool = False,
     ) -> None:
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="stand-ins", daemon=True)
+        super().__init__(STEP_S)
         rng = np.random.default_rng(seed)
         ports = [port] * len(homes) if shared else [port + k if port else 0 for k in range(len(homes))]
         if not port and not listening:
             ports = _free_ports(host, 1) * len(homes) if shared else _free_ports(host, len(homes))
-        self._vehicles: list[AutopilotStandIn] = []
         for k, (home, at) in enumerate(zip(homes, ports, strict=True)):
             autopilot = Autopilot(flavour, k + 1, lifelike=lifelike)
             calls = None if listening else (host, at)
@@ -161,40 +159,7 @@ class AutopilotStandIns:
             if listening:
                 vehicle.socket.bind((host, at))
                 vehicle.uri = f"udpout://{host}:{vehicle.socket.getsockname()[1]}"
-            self._vehicles.append(vehicle)
-
-    @property
-    def uris(self) -> list[str]:
-        return [vehicle.uri for vehicle in self._vehicles]
-
-    def __getitem__(self, index: int) -> AutopilotStandIn:
-        return self._vehicles[index]
-
-    def __len__(self) -> int:
-        return len(self._vehicles)
-
-    def __enter__(self) -> AutopilotStandIns:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._stop.set()
-        self._thread.join()
-        for vehicle in self._vehicles:
-            vehicle.socket.close()
-
-    def _serve(self) -> None:
-        with selectors.DefaultSelector() as selector:
-            for vehicle in self._vehicles:
-                selector.register(vehicle.socket, selectors.EVENT_READ, vehicle)
-            due = time.monotonic()
-            while not self._stop.is_set():
-                for key, _ in selector.select(max(0.0, due - time.monotonic())):
-                    key.data.receive()
-                if time.monotonic() >= due:
-                    due = time.monotonic() + STEP_S
-                    for vehicle in self._vehicles:
-                        vehicle.tick()
+            self._members.append(vehicle)
 
 
 def _free_ports(host: str, count: int) -> list[int]:

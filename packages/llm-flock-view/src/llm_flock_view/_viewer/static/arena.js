@@ -164,7 +164,7 @@ export class Arena {
     this.at = at;
     this.foot = about.arena[0][2] || 0;
     // Between two rounds the pairs of a large team are those of the round before: counting takes longer than drawing.
-    if (frame.x.length <= MANY || frame.r !== this.numbered) this.near = closePairs(frame.x, about.safe_distance);
+    if (frame.x.length <= MANY || frame.r !== this.numbered) this.near = closePairs(frame.x, about.safe_distance, about.downwash);
     this.numbered = frame.r;
     tooNear(crowds, this.near);
     this.surface.clear();

@@ -9,9 +9,9 @@ const TAG = [26, 16]; // pixels of the number of a crowd
 const PASSES = 4; // each move may bring a disk near another
 const TURNS = 12; // angles that are tried for a crowd among others
 
-/** Pairs nearer than the safe distance. */
-export function closePairs(points, safe) {
-  return links(points, safe - ROUNDING, new Set());
+/** Pairs nearer than the safe distance; heights count divided by `downwash`. */
+export function closePairs(points, safe, downwash = 1) {
+  return links(downwash === 1 ? points : points.map(([x, y, z]) => [x, y, z / downwash]), safe - ROUNDING, new Set());
 }
 
 /** Where disks are drawn [pixels]: those that hide one another fan out around their middle, the others' numbers stay in sight. */

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, separation
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._answer_forms import REASONING
 from llm_flock.llm._port import Call, CallSettings, Reply, Usage
@@ -45,20 +45,14 @@ from llm_flock.mission import ORIENTATIONS
 from llm_flock.planner import best_option
 from llm_flock.protocol._geometry import turned
 
-CHARS_PER_TOKEN = 4
-"""For an estimate of the tokens."""
-
-ADDED_LATER = 14
-"""Number of the last `FAILURES` that were added after the first results were published."""
+CHARS_PER_TOKEN = 4  # for an estimate of the tokens
+ADDED_LATER = 14  # number of the last `FAILURES` that were added after the first results were published
 
 CHANCE_WITHIN = 10.0
 """Largest distance of random coordinates from the centre [spacings] or the own position [step limits]."""
 
-OPEN = {"path": "M0 0H4V-4H0", "fill": True}
-"""What a program draws with the fault `open`."""
-
-CUT_OFF = frozenset({"cutoff", "rambling", "turns"})
-"""Faults that a server reports by the reason why the answer ended."""
+OPEN = {"path": "M0 0H4V-4H0", "fill": True}  # what a program draws with the fault `open`
+CUT_OFF = frozenset({"cutoff", "rambling", "turns"})  # faults that a server reports by the reason why the answer ended
 
 LATENCIES = {"slow": (1.0, 0.5), "brisk": (0.3, 0.6)}
 """Median latency [s] and standard deviation of its logarithm, for each profile that only delays answers."""
@@ -308,11 +302,12 @@ class SimulatedModel:
 
 def _aside(prompt: StepPrompt) -> tuple[str, str, bool] | None:
     """A step aside, or a wait, if the straight step ends too near to another robot; else None."""
-    here, goal, others, safe = prompt.position, prompt.goal, prompt.seen(), prompt.task.safe_distance
+    here, goal, others, task = prompt.position, prompt.goal, prompt.seen(), prompt.task
 
     def keeps_away(there: Point) -> bool:
         """Whether it is far enough from all others, or farther than now from one that is too near."""
-        return all(math.dist(there, other) >= min(safe, math.dist(here, other)) for other in others)
+        gaps = ([separation(at, other, task.downwash) for at in (here, there)] for other in others)
+        return all(after >= min(task.safe_distance, before) for before, after in gaps)
 
     way = math.dist(here, goal)
     if keeps_away(goal if way <= prompt.reach else prompt.towards(goal)):

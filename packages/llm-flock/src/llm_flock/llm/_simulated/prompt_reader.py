@@ -12,7 +12,7 @@ from typing import get_args
 import numpy as np
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Point, Points, separation
 from llm_flock.errors import InputError, ModelError
 from llm_flock.llm._prompting import NOT_FLOWN, PromptSet
 from llm_flock.mission import Mission
@@ -59,7 +59,8 @@ _HORIZON = re.compile(r"path of at most ([0-9]+) positions")
 class Task:
     """The content of the system message: the shape as text, lengths [units] and obstacles.
 
-    `safe_distance` is for other robots, `clearance` for obstacles; 0 if the message has none.
+    `safe_distance` is for other robots, whose heights count divided by `downwash`, `clearance` for obstacles; 0 if the
+    message has none.
     """
 
     shape: str
@@ -70,6 +71,7 @@ class Task:
     obstacles: tuple[Obstacle, ...] = ()
     clearance: float = 0.0
     safe_distance: float = 0.0
+    downwash: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -150,6 +152,7 @@ def read_task(system: str) -> Task:
     if team is None or "Shape" not in lines or not (center and spacing and max_step):
         raise _other_words("system.j2", system)
     obstacles = lines.get("Obstacles", "")
+    apart, _, by_height = lines.get("Safe distance", "").partition("divided by")
     return Task(
         shape=lines["Shape"],
         n_places=int(team[1]),
@@ -158,7 +161,8 @@ def read_task(system: str) -> Task:
         max_step=max_step[0],
         obstacles=_obstacles(obstacles),
         clearance=next(iter(numbers(obstacles)), 0.0),
-        safe_distance=next(iter(numbers(lines.get("Safe distance", ""))), 0.0),
+        safe_distance=next(iter(numbers(apart)), 0.0),
+        downwash=next(iter(numbers(by_height)), 1.0),
     )
 
 
@@ -305,7 +309,7 @@ def is_clear(points: Points, task: Task, still: Sequence[Point]) -> bool:
     """Whether all places, shape (n, d) [units], are far enough from obstacles, and from robots that stand still."""
     return all(
         clearance(tuple(row), task.obstacles) >= task.clearance
-        and all(math.dist(row, body) >= task.safe_distance for body in still)
+        and all(separation(tuple(row), body, task.downwash) >= task.safe_distance for body in still)
         for row in points.tolist()
     )
 

@@ -84,7 +84,7 @@ class Agreement(Situation):
         self.plan = self.provenance = self._refused_answer = self._chosen = None
         self.claim = Claim(slot=None)
         self._proposals, self._last_epoch, self._void, self._followed = 0, -1, frozenset[int](), {}
-        self.weights, self.retired = {}, False
+        self.weights, self.resting, self.retired = {}, (), False
         self.ballot = self.ballot and new_ballot()
         self._membership.begin_mission()
         return Note("mission", {"counter": stamp.counter, "digest": mission.digest, "shape": mission.shape})

@@ -6,20 +6,31 @@ Without a choice the team does what it is configured to do. No choice touches th
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
 from llm_flock.message import NO_OWNER, BidEntry, Incident, Vote
+from llm_flock.metrics import AT_GOAL
+from llm_flock.obstacles import Obstacle
 from llm_flock.planner import JudgementAnswer, JudgementQuestion, NoAnswer
 from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._agreement.auction import changed
-from llm_flock.protocol._agreement.options import battery_options, closing, death_options
+from llm_flock.protocol._agreement.options import (
+    battery_options,
+    blocked_options,
+    closing,
+    death_options,
+    resting_at,
+    way_past,
+)
 from llm_flock.protocol._agreement.votes import Key, Votes, key_of
 from llm_flock.protocol._breaker import fallback_notes
 from llm_flock.protocol._membership.team import TeamMembership
 
 PATIENCE = 4  # rounds from when a robot knows of an incident, for which it waits for the votes of all that are alive
+STUCK = 3  # rounds for which a robot comes no nearer to its place, before it looks for an obstacle in its way
 WEIGHT = 100.0  # of a weak robot's squared way in exchanges, where it is to give its place to a neighbour
 
 
@@ -31,6 +42,8 @@ class Judgement:
         self._usual = membership.gaps
         self._left: float | None = None  # how far the own weak battery lasts [units]
         self._here: Point = ()
+        self._resting: tuple[Obstacle, ...] = ()
+        self._nearest: tuple[Point, float, int] = (), 0.0, 0  # the own place, the least distance from it, since when
         self.begin_mission()
 
     def begin_mission(self) -> None:
@@ -41,21 +54,32 @@ class Judgement:
         self._asked, self._closed, self._holders = set[Key](), set[Key](), set[int]()
 
     def weaken(self, left: float) -> None:
-        """The own body can fly only this far from now on [units]."""
-        self._left = left
+        """The own body can fly only this far from now on [units]: ways before this moment do not count."""
+        self._left, self._here = left, ()
 
     @property
-    def waits(self) -> bool:
-        """Whether this robot's battery is weak, and the team has not yet chosen what to do about it."""
-        key = ("battery", self._robot)
-        return key in self._known and key not in self._closed
+    def waits(self) -> Literal["battery", "blocked"] | None:
+        """What this robot holds its place for: a choice about its weak battery, or an obstacle, as was chosen."""
+        if ("battery", self._robot) in self._known.keys() - self._closed:
+            return "battery"
+        if (key := ("blocked", self._robot)) not in self._closed:
+            return None
+        incident, _ = self._known[key]
+        there = any(math.dist(one.center or (), incident.at) < incident.left for one in self._resting)
+        return "blocked" if there and self.votes.choice(incident) == "wait" else None
 
-    def begin_round(self, number: int, position: Point) -> list[AskJudgement | Note]:
-        """Notes, and last the question of this round, if there is one; `position` is the own one [world frame]."""
+    def begin_round(
+        self, number: int, position: Point, resting: tuple[Obstacle, ...] = ()
+    ) -> list[AskJudgement | Note]:
+        """Notes, and last the question of this round, if there is one; `position` is the own one [world frame].
+
+        Obstacles in sight that are `resting` may be in its way.
+        """
         if self._left is not None and self._here:
             self._left = max(0.0, self._left - math.dist(position, self._here))
         self._here = position
-        for incident in (*self.votes.incidents.values(), *self._noticed()):
+        self._resting = resting
+        for incident in (*self.votes.incidents.values(), *self._noticed(), *self._blocked(number)):
             self._known.setdefault(key_of(incident), (incident, number))
         notes = list[AskJudgement | Note]()
         for key, (incident, since) in self._known.items():
@@ -91,9 +115,25 @@ class Judgement:
             found.append(Incident(kind="battery", robot=self._robot, left=self._left, at=agreement.position))
         return found
 
+    def _blocked(self, number: int) -> list[Incident]:
+        """An obstacle on the way to the own place, if the robot has come no nearer to it for some rounds."""
+        agreement, mission = self._agreement, self._agreement.mission
+        if agreement.plan is None or agreement.claim.slot is None or mission.velocity is not None:
+            return []
+        here, place = agreement.position, agreement.plan.points[agreement.claim.slot]
+        (before, least, since), left, near = self._nearest, math.dist(here, place), AT_GOAL * mission.spacing
+        if place != before or left < least - near:
+            self._nearest = place, left, number
+        elif left > near and number - since >= STUCK:
+            known = way_past((), here, place, agreement)
+            for one in self._resting:
+                if one not in agreement.resting and way_past((one,), here, place, agreement) > known + near:
+                    return [Incident(kind="blocked", robot=self._robot, left=one.radius or 0.0, at=one.center or ())]
+        return []
+
     def _can_judge(self, incident: Incident) -> bool:
         """Whether this robot has a plan, and in case of a death has noticed it itself."""
-        noticed = incident.kind == "battery" or incident.robot in self._membership.liveness.silent
+        noticed = incident.kind != "death" or incident.robot in self._membership.liveness.silent
         return noticed and self._agreement.plan is not None and self._agreement.claim.table is not None
 
     def _ask(self, incident: Incident, number: int) -> list[AskJudgement | Note]:
@@ -103,6 +143,9 @@ class Judgement:
         if incident.kind == "battery":
             event = f"The battery of robot {incident.robot} is weak: it can fly {incident.left:.1f} units at most."
             options = battery_options(incident, agreement, self._robot, self._membership.liveness.present)
+        elif incident.kind == "blocked":
+            event = f"An obstacle has come to rest in the way of robot {incident.robot} to its place."
+            options = blocked_options(incident, agreement, self._robot, self._membership.liveness.present)
         else:
             event = f"Robot {incident.robot} has failed, and nobody fills its place."
             options = death_options(agreement, first="replan" if self._usual == "replan" else "leave")
@@ -142,11 +185,16 @@ class Judgement:
         """Do what lasts, by the votes known now: plan again or not, and whose ways count for more."""
         chosen = [(one, key in self._closed, self.votes.choice(one)) for key, (one, _) in self._known.items()]
         deaths = [(choice or self._usual) if closed else None for one, closed, choice in chosen if one.kind == "death"]
-        self._membership.gaps = "replan" if "replan" in (deaths or [self._usual]) else "report"
+        blocked = [(one, choice) for one, closed, choice in chosen if closed and one.kind == "blocked"]
+        plans = "replan" in (deaths or [self._usual]) or "replan" in [choice for _, choice in blocked]
+        self._membership.gaps = "replan" if plans else "report"
         self._membership.deliberate(open_=None in deaths)
         weights = {one.robot: WEIGHT for one, closed, choice in chosen if closed and choice == "swap"}
         if weights != self._agreement.weights:
             self._agreement.weights = weights
+        resting = tuple(dict.fromkeys(resting_at(one) for one, choice in blocked if choice not in (None, "wait")))
+        if resting != self._agreement.resting:
+            self._agreement.resting = resting
 
 
 def _note(kind: str, incident: Incident, **detail: object) -> Note:

@@ -13,9 +13,11 @@ from llm_flock.arrays import Point, Points
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Incident
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
-from llm_flock.planner import Choice, JudgementOption
-from llm_flock.protocol._geometry import turned
+from llm_flock.planner import Choice, JudgementOption, PlanAnswer, PlanQuestion
+from llm_flock.protocol._geometry import geometric_plan, turned
+from llm_flock.protocol._membership.occupancy import reachable, waiting_place
 from llm_flock.protocol._membership.search import LOOKS_FOR_SILENT, NEXT_TO
 from llm_flock.protocol._membership.search import PATIENCE as SEARCH_PATIENCE
 from llm_flock.protocol._membership.team import REPLAN_PATIENCE
@@ -25,11 +27,8 @@ from llm_flock.protocol._verification.validator import resized
 MARGIN = 1.05
 """The way for which a battery should last, as a multiple of the way that code expects: others may be in the way."""
 
-LARGEST = 60
-"""Largest team in which robots close up: the shape errors of all moves are compared."""
-
-TURNS = 8
-"""Orientations of a new plan over which the flight to it is averaged: the model that proposes it may turn it."""
+LARGEST = 60  # largest team in which robots close up: the shape errors of all moves are compared
+TURNS = 8  # orientations of a new plan over which the flight to it is averaged: the model that proposes it may turn it
 
 
 def death_options(now: Situation, first: Choice = "leave") -> tuple[JudgementOption, ...]:
@@ -127,7 +126,7 @@ def battery_options(
         return math.dist(here, there) if now.ways is None else now.ways.length(here, there)
 
     def option(choice: Choice, does: str, flown: float, other: float = 0.0, saved: float = 0.0) -> JudgementOption:
-        lost = int(flown * MARGIN > incident.left + AT_GOAL * mission.spacing)
+        lost = int(flown * MARGIN > incident.left)
         rounds = math.ceil(max(flown, other) / mission.max_step - 1e-9)
         distance = max(flown + other - saved, 0.0)
         return JudgementOption(choice=choice, does=does, rounds=rounds, distance=distance, gaps=lost, lost=lost)
@@ -144,6 +143,55 @@ def battery_options(
     spares = {j: where.get(j, mission.center) for j in present - slots.keys() - {weak}}
     if spares and straight > AT_GOAL * mission.spacing:
         spare = min(spares, key=lambda j: (round(way(spares[j], places[own]), 6), j))
-        does = f"Robot {weak} stops, and spare robot {spare} takes its place."
-        options.append(option("spare", does, 0.0, way(spares[spare], places[own])))
+        does = f"Robot {weak} gets out of the way, and spare robot {spare} takes its place."
+        others = [x for j, x in where.items() if j != weak]
+        aside = math.dist(incident.at, waiting_place(mission, incident.at, plan, others))
+        options.append(option("spare", does, aside, way(spares[spare], places[own])))
+    return tuple(options)
+
+
+def resting_at(incident: Incident) -> Obstacle:
+    """The obstacle in a robot's way."""
+    return Obstacle(center=incident.at, radius=incident.left)
+
+
+def way_past(obstacles: tuple[Obstacle, ...], here: Point, place: Point, now: Situation) -> float:
+    """Length of the way to a place, also round these `obstacles` [units]; infinite if there is none."""
+    mission = now.terrain.among(obstacles)
+    if clearance(place, obstacles) < reachable(mission):
+        return math.inf
+    return math.dist(here, place) if mission.roadmap is None else mission.roadmap.length(here, place)
+
+
+def blocked_options(
+    incident: Incident, now: Situation, robot: int, present: frozenset[int]
+) -> tuple[JudgementOption, ...]:
+    """What can be done about a blocked way, as `robot` sees it; the first waits. Empty if it does not see the other."""
+    mission, plan, table, stuck = now.mission, now.plan, now.claim.table or (), incident.robot
+    slots = {owner: a for a, (_, _, owner) in enumerate(table) if owner >= 0}
+    where = {**now.sensed, robot: now.position}
+    if plan is None or stuck not in slots or stuck not in where:
+        return ()
+    disc, place = (resting_at(incident),), plan.points[slots[stuck]]
+
+    def option(choice: Choice, does: str, ways: Sequence[float], gaps: int = 0, wait: int = 0) -> JudgementOption:
+        rounds = wait + math.ceil(max(ways) / mission.max_step - 1e-9)
+        return JudgementOption(choice=choice, does=does, rounds=rounds, distance=sum(ways), gaps=gaps)
+
+    options = [option("wait", f"Robot {stuck} waits where it is, and its place stays empty.", [0.0], gaps=1)]
+    if math.isfinite(way := way_past(disc, where[stuck], place, now)):
+        options.append(option("round", f"Robot {stuck} goes round the obstacle to its place.", [way]))
+    spares = {j: way_past(disc, where[j], place, now) for j in present & where.keys() - slots.keys()}
+    spare = min(spares, key=lambda j: (round(spares[j], 6), j), default=stuck)
+    if math.isfinite(way := spares.get(spare, math.inf)):
+        options.append(option("spare", f"Robot {stuck} gives its place to spare robot {spare}.", [way]))
+    if clearance(place, disc) < reachable(mission):
+        asked = PlanQuestion(mission=mission.among(disc), robot=robot, round=1, position=now.position, neighbors=())
+        found = geometric_plan(asked)
+        if isinstance(found, PlanAnswer):
+            here = [where.get(j, plan.points[a]) for j, a in slots.items()]
+            ways = scipy.spatial.distance.cdist(here, found.plan.array)
+            flown = ways[scipy.optimize.linear_sum_assignment(ways**2)]
+            does = "Make a new plan of as many places, clear of the obstacle."
+            options.append(option("replan", does, flown.tolist(), wait=REPLAN_PATIENCE + 2))
     return tuple(options)

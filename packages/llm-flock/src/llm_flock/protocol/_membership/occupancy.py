@@ -9,6 +9,7 @@ from itertools import chain
 
 from llm_flock import graph
 from llm_flock.arrays import Point
+from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
 from llm_flock.plan import Plan
@@ -37,7 +38,7 @@ def still_bodies(now: Situation, silent: Collection[int]) -> tuple[Point, ...]:
 
 def sight(mission: Mission) -> float:
     """Largest distance of a place at which every body that could block it is sensed [units]."""
-    return mission.sensing - max(blocked_within(mission), 0.0)
+    return mission.sensing - mission.downwash * max(blocked_within(mission), 0.0)
 
 
 def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blocked: bool) -> Occupancy:
@@ -51,16 +52,22 @@ def observe(now: Situation, liveness: Liveness, *, hears_others: bool, knows_blo
     assert plan is not None, "slots are those of a plan"
     silent = liveness.silent if hears_others and in_radio_contact(plan, mission.comm_range) else NONE
     still = still_bodies(now, silent)
-    if not (still or knows_blocked):
+    covered = frozenset(a for a, x in enumerate(plan.points) if clearance(x, now.resting) < reachable(mission))
+    if not (still or covered or knows_blocked):
         return Occupancy(silent=silent, alive=liveness.alive)
     too_near, living = blocked_within(mission), liveness.living
     places = [a for a, place in enumerate(plan.points) if math.dist(now.position, place) <= sight(mission)]
 
     def under(bodies: Collection[Point]) -> frozenset[int]:
-        return frozenset(a for a in places if any(math.dist(plan.points[a], x) < too_near for x in bodies))
+        return frozenset(a for a in places if any(mission.separation(plan.points[a], x) < too_near for x in bodies))
 
     clear = frozenset(places) - under([x for j, x in now.sensed.items() if j not in living])
-    return Occupancy(silent=silent, blocked=under(still), clear=clear, alive=liveness.alive)
+    return Occupancy(silent=silent, blocked=under(still) | covered, clear=clear - covered, alive=liveness.alive)
+
+
+def reachable(mission: Mission) -> float:
+    """Smallest distance from an obstacle that has come to rest at which a robot counts as at its place [units]."""
+    return mission.body_radius - AT_GOAL * mission.spacing
 
 
 def waiting_place(
@@ -74,8 +81,8 @@ def waiting_place(
 
     def fits(point: Point) -> bool:
         return (
-            all(math.dist(point, place) >= clear for place in plan.points)
-            and all(math.dist(point, other) >= mission.safe_distance for other in others)
+            all(mission.separation(point, place) >= clear for place in plan.points)
+            and all(mission.separation(point, other) >= mission.safe_distance for other in others)
             and all(a <= x <= b for a, x, b in zip(low, point, high, strict=True))
             and clearance(point, mission.obstacles) >= mission.body_radius
         )

@@ -15,9 +15,9 @@ from llm_flock.arrays import Point
 from llm_flock.metrics import AT_GOAL
 from llm_flock.obstacles import nearest_on_segment, segment_clearance
 from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
+from llm_flock.protocol._verification.steps import passing
 
-HORIZON = 20
-"""Largest number of waypoints in an answer."""
+HORIZON = 20  # largest number of waypoints in an answer
 
 
 class Trigger(StrEnum):
@@ -83,7 +83,7 @@ class CommittedPath(msgspec.Struct, frozen=True, kw_only=True):
             return Trigger.OBSTACLE
         entered = [position for robot, position in sensed.items() if robot not in self.in_sight]
         # Only the next step counts: a robot farther ahead will have moved by the time this one arrives.
-        if any(_distance_to_path(path[:2], position) < mission.safe_distance for position in entered):
+        if any(passing(mission, position, *path[:2]) < mission.safe_distance for position in entered):
             return Trigger.NEIGHBOUR
         return None
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
+import numpy as np
 
 from llm_flock.arrays import Point, moved
 from llm_flock.metrics import AT_GOAL
@@ -24,8 +25,7 @@ SLOWEST = 0.4
 the rounds of a straight flight, and a team should form in three times the lower bound."""
 
 
-ROOM = 0.25
-"""Share of a straight step that others have to leave free, before a robot that stays has itself to blame."""
+ROOM = 0.25  # share of a straight step that others have to leave free, before a robot that stays has itself to blame
 
 
 class Pace:
@@ -74,8 +74,7 @@ class Pace:
         self._average += weight * (gain - self._average)
 
 
-STEP = 0.25
-"""With uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs."""
+STEP = 0.25  # with uncertain positions, ways are as far from obstacles as a step of this share of the longest one needs
 
 
 class Leg(msgspec.Struct, frozen=True, kw_only=True):
@@ -121,5 +120,9 @@ def map_of(mission: Mission, position: Point, still: Sequence[Point], noise: flo
     near = sorted(still, key=lambda body: math.dist(body, position))[:40]
     # A centre keeps the radius of a body away from obstacles, and the safe distance, two radii, from other centres.
     spots = sorted(tuple(round(x, 1) for x in body) for body in near)
+    if mission.downwash != 1.0:  # balls above each other, around the ellipsoid
+        rise = mission.height_apart - mission.safe_distance
+        rises = np.linspace(-rise, rise, 1 + 2 * math.ceil(2 * rise / mission.safe_distance)).tolist()
+        spots = [(*spot[:2], spot[2] + up) for spot in spots for up in rises]
     discs = tuple(Obstacle(center=spot, radius=mission.body_radius) for spot in spots)
     return roadmap_of(mission.arena, (*mission.obstacles, *discs), radius)

@@ -10,6 +10,7 @@ from llm_flock.events import AskStep, Effect, MoveTo, Note, Origin
 from llm_flock.message import Course
 from llm_flock.metrics import AT_GOAL
 from llm_flock.mission import Mission
+from llm_flock.obstacles import Obstacle
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, StepAnswer, StepQuestion
 from llm_flock.protocol._breaker import BreakerState, CircuitBreaker, Fallback, fallback_notes
@@ -164,6 +165,10 @@ class Pilot:
             return []
         held = Note("held", {"cause": "sensing", "reason": "all stand still until their sensors have seen it"})
         return [held, MoveTo(waypoint=scene.position, proposed=None, origin=Origin.HOLD)]
+
+    def resting(self, scene: Observation) -> tuple[Obstacle, ...]:
+        """As `Safety.resting`. Call before the round's step."""
+        return self._safety.resting(scene)
 
     @property
     def course(self) -> Course | None:

@@ -13,8 +13,7 @@ from llm_flock.arrays import Point, Points, Vector
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Mover
 
-TOLERANCE = 1e-9
-"""A constraint counts as satisfied to within this [units]."""
+TOLERANCE = 1e-9  # a constraint counts as satisfied to within this [units]
 
 
 class HalfSpace(msgspec.Struct, frozen=True):
@@ -26,6 +25,20 @@ class HalfSpace(msgspec.Struct, frozen=True):
     normal: Point
     room: float
     violated: bool = False
+
+
+def line_of_sight(position: Point, other: Point, gap: float, downwash: float) -> tuple[Point, float]:
+    """The normal of the side towards a robot at the distance `gap`, by the norm of `arrays.flattened` [units].
+
+    Also the share of a move along the normal by which that distance changes: its room, divided by the share, is that
+    of the side. A side of the flattened space, moved back: its normal is flattened once more.
+    """
+    normal = tuple((b - a) / gap for a, b in zip(position, other, strict=True))
+    if downwash == 1.0:
+        return normal, 1.0
+    normal = (*normal[:2], normal[2] / downwash**2)
+    share = math.hypot(*normal)
+    return tuple(x / share for x in normal), share
 
 
 def nearest_move(wish: Point, sides: Sequence[HalfSpace], longest: float) -> Point | None:

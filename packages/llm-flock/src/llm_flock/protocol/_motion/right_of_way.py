@@ -16,7 +16,7 @@ from typing import TypeAlias
 import msgspec
 import numpy as np
 
-from llm_flock.arrays import Point, Points, Vector
+from llm_flock.arrays import Point, Points, Vector, flattened
 from llm_flock.message import MAX_LEVEL, Course
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
@@ -46,7 +46,8 @@ def rank(sender: int, level: int, of: int) -> Rank:
 class Way(msgspec.Struct, frozen=True, kw_only=True):
     """A way that a robot asks for: its corners from there, shape (k, d), and half its width [units; world frame].
 
-    Others pass its robot at a distance of `apart`, or the usual one if that is larger [units].
+    Others pass its robot at a distance of `apart`, or the usual one if that is larger [units]. All these distances are
+    those of `arrays.flattened`.
     """
 
     rank: Rank
@@ -54,10 +55,12 @@ class Way(msgspec.Struct, frozen=True, kw_only=True):
     line: Points
     width: float
     apart: float = 0.0
+    downwash: float = 1.0
 
     def distances(self, points: Points) -> Vector:
         """The distance of each of some points, shape (m, d), from the middle of the way, shape (m,) [units]."""
-        legs = [_distances(points, a, b) for a, b in zip(self.line, self.line[1:], strict=False)]
+        line, points = flattened(self.line, self.downwash), flattened(points, self.downwash)
+        legs = [_distances(points, a, b) for a, b in pairwise(line)]
         return np.min(legs, axis=0)
 
     def covers(self, point: Point) -> bool:
@@ -124,7 +127,7 @@ class RightOfWay:
                 continue
             width = self.passing_distance * min(WIDEST, WIDTH + WIDER * course.level)
             line = np.array([sensed[j], *course.path])
-            asked.append(Way(rank=theirs, robot=j, line=line, width=width))
+            asked.append(Way(rank=theirs, robot=j, line=line, width=width, downwash=self._limits.downwash))
         heeded = [way for way in asked if self._heeds(way.robot)]
         return sorted(heeded, key=lambda way: way.rank, reverse=True)
 
@@ -198,7 +201,8 @@ class RightOfWay:
             to, on = (np.linalg.norm(spots - np.array(end), axis=1) for end in (here, goal))
         else:
             to, on = (roadmap.lengths_to(spots, end) for end in (here, goal))
-        crowd = np.maximum(0.0, self.passing_distance - np.linalg.norm(spots[:, None] - others, axis=2)).sum(axis=1)
+        away = np.linalg.norm(flattened(spots[:, None] - others, limits.downwash), axis=2)
+        crowd = np.maximum(0.0, self.passing_distance - away).sum(axis=1)
         cost = 2.0 * to + on + too_near_cost * crowd
         for k in cost.argsort(kind="stable")[: int(np.isfinite(cost).sum())]:
             spot = tuple(spots[k].tolist())
@@ -209,11 +213,10 @@ class RightOfWay:
 
     def _leads_away(self, here: Point, stop: Point, ways: Sequence[Way]) -> bool:
         """Whether a straight flight to a stop leads past none of the robots of these ways."""
-        start, end = np.array(here), np.array(stop)
         for way in ways:
-            comes = way.line[:1]
-            room = min(float(np.linalg.norm(start - comes[0])), max(self.passing_distance, way.apart))
-            if float(_distances(comes, start, end)[0]) < room - 1e-6:
+            comes, start, end = flattened([way.line[0], here, stop], way.downwash)[:, None]
+            room = min(float(np.linalg.norm(start - comes)), max(self.passing_distance, way.apart))
+            if float(_distances(comes, start[0], end[0])[0]) < room - 1e-6:
                 return False
         return True
 

@@ -14,7 +14,7 @@ from llm_flock.arrays import Point, between, moved
 from llm_flock.events import Note, Origin
 from llm_flock.message import MAX_LEVEL, MAX_STOPS, Course
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Mover
+from llm_flock.obstacles import Mover, Obstacle
 from llm_flock.protocol._motion.leg import STEP, Leg, map_of
 from llm_flock.protocol._motion.projection import moving_half_spaces, static_half_spaces
 from llm_flock.protocol._motion.right_of_way import RightOfWay, Way, outside, rank
@@ -75,6 +75,17 @@ class ShieldedSafety(Safety):
         pressing = [way for way in ways if way.covers(here)]
         aside = self._aside(scene, here, ways, pressing, ()) if pressing else None
         return SafeStep(waypoint=here, origin=Origin.HOLD) if aside is None else aside
+
+    def resting(self, scene: Observation) -> tuple[Obstacle, ...]:
+        """As `Safety.resting`: those that are where they were in the last round, by sensors that err."""
+        error, met = 2.0 * self._noise_bound, self._met
+        return tuple(
+            Obstacle(
+                center=tuple(round(x, 1) for x in one.position), radius=one.radius + one.speed * self._horizon + error
+            )
+            for one in scene.moving
+            if one.number in met and math.dist(met[one.number], one.position) <= error
+        )
 
     def room(self, scene: Observation, leg: Leg) -> float:
         """As `Safety.room`; none for a robot that gives way to another."""
@@ -193,6 +204,7 @@ class ShieldedSafety(Safety):
             safe_distance=limits.safe_distance if distance is None else distance,
             max_step=limits.max_step,
             noise_bound=noise,
+            downwash=limits.downwash,
             also=lambda longest: [
                 *static_half_spaces(position, limits, max_step=longest, noise_bound=noise),
                 *moving_half_spaces(
@@ -228,8 +240,8 @@ class ShieldedSafety(Safety):
         limits, position, sensed = self._limits, scene.position, scene.sensed
         limit = limits.safe_distance - 2.0 * self._noise_bound - 1e-6  # rounding does not make a crowd
         reach = limits.safe_distance + limits.max_step
-        near = {j: x for j, x in sensed.items() if math.dist(x, position) < reach}
-        crowd = _crowd({self._robot: position, **near}, limit)
+        near = {j: x for j, x in sensed.items() if limits.separation(x, position) < reach}
+        crowd = _crowd({self._robot: position, **near}, limit, limits)
         if not crowd:
             return None
         spread = shield.spread_coincident(self._robot, position, sensed)
@@ -239,7 +251,7 @@ class ShieldedSafety(Safety):
         share = limits.max_step / away if away > 0.0 else 0.0
         wish = between(position, middle, -share)
         flown = self._project(position, wish, tuple(spread.values()))
-        nearest = min(math.dist(x, position) for x in near.values())
+        nearest = min(limits.separation(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
         return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
 
@@ -250,7 +262,7 @@ def _towards(here: Point, there: Point, longest: float) -> Point:
     return there if far <= longest else between(here, there, longest / far)
 
 
-def _crowd(positions: Mapping[int, Point], limit: float) -> frozenset[int]:
+def _crowd(positions: Mapping[int, Point], limit: float, mission: Mission) -> frozenset[int]:
     """All robots of pairs nearer than `limit`."""
     pairs = combinations(positions.items(), 2)
-    return frozenset(robot for (i, x), (j, y) in pairs if math.dist(x, y) < limit for robot in (i, j))
+    return frozenset(robot for (i, x), (j, y) in pairs if mission.separation(x, y) < limit for robot in (i, j))

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from llm_flock import metrics
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Point, Points, flattened
 from llm_flock.correspondence import quick_error
 from llm_flock.mission import CENTER_TOLERANCE, Mission
 from llm_flock.obstacles import Obstacle
@@ -70,10 +70,10 @@ def check_proposal(mission: Mission, plan: Plan, still: Iterable[Point], positio
         return f"there is no way from {at_text(position)}, where you are, to its points: obstacles are in between."
     for body in still:
         for i, point in enumerate(plan.points):
-            if math.dist(point, body) < blocked_within(mission):
+            if (gap := mission.separation(point, body)) < blocked_within(mission):
                 return (
-                    f"point {i} is {number_text(math.dist(point, body))} from the robot that stands still at "
-                    f"{at_text(body)}, at least {number_text(mission.safe_distance)} is required."
+                    f"point {i} is {number_text(gap)} from the robot that stands still at "
+                    f"{at_text(body)}{mission.by_height}, at least {number_text(mission.safe_distance)} is required."
                 )
     return None
 
@@ -86,7 +86,7 @@ def enlarged(mission: Mission, plan: Plan) -> Plan:
     """
     if len(plan) == 1:
         return plan
-    nearest = float(_nearest(plan.array)[0].min())
+    nearest = float(_nearest(flattened(plan.array, mission.downwash))[0].min())
     if nearest >= mission.safe_distance:
         return plan
     mean = plan.array.mean(axis=0)
@@ -198,14 +198,17 @@ def _obstacle_text(obstacle: Obstacle) -> str:
 def _fault_of_spacing(mission: Mission, plan: Plan) -> str | None:
     if len(plan) == 1:
         return None
+    gaps, others = _nearest(flattened(plan.array, mission.downwash))
+    gaps = gaps.round(DECIMALS)
+    closest = int(gaps.argmin())
+    # If the spacing equals the safe distance, rounded coordinates cannot keep it to the last digit.
+    tight = max(mission.safe_distance, mission.spacing / mission.downwash)
+    if gaps[closest] < min(mission.safe_distance, (1 - ROUNDING) * tight):
+        i, j = sorted((closest, int(others[closest])))
+        gap, least = number_text(gaps[closest]), number_text(mission.safe_distance)
+        return f"points {i} and {j} are {gap} apart{mission.by_height}, at least {least} is required."
     distances, others = _nearest(plan.array)
     distances = distances.round(DECIMALS)
-    closest = int(distances.argmin())
-    # If the spacing equals the safe distance, rounded coordinates cannot keep it to the last digit.
-    if distances[closest] < min(mission.safe_distance, (1 - ROUNDING) * mission.spacing):
-        i, j = sorted((closest, int(others[closest])))
-        least = number_text(mission.safe_distance)
-        return f"points {i} and {j} are {number_text(distances[closest])} apart, at least {least} is required."
     _, near, far = _expected(mission)
     for i, (distance, j) in enumerate(zip(distances.tolist(), others.tolist(), strict=True)):
         if not near <= distance <= far:

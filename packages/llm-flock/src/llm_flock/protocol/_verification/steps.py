@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 
-from llm_flock.arrays import Point, between
+from llm_flock.arrays import Point, between, flattened
+from llm_flock.mission import Mission
 from llm_flock.obstacles import nearest_on_segment
 from llm_flock.planner import StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import LENGTH_TOLERANCE, ROUNDING, at_text, number_text, outside
@@ -58,7 +59,7 @@ def step_faults(question: StepQuestion, waypoint: Point) -> dict[Fault, str]:
     if too_near is not None:
         gap, other = too_near
         faults[Fault.SEPARATION] = (
-            f"the position is {number_text(gap)} from the robot at {at_text(other)}, "
+            f"the position is {number_text(gap)} from the robot at {at_text(other)}{mission.by_height}, "
             f"at least {number_text(mission.safe_distance)} is required"
         )
     out = outside(mission, waypoint)
@@ -165,6 +166,13 @@ def _clip(question: StepQuestion, waypoint: Point, *, shield_on: bool) -> Point 
     return target if not left or (shield_on and left == {Fault.SEPARATION}) else None
 
 
+def passing(mission: Mission, other: Point, here: Point, end: Point) -> float:
+    """The distance at which a robot that flies straight from `here` to `end` passes one that stands [units]."""
+    if mission.downwash != 1.0:
+        other, here, end = map(tuple, flattened([other, here, end], mission.downwash).tolist())
+    return math.dist(nearest_on_segment(other, here, end), other)
+
+
 def blocked(question: StepQuestion) -> bool:
     """Whether one straight step towards the goal comes nearer than the safe distance to an observed robot."""
     mission, here, goal = question.mission, question.position, question.goal
@@ -172,7 +180,7 @@ def blocked(question: StepQuestion) -> bool:
     share = min(1.0, mission.max_step / distance) if distance else 0.0
     end = between(here, goal, share)
     limit = mission.safe_distance + ROUNDING * mission.spacing
-    return any(math.dist(nearest_on_segment(other, here, end), other) < limit for other in question.neighbors)
+    return any(passing(mission, other, here, end) < limit for other in question.neighbors)
 
 
 def _along(here: Point, goal: Point, point: Point) -> float:
@@ -185,10 +193,11 @@ def _along(here: Point, goal: Point, point: Point) -> float:
 
 def _too_near(question: StepQuestion, waypoint: Point) -> tuple[float, Point] | None:
     """Distance and position of the nearest robot from which the waypoint is not separated."""
-    safe, worst = question.mission.safe_distance, None
+    mission, worst = question.mission, None
+    safe = mission.safe_distance
     for other in question.neighbors:
-        gap = math.dist(waypoint, other)
-        needed = min(safe, math.dist(question.position, other)) - ROUNDING * safe
+        gap = mission.separation(waypoint, other)
+        needed = min(safe, mission.separation(question.position, other)) - ROUNDING * safe
         if gap < needed and (worst is None or gap < worst[0]):
             worst = gap, other
     return worst
