@@ -218,6 +218,8 @@ if __name__ == "__main__":
         "lies-curve": lies.curve,
         "lies-swarm": lies.swarm,
         "local-letters": local.letters,
+        "local-exam": local.exam,
+        "local-held": local.held,
         "lessons": lessons.main,
     }
     if sys.argv[1:2] and sys.argv[1] in commands:
