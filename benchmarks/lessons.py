@@ -32,16 +32,13 @@ from llm_flock.planner import (
     StepQuestion,
     best_option,
 )
-from llm_flock.protocol import HORIZON, check_proposal, judge
+from llm_flock.protocol import HORIZON, check_proposal, judge, step_faults
 from llm_flock.record import check_new
 from llm_flock_onboard._distill.curriculum import CURRICULUM, plan_mission, taught_teams
 from llm_flock_onboard._distill.examples import TEAMS, Example, Kind, away, draw_mission, draw_step, write_examples
 
 REACH = 0.92
 """Length of a full step in step limits: an error of one or two in the last digit stays within the limit."""
-
-CLEAR = 1.12
-"""Room that a way round another robot leaves [safe distances]."""
 
 TURNS = (0, 45, 90, 30, 60, 180, 20, 36, 15, 75, 120)
 """Turns of a drawing that are tried, in this order, where a robot stands on a place [degrees]."""
@@ -217,18 +214,15 @@ def draw_motion(rng: np.random.Generator, kind: Kind) -> Example | None:
 
 
 def way_round(asked: StepQuestion) -> Point | None:
-    """The straight step, or else the smallest turn, to the right first, that leaves room to every other robot."""
+    """The straight step, or else the first shorter or turned one that the checks accept and that is nearer."""
     here, goal, mission = asked.position, asked.goal, asked.mission
-    longest, apart = min(REACH * mission.max_step, math.dist(here, goal)), CLEAR * mission.safe_distance
-    course = math.atan2(goal[1] - here[1], goal[0] - here[0])
-    near = [other for other in asked.neighbors if math.dist(other, here) < longest + apart]
-    straight = towards(here, goal, longest)
-    if all(_clear(other, here, straight, apart) for other in near) or mission.dim == 3:
+    straight = towards(here, goal, REACH * mission.max_step)
+    if not step_faults(asked, straight):
         return straight
-    for share, side, turn in itertools.product((1.0, 0.75, 0.5, 0.3), (-1, 1), range(4, 80, 4)):
-        waypoint = away(here, share * longest, course + side * math.radians(turn))
-        nearer = math.dist(waypoint, goal) < math.dist(here, goal) - 0.05 * longest
-        if nearer and all(_clear(other, here, waypoint, apart) for other in near):
+    longest, course = min(mission.max_step, math.dist(here, goal)), math.atan2(goal[1] - here[1], goal[0] - here[0])
+    for turn, share in itertools.product((0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75), (1.0, 0.75, 0.5, 0.25)):
+        waypoint = away(here, share * longest, course + math.radians(turn))
+        if math.dist(waypoint, goal) < math.dist(here, goal) and not step_faults(asked, waypoint):
             return waypoint
     return None
 
@@ -237,11 +231,6 @@ def towards(here: Point, goal: Point, longest: float) -> Point:
     """The point on the straight way to a goal, at most so far away [units]."""
     share = min(1.0, longest / max(math.dist(here, goal), 1e-9))
     return tuple(h + share * (g - h) for h, g in zip(here, goal, strict=True))
-
-
-def _clear(other: Point, here: Point, there: Point, apart: float) -> bool:
-    """Whether a move keeps its distance; a robot that is nearer already at the beginning must not come nearer still."""
-    return math.dist(nearest_on_segment(other, here, there), other) >= min(apart, math.dist(here, other) - 1e-9)
 
 
 def draw_judgement(rng: np.random.Generator) -> Example | None:
