@@ -11,8 +11,9 @@ BIN := .venv/bin
 # For `make pins`: what may change.
 UPGRADE ?= --upgrade
 
-# Processes that run tests, of which each imports everything. End to end, where tests wait for others, twice as many do.
+# Processors that run tests. As many tests wait, for others or for real time, twice as many processes run them.
 WORKERS ?= 2
+PROCESSES = $$(( 2 * $(WORKERS) ))
 
 # Runs the targets that follow at the same time, and prints the output of each in one piece.
 TOGETHER := $(MAKE) --no-print-directory --jobs $(if $(filter output-sync,$(.FEATURES)),--output-sync=target)
@@ -33,6 +34,7 @@ CHECK := .venv/.check-$(SUM)
 DOCS := .venv/.docs-$(SUM)
 KITS := .venv/.kits-$(SUM)
 E2E := .venv/.e2e-$(SUM)
+BYTES := .venv/.bytes-$(SUM)
 
 # Tests, by suite: those of one part are in its folder, those of several in tests/.
 UNIT := $(wildcard packages/*/tests/unit)
@@ -115,8 +117,12 @@ test: $(STAMP) $(DOCS) ## Unit, property and integration tests, and that every b
 covered: $(STAMP)
 	$(BIN)/python -m pytest $(COVERED) --quiet --cov
 
-others: $(STAMP) $(DOCS)
-	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(WORKERS) --dist worksteal
+others: $(STAMP) $(DOCS) $(BYTES)
+	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(PROCESSES) --dist worksteal
+
+# Byte code of all tests, made once by one process (27 s): processes that begin at the same time would each make it.
+$(BYTES): | $(STAMP)
+	@$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --collect-only --quiet > /dev/null || true; touch $@
 
 fuzz: $(STAMP) ## Twenty thousand hostile messages, reports, files, configurations and answers of each kind (minutes)
 	LLM_FLOCK_EFFORT=100 $(BIN)/python -m pytest $(wildcard tests/property/test_legal_reports.py tests/property/test_hostile_*.py tests/integration/test_hostile_*.py packages/*/tests/*/test_hostile_*.py) --numprocesses 2 --dist worksteal --show-capture no --durations 5 --override-ini faulthandler_timeout=3600
@@ -125,7 +131,7 @@ kits: $(E2E) $(KITS) $(DOCS) ## The files of tests that `make test` skips in par
 	$(BIN)/python -m pytest $(KITTED) --numprocesses $(WORKERS) --dist worksteal
 
 e2e: $(E2E) $(KITS) ## End-to-end tests through the command line
-	$(BIN)/python -m pytest tests/e2e --numprocesses $$(( 2 * $(WORKERS) )) --dist loadscope --no-loadscope-reorder
+	$(BIN)/python -m pytest tests/e2e --numprocesses $(PROCESSES) --dist loadscope --no-loadscope-reorder
 
 check: $(CHECK) $(DOCS) $(KITS) ## Lint, types, layers and docs at the same time, as in CI
 	@$(TOGETHER) lint types layers docs

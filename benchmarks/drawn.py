@@ -8,11 +8,10 @@
            O and 0 count as one, and so do I and 1. The judge is DejaVu Sans; the other typefaces show how much depends
            on it.
 `space`    Bodies in space are flown with ideal *simulated* models: how many teams formed, in how many rounds over the
-           lower bound, in how many flights two robots came nearer than the safe distance, along the segments too, and
-           how near they came. With each downwash the safe distance is an ellipsoid that many times as tall, and the
-           sensors reach as far as it asks for.
+           lower bound, and how near two robots came, along the segments too. With a downwash the safe distance of 3 is
+           an ellipsoid that many times as tall, in whose norm they come near, and sensors reach as far as it asks for.
 
-Writes docs/data/drawn-letters.csv and docs/data/drawn-space.csv. Of the latter, rows of another downwash stay.
+Writes docs/data/drawn-letters.csv and docs/data/drawn-space.csv, of the latter a row as soon as it is measured.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from __future__ import annotations
 import argparse
 import csv
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ from matplotlib.textpath import TextPath
 from scipy.spatial.distance import cdist
 
 import llm_flock
-from llm_flock import metrics, shapes
+from llm_flock import shapes
 from llm_flock.arrays import Points
 from llm_flock.formation import parse_program
 from llm_flock.printable import shape_title
@@ -86,8 +85,7 @@ def letters(robots: int) -> list[dict[str, str | int]]:
     return table
 
 
-def space(seeds: int, downwash: float) -> list[dict[str, str | int]]:
-    table: list[dict[str, str | int]] = []
+def space(seeds: int, downwash: float) -> Iterator[dict[str, str | int]]:
     for shape, n in BODIES:
         mission = llm_flock.Mission(shape=shape, n_robots=n, downwash=downwash)
         mission = mission.change(sense_range=mission.height_apart + 2 * mission.max_step)
@@ -100,20 +98,18 @@ def space(seeds: int, downwash: float) -> list[dict[str, str | int]]:
         row = {"Formation": shape_title(shape).removeprefix("program:"), "Robots": n, "Downwash": f"{downwash:g}"}
         row |= {"Formed": f"{len(over)} of {seeds}"}
         middle = f"{statistics.median(over):.2f}, {max(over):.2f}" if over else ""
-        near = sum(gap < mission.safe_distance - metrics.ROUNDING for gap in nearest)
-        row |= {"Over the bound: median, largest": middle, "Flights too near": near}
-        table.append(row | {"Smallest separation": f"{min(nearest):.6f}"})
-        print(*table[-1].values(), sep=" · ", flush=True)
-    return table
+        row |= {"Over the bound: median, largest": middle, "Smallest separation": f"{min(nearest):.6f}"}
+        print(*row.values(), sep=" · ", flush=True)
+        yield row
 
 
-def beside(name: str, table: Sequence[dict[str, str | int]]) -> list[dict[str, str | int]]:
-    """The rows, among those of the file that have another downwash."""
-    path, measured = DATA / name, {str(row["Downwash"]) for row in table}
-    with path.open(encoding="utf-8", newline="") as file:
-        kept = [row for row in csv.DictReader(file) if row.get("Downwash", "1") not in measured]
-    rows = [*table, *({"Downwash": "1", **{key: row[key] for key in table[0] if key in row}} for row in kept)]
-    return sorted(rows, key=lambda row: float(row["Downwash"]))
+def beside(row: Mapping[str, str | int]) -> list[Mapping[str, str | int]]:
+    """All rows of the file, with this one in place of that of the same body, robots and downwash."""
+    with (DATA / "drawn-space.csv").open(encoding="utf-8", newline="") as file:
+        rows: list[Mapping[str, str | int]] = [*csv.DictReader(file)]
+    of = [tuple(str(one[name]) for name in ("Formation", "Robots", "Downwash")) for one in (*rows, row)]
+    at = of.index(of[-1])
+    return [*rows[:at], row, *rows[at + 1 :]]
 
 
 def write(name: str, table: Sequence[Mapping[str, str | int]]) -> None:
@@ -137,6 +133,6 @@ def main(arguments: Sequence[str] = ()) -> None:
         if not chosen.print:
             write("drawn-letters.csv", table)
     for downwash in map(float, chosen.downwash.split(",") if chosen.only != "letters" else ()):
-        table = space(chosen.seeds, downwash)
-        if not chosen.print:
-            write("drawn-space.csv", beside("drawn-space.csv", table))
+        for row in space(chosen.seeds, downwash):
+            if not chosen.print:
+                write("drawn-space.csv", beside(row))

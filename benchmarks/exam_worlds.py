@@ -44,6 +44,10 @@ WISHES = {
 }
 
 
+SAYS = {"death": "has failed", "battery": "battery", "blocked": "An obstacle"}
+"""What a question about each kind of event says."""
+
+
 class Heard:
     """A good *simulated* model that keeps the first judgement that it is asked for, with the robot."""
 
@@ -73,7 +77,7 @@ def question_of(world: World, kind: str, seed: int) -> dict[str, Any] | None:
         {name: of(cell) for name, of, cell in zip(names, kinds, row, strict=True)} for row in found
     ]
     options = [JudgementOption(**row) for row in rows]
-    if len(options) < 2 or ("battery" in Heard.asked["event"]) != (kind == "battery"):
+    if len(options) < 2 or SAYS[kind] not in Heard.asked["event"]:
         return None
     flown: dict[str, tuple[float, ...]] = {}
     for one in options:
@@ -105,7 +109,7 @@ def main() -> None:
     parser.add_argument("--worlds", type=int, default=60)
     number = 0
     for seed in range(parser.parse_args().worlds):
-        for kind in ("death", "battery"):
+        for kind in SAYS:
             question = question_of(world_of(kind, seed), kind, seed)
             if question is not None:
                 print(json.dumps({"id": f"judgement-{number:04d}", **question}, separators=(",", ":")), flush=True)

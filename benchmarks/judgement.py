@@ -1,6 +1,6 @@
 """Whether a team's models choose what is right after an event, by the share of models that judge wrongly.
 
-    python -m benchmarks.judgement [--worlds 40] [--jobs 2] [--write]
+    python -m benchmarks.judgement [--worlds 24] [--jobs 2] [--write]
 
 A world is a team and one event: a robot that dies, a battery that gets weak, or an obstacle that comes to rest in a
 door or on a place. In each world every option is flown
@@ -192,6 +192,7 @@ def fly(world: World, model: Any, **other: Any) -> Flown:
         error = np.inf
     gaps = gaps or int(error > 2 * AT_GOAL * mission.spacing)
     seen = [one for one in events.seen if one.detail.get("about") == world.kind]
+    seen = [one for one in seen if one.detail["robot"] == seen[0].detail["robot"]]  # others may be blocked later
     agreed = [one.detail["choice"] for one in seen if one.kind == "agreed"]
     votes = [one for one in seen if one.kind == "judged"]
     return Flown(
@@ -260,7 +261,7 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], Any] | None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--worlds", type=int, default=40, help="worlds of each kind, as seeds; some leave no choice")
+    parser.add_argument("--worlds", type=int, default=24, help="worlds of each kind, as seeds; some leave no choice")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--write", action="store_true", help="write docs/data/judgement.csv")
     given = parser.parse_args(arguments)

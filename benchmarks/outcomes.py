@@ -23,7 +23,7 @@ import tempfile
 import time
 import zlib
 from base64 import b64decode
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import polars as pl
@@ -140,8 +140,8 @@ def says(text: str) -> str:
     return "formed" if re.match(r"\W*(yes\b|formed\b|mission [^:]*\bformed\b)", low) else ""
 
 
-def read(path: Path, printed: str) -> dict[str, str]:
-    """What each reader says of a run."""
+def read(path: Path, printed: str, command: Callable[..., str] = flock) -> dict[str, str]:
+    """What each reader says of a run; `command` runs a line of the command line."""
     record, run = read_record(path), Library().add("test", path, live=False)
     load(run)
     page = path.with_name("page.html")
@@ -150,7 +150,7 @@ def read(path: Path, printed: str) -> dict[str, str]:
     assert found is not None, "the page holds its run"
     held = json.loads(zlib.decompress(b64decode(found[1])))["news"]
     table = re.findall(r"formed\s+│\s+(.*?)\s+│", printed)
-    lines = flock("inspect", str(path)).splitlines()
+    lines = command("inspect", str(path)).splitlines()
     inspected = next((line for line in lines[:8] if says(line)), "")
     return {
         "command": table[0] if table else inspected,

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from typing import Any
 
 import numpy as np
 from rounds import observation
@@ -19,12 +20,14 @@ SAFE = 3.0
 class SafeTeam:
     """Robots that fly straight to their goals, as far as their safety lets them."""
 
-    def __init__(self, starts: object, goals: object, *obstacles: Obstacle) -> None:
+    def __init__(self, starts: object, goals: object, *obstacles: Obstacle, downwash: float = 1.0) -> None:
         self.positions = np.array(starts, dtype=float)
         self.goals = np.array(goals, dtype=float)
         n, dim = self.positions.shape
         arena = ((0.0,) * dim, (100.0,) * dim)
-        self.mission = Mission(shape="text:any", n_robots=n, obstacles=obstacles, arena=arena, center=(50.0,) * dim)
+        fields: dict[str, Any] = {"obstacles": obstacles, "arena": arena, "center": (50.0,) * dim}
+        fields |= {"downwash": downwash, "sense_range": 12.0 + 3.0 * downwash}
+        self.mission = Mission(shape="text:any", n_robots=n, **fields)
         self.robots = [ShieldedSafety(i, self.mission, 0.0) for i in range(n)]
         self.kinds: Counter[str] = Counter()
         self.origins: Counter[str] = Counter()
@@ -66,5 +69,5 @@ class SafeTeam:
             self.clearance = min(self.clearance, segment_clearance(rows[i], flight.waypoint, self.mission.obstacles))
             after[i] = flight.waypoint
         self.courses = {i: safety.course for i, safety in enumerate(self.robots) if safety.course is not None}
-        self.smallest = min(self.smallest, segment_separation(before, after))
+        self.smallest = min(self.smallest, segment_separation(before, after, downwash=self.mission.downwash))
         self.positions = after

@@ -171,6 +171,27 @@ def test_a_conversation_is_read_and_two_robots_are_compared(replay: str, browser
         assert second["x"] >= first["x"] + first["width"], "side by side"
 
 
+def test_a_link_leads_to_its_moment_once_the_token_is_there(replay: str, browser: Browser) -> None:
+    context = browser.new_context(viewport={"width": 390, "height": 844}, reduced_motion="reduce")
+    page = context.new_page()
+    go(page, replay)
+    ready(page)
+    page.evaluate("flockClock().seek(5)")
+    until(lambda: "round=5" in page.url, "the moment is in the address")
+    expect(page.locator(".flock-brief")).to_contain_text(re.compile(r"Robot \d in round 5: ✓ “"))
+    link = page.url
+    context.clear_cookies()
+    page.goto("about:blank")
+    page.goto(link)
+    for given, said in (("nonsense", "not the token"), (replay, "")):
+        page.get_by_label("Address or token").fill(given)
+        page.get_by_role("button", name="Open").click()
+        if said:
+            expect(page.get_by_role("status")).to_contain_text(said)
+    until(lambda: page.url == link and shown_round(page) == 5, "the page of the link")
+    context.close()
+
+
 def test_a_run_is_saved_as_record_and_figure(replay: str, browser: Browser) -> None:
     with page_at(browser, replay) as page:
         ready(page)

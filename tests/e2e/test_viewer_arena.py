@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -47,6 +48,17 @@ def scripts(browser: Browser) -> Any:
     )
     yield page
     page.close()
+
+
+def test_disks_in_perspective_step_aside_and_keep_their_size(scripts: Page) -> None:
+    aside = (
+        """() => modules["llm-flock-viewer/crowd.js"].fanned([[50, 50, 1.2], [50, 50, 0.8], [90, 50, 1]], 9, true)"""
+    )
+    found = scripts.evaluate(aside)
+    (ax, ay, near), (bx, by, far), third = found["at"]
+    assert found["crowds"] == [] and (near, far, third) == (1.2, 0.8, [90, 50, 1])
+    assert math.hypot(bx - ax, by - ay) >= 1.6 * 9, "both numbers can be read"
+    assert math.hypot(ax - 50, ay - 50) <= 9, "within its own radius"
 
 
 @pytest.mark.parametrize(("n", "wide"), [(5, 300), (12, 60), (30, 250), (60, 300), (100, 500)])

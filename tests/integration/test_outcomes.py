@@ -7,7 +7,9 @@ import signal
 from pathlib import Path
 
 import pytest
-from benchmarks.outcomes import BRISK, LONG, ROOT, flock, read, verdicts
+from benchmarks import outcomes
+from benchmarks.outcomes import BRISK, LONG, ROOT, verdicts
+from command_line import flock
 from sample_records import make_record
 
 from llm_flock.record import read_record
@@ -27,10 +29,19 @@ KINDS = {
 }
 
 
+def in_process(*arguments: str) -> str:
+    return flock(*arguments, cwd=ROOT, check=False).stdout
+
+
+def read(record: Path, printed: str) -> dict[str, str]:
+    return outcomes.read(record, printed, in_process)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_all_readers_agree_on_the_outcome(tmp_path: Path, kind: str) -> None:
     command, wanted = KINDS[kind]
-    printed = flock(*command.split(), "--quiet", "--out", str(tmp_path))
+    fly = outcomes.flock if command.startswith(("swarm", "fly")) else in_process
+    printed = fly(*command.split(), "--quiet", "--out", str(tmp_path))
     told = read(tmp_path / "run.mcap", printed)
     assert verdicts(told) == {wanted} and all(told.values()), told
     assert told["viewer"] == told["table"] == told["page"] == told["inspect"].removesuffix(".")
@@ -42,7 +53,7 @@ def test_all_readers_say_that_a_killed_run_broke_off(tmp_path: Path, formed: boo
     record = tmp_path / "run.mcap"
     if formed:
         command = f"run --robots 6 --seed 4 {LONG} 100000 --quiet --out {tmp_path}"
-        flock(*command.split(), end=signal.SIGKILL, record=record)
+        outcomes.flock(*command.split(), end=signal.SIGKILL, record=record)
     else:
         make_record(record, n=4, rounds=5, finish=False, agree=False)
     told = read(record, "")
@@ -53,7 +64,7 @@ def test_all_readers_say_that_a_killed_run_broke_off(tmp_path: Path, formed: boo
 def test_two_runs_side_by_side_have_their_own_outcomes(tmp_path: Path) -> None:
     library, said = Library(), list[str]()
     for name, options in (("one", "--protocol baseline --rounds 9"), ("two", "--protocol flock")):
-        flock(*f"run --robots 4 --shape square --seed 2 {options} --quiet --out {tmp_path / name}".split())
+        in_process(*f"run --robots 4 --shape square --seed 2 {options} --quiet --out {tmp_path / name}".split())
         load(library.add(name, tmp_path / name / "run.mcap", live=False))
     for key in library.runs:
         said.append(json.loads(answer(library, f"data/{key}/news", {}) or b"")["outcome"]["headline"])

@@ -121,8 +121,8 @@ def test_a_dry_run_refuses_the_addresses_that_the_flight_would(robot: str, uri: 
 
 def test_the_vertical_rule() -> None:
     assert flight_config(3, "points", SPACE, **IN_SPACE).mission.height_apart == pytest.approx(7.2)
-    with pytest.raises(InputError, match=r"at least 2\.57 m: the lowest place is 0\.15 m above the floor"):
-        flight_config(3, "points", SPACE, **IN_SPACE | {"altitude_m": 2.55})
+    with pytest.raises(InputError, match=r"at least 1\.17 m: the lowest place is 0\.15 m above the floor"):
+        flight_config(3, "points", SPACE, **IN_SPACE | {"altitude_m": 1.15})
     with pytest.raises(InputError, match="downwash") as raised:
         flight_config(3, "points", SPACE, **IN_SPACE | {"downwash": 2.0})
     assert raised.value.field == "downwash"

@@ -47,3 +47,9 @@ def test_no_order_makes_a_swarm_of_processes_move() -> None:
     with pytest.raises(InputError, match=r"velocity.*cannot be used in a swarm of processes"):
         mission_order(config, {"velocity": [1.0, 1.0]}, 1)
     assert changed_mission(config.mission, {"shape": "line"}).shape == "line"
+
+
+def test_an_order_to_a_swarm_is_checked_against_its_rules() -> None:
+    config = SwarmConfig.build({}, shape="square", n_robots=4, assignment="nearest-free")
+    with pytest.raises(InputError, match=r"assignment.*auction"):
+        mission_order(config, {"prefer": [{"robot": 1, "way": "edge"}]}, 1)

@@ -95,19 +95,26 @@ def test_a_token_is_shown_once_and_then_kept_in_a_cookie() -> None:
     assert status(ask(guard, {"host": HOST})) == 401
     assert status(ask(guard, {"host": HOST}, query="token=wrong")) == 401
     sent = ask(guard, {"host": HOST}, path="//evil.example/x", query="token=correct%20horse%20battery&round=3")
-    assert status(sent) == 200 and b'content="0;url=/evil.example/x?round=3"' in sent[1]["body"]
+    assert status(sent) == 200 and b'<a href="/evil.example/x?round=3">' in sent[1]["body"]
     assert TOKEN.split()[0] not in str(sent[1]["body"]) and header(sent, "location") is None
     cookie = header(sent, "set-cookie") or ""
     assert "HttpOnly" in cookie and "samesite=strict" in cookie.lower()
     kept = cookie.split(";")[0]
     assert status(ask(guard, {"host": HOST, "cookie": kept})) == 200
     again = ask(guard, {"host": HOST, "cookie": kept}, query=f"token={quote(TOKEN)}")
-    assert b"url=/" in again[1]["body"], "the token leaves the address again"
+    assert b'<a href="/">' in again[1]["body"], "the token leaves the address again"
     assert status(ask(guard, {"host": HOST, "cookie": "flock_token_8765=other"})) == 401
     assert status(ask(guard, {"host": HOST, "cookie": "a\x01=;;"})) == 401
     posted = {"host": HOST, "origin": f"http://{HOST}"}
     assert status(ask(guard, posted, query="token=correct%20horse%20battery", method="POST")) == 401
     assert status(ask(guard, {"host": HOST, "cookie": kept.replace("8765", "8766")})) == 401, "another viewer's"
+
+
+def test_a_person_without_the_token_is_asked_for_it() -> None:
+    page = ask(guarded(), {"host": HOST, "accept": "text/html,*/*"}, path="/run/abc", query="token=%3Cscript%3E")
+    assert status(page) == 401 and b"Paste the address" in page[1]["body"]
+    assert b"<script>" not in page[1]["body"].split(b"</main>")[0], "nothing of the address is in the page"
+    assert b"Paste" not in ask(guarded(), {"host": HOST, "accept": "*/*"}, path="/data/runs")[1]["body"]
 
 
 def test_a_token_has_sixteen_characters() -> None:

@@ -55,7 +55,9 @@ def test_a_run_that_formed_says_when_and_by_whom(tmp_path: Path) -> None:
     assert run.history.result is not None
     when = run.history.result["rounds_to_formed"]
     assert (found["tone"], found["headline"], found["why"]) == ("good", f"Formed in round {when}", "")
-    assert found["by"].startswith(f"Plan by robot {run.history.result['plan_robot']} (simulated:ideal)")
+    stood = f"Stood from round {when} to the end in round {run.history.last_round}"
+    assert found["by"].startswith(f"{stood} · plan by robot {run.history.result['plan_robot']} (simulated:ideal)")
+    assert found["stood"] == [(when, run.history.last_round)]
     assert run_row(run)["ratio"] == round(when / run.history.result["lower_bound_rounds"], 3)
 
 
@@ -193,7 +195,7 @@ def test_run_without_a_round_blames_no_robot(tmp_path: Path) -> None:
 def test_outcome_tells_empty_places_and_geometry_alone(tmp_path: Path) -> None:
     found = told(flown(tmp_path / "gap", model="simulated:ideal", kill="1@3"))
     assert found["headline"].endswith("; place 2 is empty") and found["tone"] == "part"
-    assert found["by"].startswith("Robot 1 died in round 3 · plan by robot ")
+    assert " · robot 1 died in round 3 (killed by --kill) · plan by robot " in found["by"]
     run = flown(tmp_path / "geometry", model="geometry", places=4)
     found = told(run)
     assert found["headline"].endswith(", by geometry without models")
@@ -249,6 +251,8 @@ def test_pairs_that_are_too_close_are_counted_by_round() -> None:
 )
 def test_close_pairs_are_nearer_than_the_safe_distance(rows: list[list[float]], pairs: int) -> None:
     assert close_pairs(rows, 3.0) == pairs
+    tall = [[x, y, 5.0 * k] for k, (x, y) in enumerate(rows)]
+    assert close_pairs(tall, 3.0) == 0
 
 
 def test_malformed_summary_breaks_nothing(tmp_path: Path) -> None:

@@ -31,6 +31,12 @@ def between(here: Point, there: Point, share: float) -> Point:
     return tuple(x + share * (y - x) for x, y in zip(here, there, strict=True))
 
 
+def towards(here: Point, there: Point, longest: float) -> Point:
+    """The other point, or one this far on the way to it if it is farther [units]."""
+    far = math.dist(here, there)
+    return there if far <= longest else between(here, there, longest / far)
+
+
 def flattened(points: ArrayLike, downwash: float) -> Points:
     """Points, shape (n, d), with heights divided by `downwash`: the ellipsoid that robots keep free becomes a sphere.
 

@@ -25,6 +25,9 @@ MAX_WORD = 64  #: Longest name or digest in a report [characters].
 MAX_REASON = 2000  #: Longest reason in a report [characters].
 DEEPEST = 32  #: Deepest nesting of free values; those of this program have a quarter of it.
 
+MAX_WAITING = 256
+"""Largest team that waits to give all places together, as preferences need: traffic grows with its size squared."""
+
 TIME_OUT = 10
 """Default of the rounds without a heartbeat, by any route, after which a robot counts as dead; some flights leave
 every other robot's range for a while."""

@@ -22,7 +22,7 @@ from msgspec.structs import astuple, force_setattr, replace
 from llm_flock.arrays import MAX_COORDINATE
 from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes, max_places
 from llm_flock.errors import InputError, MessageError
-from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
+from llm_flock.mission import MISSION_FIELDS, OPTIONAL, Mission
 from llm_flock.plan import Coordinate, Plan
 
 LOGICAL_BITS = 16  #: Lowest bits of an order's time, which count orders within a millisecond.
@@ -75,7 +75,7 @@ MAX_PROPOSALS = 4  #: Most proposals of others in one message.
 MAX_VOTES = 16  #: Most votes in one message.
 
 Choice: TypeAlias = Literal["leave", "close", "replan", "continue", "swap", "spare", "wait", "round"]
-"""What a team can do about a place that a dead robot leaves empty (the first three), a weak battery and a blocked way."""
+"""What a team can do about a place that a dead robot leaves empty, about a weak battery and about a blocked way."""
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -427,7 +427,7 @@ def received_mission(message: Message, own: Mission) -> Mission:
     if not fields.keys() <= MISSION_FIELDS:
         raise MessageError("malformed", f"a mission of other fields than {', '.join(sorted(MISSION_FIELDS))}")
     try:
-        mission = own.change(**{**WISHES, **fields})
+        mission = own.change(**{**OPTIONAL, **fields})
     except InputError as error:
         raise MessageError("other_mission", str(error)) from None
     if mission.digest != message.mission.digest:

@@ -42,10 +42,10 @@ paper's spacing of 10, the largest error of whole-number coordinates. The shape 
 
 SHIFTS = 8  #: Directions in which the shape is also shifted, by a little less than that, if no orientation fits.
 
-WISHES: Mapping[str, Any] = {"turn": None, "hold": 0, "prefer": (), "then": ()}
+OPTIONAL: Mapping[str, Any] = {"turn": None, "hold": 0, "prefer": (), "then": ()}
 """Fields that are left out of JSON, and of a digest, where they have these values."""
 
-MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since", *WISHES})
+MISSION_FIELDS = frozenset({"shape", "points", "center", "spacing", "places", "velocity", "since", *OPTIONAL})
 """Fields that travel by radio. All other fields belong to the robot, and no message changes them."""
 
 MAX_STAGES = 20  #: Most stages of a mission: each is checked with all that follow.
@@ -55,9 +55,9 @@ MAX_DOWNWASH = 3.7  #: Largest `downwash` for which docs/explanation/theory.md p
 START_DENSITY = 0.35  #: Largest share of the arena under discs of the safe distance, so that starts can be drawn.
 
 
-def wish(name: str, description: str) -> Any:
-    """A field that is left out of JSON where it has its value of `WISHES`."""
-    return Field(default=WISHES[name], exclude_if=lambda value: value == WISHES[name], description=description)
+def optional(name: str, description: str) -> Any:
+    """A field that is left out of JSON where it has its value of `OPTIONAL`."""
+    return Field(default=OPTIONAL[name], exclude_if=lambda value: value == OPTIONAL[name], description=description)
 
 
 class Preference(BaseModel):
@@ -142,16 +142,16 @@ class Mission(BaseModel):
     obstacles: tuple[Obstacle, ...] = Field(
         default=(), description="Discs {center, radius} and polygons {polygon: corners} that robots must avoid"
     )
-    turn: Annotated[float, Field(ge=-360, le=360)] | None = wish(
+    turn: Annotated[float, Field(ge=-360, le=360)] | None = optional(
         "turn", "Orientation of the formation, anticlockwise from that of the shape [degrees]; any if unset"
     )
-    hold: Annotated[int, Field(ge=0, le=MAX_ROUNDS)] = wish(
+    hold: Annotated[int, Field(ge=0, le=MAX_ROUNDS)] = optional(
         "hold", "Rounds for which the team stays formed, before the next stage or the end"
     )
-    prefer: Annotated[tuple[Preference, ...], Field(max_length=100)] = wish(
+    prefer: Annotated[tuple[Preference, ...], Field(max_length=100)] = optional(
         "prefer", "Who takes which place: {robot, group}, {side, group} or {robot, way: shortest, center or edge}"
     )
-    then: Annotated[tuple[Stage, ...], Field(max_length=MAX_STAGES)] = wish(
+    then: Annotated[tuple[Stage, ...], Field(max_length=MAX_STAGES)] = optional(
         "then", "Stages that follow: {set: {field: value, ...}, when: formed, order or a round}"
     )
 
@@ -199,7 +199,7 @@ class Mission(BaseModel):
         self._check_room()
         self.check_shape()
         self._check_obstacles()
-        self._check_wishes()
+        self._check_optional()
         return self
 
     def _check_velocity(self) -> None:
@@ -213,7 +213,7 @@ class Mission(BaseModel):
             why = f"so that robots can catch up with their places (here {speed:.4g})"
             raise InputError("velocity", list(self.velocity), f"at most max_step / 2 = {most:g} per round, {why}")
 
-    def _check_wishes(self) -> None:
+    def _check_optional(self) -> None:
         """Check orientation and preferences, and build all later stages."""
         if self.turn is not None and self.ideal is None:
             raise InputError(
@@ -224,10 +224,10 @@ class Mission(BaseModel):
             from llm_flock.formation import program_of
 
             groups = len(getattr(program_of(self.shape), "groups", None) or (self.shape,))
-        for wish in self.prefer:
-            if (wish.robot or 0) >= self.n_robots or (wish.group or 0) >= groups:
+        for one in self.prefer:
+            if (one.robot or 0) >= self.n_robots or (one.group or 0) >= groups:
                 allowed = f"robots from 0 to {self.n_robots - 1}, and groups from 0 to {groups - 1}"
-                raise InputError("prefer", wish.model_dump(exclude_none=True), allowed)
+                raise InputError("prefer", one.model_dump(exclude_none=True), allowed)
         if self.then:
             self.following()
 
@@ -350,8 +350,8 @@ class Mission(BaseModel):
 
     def placed(self, turn_rad: float, shift: Point = (0.0, 0.0)) -> Points:
         """The ideal points turned about the centre, in space about the third axis, then moved in the plane [units]."""
-        points = np.array(self.ideal)
-        points[:, :2] = formations.rotated(points[:, :2], self.center[:2], turn_rad) + np.array(shift)
+        points = formations.rotated(self.ideal or (), self.center, turn_rad)
+        points[:, :2] += np.array(shift)
         return points
 
     def regions_of(self, points: Iterable[Point]) -> frozenset[int]:
@@ -439,7 +439,7 @@ class Mission(BaseModel):
             # Name the field that sets this number.
             raise InputError("places", error.value, says=error.says.replace("robots", "places")) from None
         if points is not None and self.turn:
-            points[:, :2] = formations.rotated(points[:, :2], self.center[:2], math.radians(self.turn))
+            points = formations.rotated(points, self.center, math.radians(self.turn))
         return None if points is None else tuple(tuple(row) for row in points.tolist())
 
     @cached_property
@@ -515,7 +515,7 @@ class Mission(BaseModel):
         elif "shape" in fields and fields["shape"] != self.shape:
             changed["points"] = None
         if {"shape", "points"} & fields.keys() and (changed["shape"], changed["points"]) != (self.shape, self.points):
-            changed |= {name: fields.get(name, default) for name, default in WISHES.items()}
+            changed |= {name: fields.get(name, default) for name, default in OPTIONAL.items()}
         return build_mission(**changed)
 
     def check_sensing(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterable
 from functools import cached_property, lru_cache
 from typing import Annotated
@@ -15,6 +14,7 @@ from msgspec.structs import force_setattr, replace
 from llm_flock.arrays import MAX_COORDINATE, Point, Points, moved
 from llm_flock.bounds import MAX_LENGTH, MAX_PROGRAM_BYTES, MAX_ROBOTS
 from llm_flock.errors import InputError
+from llm_flock.shapes import rotated
 
 DECIMALS = 6  #: Decimals of plan coordinates, so that equal plans are equal on every robot.
 
@@ -39,10 +39,7 @@ class Drawing(msgspec.Struct, array_like=True, forbid_unknown_fields=True, froze
 
     def placed(self, points: Points) -> Points:
         """Points around the origin as this drawing scales, turns and moves them, shape (n, d) [units]."""
-        cos, sin = math.cos(self.turn_rad), math.sin(self.turn_rad)
-        turn = np.eye(len(self.center))
-        turn[:2, :2] = [[cos, sin], [-sin, cos]]
-        return self.scale * points @ turn + np.array(self.center)
+        return rotated(self.scale * points, (0.0, 0.0), self.turn_rad) + np.array(self.center)
 
 
 @lru_cache(maxsize=256)

@@ -53,10 +53,11 @@ def circumradius(points: ArrayLike, center: Sequence[float]) -> float:
 
 
 def rotated(points: ArrayLike, center: Sequence[float], angle_rad: float) -> Points:
-    """Points of the plane, shape (n, 2), rotated about the centre, counterclockwise for a positive angle."""
+    """Points, shape (n, d), rotated about the centre, counterclockwise for a positive angle; in space, about axis 3."""
     cos, sin = math.cos(angle_rad), math.sin(angle_rad)
-    arm = np.asarray(points, dtype=np.float64) - np.asarray(center)
-    return arm @ np.array([[cos, sin], [-sin, cos]]) + np.asarray(center)
+    out, middle = np.array(points, dtype=np.float64), np.asarray(center)[:2]
+    out[:, :2] = (out[:, :2] - middle) @ np.array([[cos, sin], [-sin, cos]]) + middle
+    return out
 
 
 def rotational_symmetry(points: ArrayLike, tolerance: float = 1e-9) -> int:

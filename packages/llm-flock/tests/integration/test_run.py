@@ -16,6 +16,7 @@ from llm_flock.llm._limits import Limited
 from llm_flock.llm._port import Call, Reply
 from llm_flock.llm._simulated.model import SimulatedModel
 from llm_flock.llm._simulated.profiles import parse_profile
+from llm_flock.metrics import segment_separation
 from llm_flock.protocol._breaker import Fallback
 from llm_flock.record._reader import iter_messages
 from llm_flock.record._schema import CHANNELS, channel_schema
@@ -139,6 +140,16 @@ def test_the_same_seed_gives_the_same_record(tmp_path: Path) -> None:
     a, b = messages(tmp_path / "a/run.mcap"), messages(tmp_path / "b/run.mcap")
     assert a == b and len(a) > 100
     assert messages(tmp_path / "c/run.mcap") != a
+
+
+def test_a_record_holds_the_norm_by_which_it_was_judged(tmp_path: Path) -> None:
+    mission = llm_flock.Mission(shape="sphere", n_robots=6, downwash=2.0, sense_range=18.0)
+    flown = llm_flock.run(mission, model="geometry", seed=1, rounds=8, out=str(tmp_path))
+    record = llm_flock.read_record(tmp_path / "run.mcap")
+    assert record.mission.mission["downwash"] == 2.0 and llm_flock.Mission(**record.mission.mission) == mission
+    ways = zip(record.positions, record.positions[1:], strict=False)
+    seen = min(segment_separation(*way, downwash=2.0) for way in ways)
+    assert flown.summary.min_separation == pytest.approx(seen)
 
 
 def test_the_protocol_does_not_change_starts_or_proposals(tmp_path: Path) -> None:

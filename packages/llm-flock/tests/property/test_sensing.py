@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from llm_flock.metrics import segment_separation
-from llm_flock.mission import Mission
+from llm_flock.mission import MAX_DOWNWASH, Mission
 from llm_flock.runtime._schedule import Sight
 from llm_flock.shield import project
 from llm_flock.simulate import Readings
@@ -33,11 +33,11 @@ def turned(rng: np.random.Generator, places: np.ndarray, towards: np.ndarray, er
 
 
 def smallest_true_distance(
-    seed: int, n: int, dim: int, error: float, delay: float, sense_range: float, sight: Sight
+    seed: int, n: int, dim: int, error: float, delay: float, sense_range: float, sight: Sight, downwash: float = 1.0
 ) -> float:
     """The smallest true distance in eighteen rounds of a team whose wishes and errors are against it."""
     rng = np.random.default_rng(seed)
-    now, low = spread(rng, n, dim, 13.0), np.inf
+    now, low = spread(rng, n, dim, 13.0 if downwash == 1.0 else 26.0) * ([1, 1, downwash][:dim]), np.inf
     past = [now] * 8
     for number in range(1, 19):
         there, after = int(np.floor(delay)), now.copy()
@@ -51,8 +51,9 @@ def smallest_true_distance(
                 told: Any = [tuple(others[j]) for j in np.flatnonzero(near) if j != i]
                 aim = wish if rng.random() < 0.7 else now[rng.integers(n)]
                 limits: Any = {"safe_distance": SAFE, "max_step": STEP, "noise_bound": sight.error}
+                limits["downwash"] = downwash
                 after[i] = now[i] + np.array(project(tuple(own), tuple(aim), told, **limits)) - own
-        low = min(low, segment_separation(now, after))
+        low = min(low, segment_separation(now, after, downwash=downwash))
         past, now = [*past[1:], after], after
     return low
 
@@ -71,6 +72,22 @@ def test_late_and_wrong_positions_cost_no_separation(
 ) -> None:
     sight = Sight.of(Mission(sense_range=sense_range), error, delay)
     assert smallest_true_distance(seed, n, dim, error, delay, sense_range, sight) >= SAFE - 1e-6
+
+
+@cases(15)
+@given(
+    seed=st.integers(0, 2**32),
+    n=st.integers(2, 7),
+    downwash=st.sampled_from([2.0, 3.0, MAX_DOWNWASH]),
+    error=st.sampled_from([0.0, 0.2, 0.75]),
+    delay=st.sampled_from([0.0, 0.05, 0.5, 1.4]),
+)
+def test_nor_do_they_where_rotors_need_more_height(
+    seed: int, n: int, downwash: float, error: float, delay: float
+) -> None:
+    mission = Mission(shape="sphere", n_robots=12, downwash=downwash, sense_range=2 * STEP + SAFE * downwash + 5)
+    sight = Sight.of(mission, error, delay)
+    assert smallest_true_distance(seed, n, 3, error, delay, mission.sensing, sight, downwash) >= SAFE - 1e-6
 
 
 @pytest.mark.parametrize(

@@ -15,21 +15,26 @@ from llm_flock.shield import project, separation_half_spaces
 SAFE, STEP, SENSE = 3.0, 6.0, 15.0
 
 
-def spread(rng: np.random.Generator, n: int, dim: int, side: float) -> np.ndarray:
+TALL = {2: [1.0], 3: [1.0, 2.0, 3.0, 3.7]}
+"""Downwash in the plane and in space."""
+
+
+def spread(rng: np.random.Generator, n: int, dim: int, side: float, downwash: float = 1.0) -> np.ndarray:
     """Random positions at least SAFE apart."""
+    squeeze = np.array([1.0, 1.0, 1.0 / downwash][:dim])
     placed: list[np.ndarray] = []
     while len(placed) < n:
         draw = rng.uniform(0, side, dim)
-        if all(np.linalg.norm(draw - other) >= SAFE for other in placed):
+        if all(np.linalg.norm((draw - other) * squeeze) >= SAFE for other in placed):
             placed.append(draw)
     return np.array(placed)
 
 
-def in_range(positions: np.ndarray, i: int) -> list[tuple[float, ...]]:
+def in_range(positions: np.ndarray, i: int, downwash: float = 1.0) -> list[tuple[float, ...]]:
     return [
         tuple(positions[j])
         for j in range(len(positions))
-        if j != i and np.linalg.norm(positions[j] - positions[i]) <= SENSE
+        if j != i and np.linalg.norm(positions[j] - positions[i]) <= SENSE + SAFE * (downwash - 1)
     ]
 
 
@@ -37,18 +42,17 @@ def in_range(positions: np.ndarray, i: int) -> list[tuple[float, ...]]:
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 12), dim=st.sampled_from([2, 3]), side=st.floats(14, 40))
 def test_any_wishes_keep_every_pair_at_the_safe_distance(seed: int, n: int, dim: int, side: float) -> None:
     rng = np.random.default_rng(seed)
-    positions = spread(rng, n, dim, side)
+    limits: Any = {"safe_distance": SAFE, "max_step": STEP, "downwash": float(rng.choice(TALL[dim]))}
+    positions = spread(rng, n, dim, side, limits["downwash"])
     for _ in range(6):
         wishes = rng.uniform(-10, side + 10, (n, dim)) if rng.random() < 0.5 else np.tile(positions.mean(0), (n, 1))
         after = np.array(
             [
-                project(
-                    tuple(positions[i]), tuple(wishes[i]), in_range(positions, i), safe_distance=SAFE, max_step=STEP
-                )
-                for i in range(n)
+                project(tuple(at), tuple(wish), in_range(positions, i, limits["downwash"]), **limits)
+                for i, (at, wish) in enumerate(zip(positions, wishes, strict=True))
             ]
         )
-        assert segment_separation(positions, after) >= SAFE - 1e-6
+        assert segment_separation(positions, after, downwash=limits["downwash"]) >= SAFE - 1e-6
         assert np.linalg.norm(after - positions, axis=1).max() <= STEP + 1e-6
         positions = after
 
@@ -79,11 +83,12 @@ def test_no_pair_comes_too_near_with_bounded_noise(seed: int, n: int, noise: flo
 def test_the_projection_is_the_nearest_safe_waypoint(seed: int, n: int, dim: int) -> None:
     """Against a general-purpose solver of the same convex problem."""
     rng = np.random.default_rng(seed)
-    positions = spread(rng, n, dim, 14.0)
+    within_cell: Any = {"safe_distance": SAFE, "max_step": STEP, "downwash": float(rng.choice(TALL[dim]))}
+    positions = spread(rng, n, dim, 14.0, within_cell["downwash"])
     wish = rng.uniform(-5, 20, dim)
     others = in_range(positions, 0)
-    ours = np.array(project(tuple(positions[0]), tuple(wish), others, safe_distance=SAFE, max_step=STEP))
-    sides = separation_half_spaces(tuple(positions[0]), others, safe_distance=SAFE, max_step=STEP)
+    ours = np.array(project(tuple(positions[0]), tuple(wish), others, **within_cell))
+    sides = separation_half_spaces(tuple(positions[0]), others, **within_cell)
     want = wish - positions[0]
     limits: list[Any] = [{"type": "ineq", "fun": lambda u: STEP**2 - u @ u, "jac": lambda u: -2 * u}]
     if sides:

@@ -38,35 +38,48 @@ class Body:
         return self.past[0][2] if self.past else self.origin
 
 
-def fly(seed: int, n: int, *, oldest_s: float, error: float, seldom: bool, crowd: float, events: int = 250) -> float:
-    """Random schedules; the smallest separation of any pair at any time."""
+def fly(
+    seed: int,
+    n: int,
+    *,
+    oldest_s: float,
+    error: float,
+    seldom: bool,
+    crowd: float,
+    events: int = 250,
+    downwash: float = 1.0,
+) -> float:
+    """Random schedules; the smallest separation of any pair at any time, in space with a downwash."""
+    sides = np.array([crowd, crowd] if downwash == 1.0 else [crowd, crowd, 1.5 * crowd])
+    squeeze = np.array([1.0, 1.0, 1.0 / downwash])[: len(sides)]
     rng = np.random.default_rng(seed)
     places: list[np.ndarray] = []
     while len(places) < n:
-        draw = rng.uniform(0, crowd, 2)
-        if all(np.linalg.norm(draw - other) >= SAFE for other in places):
+        draw = rng.uniform(0, sides)
+        if all(np.linalg.norm((draw - other) * squeeze) >= SAFE for other in places):
             places.append(draw)
     bodies = [Body(p, p, 0.0, float(rng.uniform(0.01, 1.0)), seldom and bool(rng.random() < 0.4)) for p in places]
-    goal = np.full(2, crowd / 2)
-    now, smallest = 0.0, min_separation(np.array(places))
+    goal = sides / 2
+    now, smallest = 0.0, min_separation(np.array(places), downwash)
     for _ in range(events):
         k = min(range(n), key=lambda i: bodies[i].until_s)
         then = bodies[k].until_s
-        smallest = min(smallest, segment_separation([b.at(now) for b in bodies], [b.at(then) for b in bodies]))
+        ends = ([b.at(at) for b in bodies] for at in (now, then))
+        smallest = min(smallest, segment_separation(*ends, downwash=downwash))
         now, body = then, bodies[k]
         here = body.at(now)
         period_s = float(rng.uniform(1.0, 3.0) if body.seldom else rng.uniform(0.05, 0.5))
 
         def off(x: np.ndarray) -> np.ndarray:
             angle = rng.uniform(0, 2 * math.pi)
-            return x + error * np.array([math.cos(angle), math.sin(angle)])
+            return x + error * np.array([math.cos(angle), math.sin(angle), 0.0])[: len(x)]
 
         sightings: list[Sighting] = []
         for j, other in enumerate(bodies):
             if j != k:
                 age_s = float(min(now, rng.uniform(0, oldest_s)))
                 sightings.append(Sighting(position=tuple(off(other.seen(now - age_s)).tolist()), age_s=age_s))
-        wish = goal if rng.random() < 0.6 else rng.uniform(-5, crowd + 5, 2)
+        wish = goal if rng.random() < 0.6 else rng.uniform(-5, sides + 5)
         own = off(here)
         target = project_async(
             tuple(own.tolist()),
@@ -76,6 +89,7 @@ def fly(seed: int, n: int, *, oldest_s: float, error: float, seldom: bool, crowd
             speed=SPEED,
             period_s=period_s,
             error=error,
+            downwash=downwash,
         )
         move = np.array(target) - own
         assert np.linalg.norm(move) <= SPEED * period_s + 1e-6
@@ -94,6 +108,12 @@ def test_no_schedule_or_stale_reading_brings_bodies_too_near(seed: int, n: int, 
 @given(seed=st.integers(0, 2**32), n=st.integers(2, 7), oldest_s=st.floats(0, 1.0), error=st.floats(0, 0.1))
 def test_bodies_that_decide_seldom_are_as_safe(seed: int, n: int, oldest_s: float, error: float) -> None:
     assert fly(seed, n, oldest_s=oldest_s, error=error, seldom=True, crowd=20.0) >= SAFE - 1e-6
+
+
+@settings(max_examples=12, deadline=None)
+@given(seed=st.integers(0, 2**32), n=st.integers(2, 7), error=st.floats(0, 0.2), downwash=st.sampled_from([2.0, 3.0]))
+def test_bodies_in_space_keep_out_of_each_others_downwash(seed: int, n: int, error: float, downwash: float) -> None:
+    assert fly(seed, n, oldest_s=0.5, error=error, seldom=False, crowd=16.0, downwash=downwash) >= SAFE - 1e-6
 
 
 def test_the_margin_is_no_larger_than_it_must_be() -> None:

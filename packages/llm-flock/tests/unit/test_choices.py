@@ -198,9 +198,9 @@ def test_a_team_leaves_the_gap_where_little_flying_counts() -> None:
 
 def test_a_spare_robot_takes_the_place_of_a_weak_one() -> None:
     mission = {"places": 6}
-    left, asleep = fly("circle", 7, seed=2, battery="2@2:10", judge="rule", mission=mission)
+    left, asleep = fly("circle", 7, seed=2, battery="2@2:6", judge="rule", mission=mission)
     assert asleep.of("incident", "battery") == {} and left.summary.killed
-    flown, events = fly("circle", 7, seed=2, battery="2@2:10", mission=mission)
+    flown, events = fly("circle", 7, seed=2, battery="2@2:6", mission=mission)
     assert {one["choice"] for one in events.of("agreed", "battery").values()} == {"spare"}
     assert not flown.summary.killed and flown.summary.formed and flown.slots[2] is None
 

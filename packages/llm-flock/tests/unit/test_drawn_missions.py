@@ -130,6 +130,14 @@ def test_the_prompt_gives_the_places() -> None:
     np.testing.assert_allclose(formation(task), mission.ideal or (), atol=2e-3)
 
 
+def test_the_prompt_says_how_heights_count() -> None:
+    mission = Mission(shape="sphere", n_robots=12, downwash=2.5)
+    said = PromptSet.load("full", json=False).system(mission)
+    assert "closer together than 3 (with differences of z divided by 2.5)" in said
+    task = read_task(said)
+    assert (task.safe_distance, task.downwash) == (3.0, 2.5)
+
+
 def test_a_frame_of_its_own_keeps_the_places() -> None:
     mission = Mission(shape=SCOUTS.spec, n_robots=7, comm_range=25)
     asked = PlanQuestion(mission=mission, robot=0, round=1, position=(20.0, 20.0), neighbors=())

@@ -12,7 +12,8 @@ import pytest
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, StepQuestion
-from llm_flock.protocol._geometry import GeometryPlanner, KnownPlans, turned
+from llm_flock.protocol._geometry import GeometryPlanner, KnownPlans
+from llm_flock.shapes import rotated
 
 CIRCLE = build_mission(shape="circle", n_robots=10)
 
@@ -81,7 +82,7 @@ def test_a_path_goes_straight_on_until_the_goal_or_the_horizon() -> None:
 
 def test_in_space_a_formation_turns_about_the_third_axis() -> None:
     points = np.array([[6.0, 5.0, 2.0], [4.0, 5.0, 8.0]])
-    np.testing.assert_allclose(turned(points, (5, 5, 5), math.pi / 2), [[5, 6, 2], [5, 4, 8]], atol=1e-12)
+    np.testing.assert_allclose(rotated(points, (5, 5, 5), math.pi / 2), [[5, 6, 2], [5, 4, 8]], atol=1e-12)
     assert points[0, 0] == 6.0
     mission = build_mission(points=points.tolist(), center=(5, 5, 5), arena=((0, 0, 0), (20, 20, 20)), spacing=4)
     plan = plan_of(GeometryPlanner(np.random.default_rng(0)), mission).plan

@@ -89,6 +89,28 @@ def test_the_shield_needs_to_see_far_enough() -> None:
     Mission(comm_range=10, sense_range=15).check_sensing()
 
 
+def test_downwash_makes_the_safe_distance_an_ellipsoid() -> None:
+    sphere, tall = (Mission(shape="sphere", n_robots=12, downwash=downwash) for downwash in (1.0, 2.0))
+    assert sphere == Mission(shape="sphere", n_robots=12) != tall
+    assert "downwash" not in sphere.model_dump() and build_mission(**tall.model_dump()) == tall
+    assert (tall.separation((50, 50, 40), (50, 50, 50)), tall.height_apart) == (5.0, 6.0)
+    assert tall.start_volume(1) == pytest.approx(2 * sphere.start_volume(1))
+    with pytest.raises(InputError, match=r"sense_range = 15.*safe_distance \* downwash \+ 2 \* max_step = 18"):
+        tall.check_sensing()
+    tall.change(sense_range=18).check_sensing()
+
+
+def test_downwash_is_refused_where_it_cannot_be_kept() -> None:
+    with pytest.raises(InputError, match=r"downwash = 2.*1 in the plane"):
+        build_mission(downwash=2)
+    with pytest.raises(InputError, match=r"downwash = 4.*at most 3\.7"):
+        build_mission(shape="sphere", n_robots=12, downwash=4)
+    tower: dict[str, Any] = {"points": [[0, 0, 0], [0, 0, 5]], "center": [50] * 3, "arena": [[0] * 3, [100] * 3]}
+    build_mission(**tower)
+    with pytest.raises(InputError, match=r"3 apart \(with differences of z divided by 2\), not 2\.5"):
+        build_mission(**tower, downwash=2)
+
+
 def test_points_say_how_many_and_where() -> None:
     mission = build_mission(points=((0, 0), (10, 0), (5, 9)))
     assert (mission.shape, mission.n_robots) == ("points", 3)

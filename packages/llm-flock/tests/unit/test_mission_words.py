@@ -17,7 +17,7 @@ from llm_flock.errors import AnswerError, FlockError, InputError, ModelError
 from llm_flock.llm import Call, MissionReader, ModelPool, Reply, draft_of
 from llm_flock.llm._mission_phrases import mission_words
 from llm_flock.message import Message, MissionStamp, received_mission
-from llm_flock.mission import WISHES, Mission, build_mission, mission_text
+from llm_flock.mission import OPTIONAL, Mission, build_mission, mission_text
 from llm_flock.record import caveats
 from llm_flock.runtime import build_config
 
@@ -137,7 +137,7 @@ def test_every_field_that_is_flown_is_said() -> None:
         "n_robots": 11, "obstacles": ({"center": (90, 90), "radius": 3},), "prefer": ({"robot": 3, "way": "edge"},),
         "then": ({"set": {"shape": "line"}},), "points": tuple((9.0 * k, 0.0) for k in range(9)),
     }  # fmt: skip
-    own = {"since", "safe_distance", "max_step", "comm_range", "sense_range", "arena"}
+    own = {"since", "safe_distance", "downwash", "max_step", "comm_range", "sense_range", "arena"}
     assert changes.keys() | own == Mission.model_fields.keys()
     for field, value in changes.items():
         shape = {"shape": "points"} if field == "points" else {}
@@ -195,6 +195,11 @@ def test_the_left_three_and_named_robots_get_their_group(seed: int) -> None:
         ({"prefer": ({"robot": 99, "way": "edge"},)}, "robots from 0 to 9"),
         ({"prefer": ({"robot": 1},)}, "robot and group"),
         ({"protocol": "paper", "then": STAGES}, "auction"),
+        (
+            {"n_robots": 257, "center": (500, 500), "arena": ((0, 0), (999, 999)), "prefer": (EDGE,)},
+            "more than 256 robots",
+        ),
+        ({"without": "joint-assignment", "prefer": (EDGE,)}, "what preferences are part of"),
         ({"then": STAGES, "changes": ({"round": 3, "robot": 0, "set": {"shape": "line"}},)}, "none beside"),
     ],
 )
@@ -212,7 +217,7 @@ def test_a_mission_arrives_as_it_was_sent(own: Mission, sent: Mission) -> None:
 
 
 def test_wishes_leave_no_trace_in_missions_without_them() -> None:
-    assert not WISHES.keys() & json.loads(Mission().model_dump_json()).keys()
+    assert not OPTIONAL.keys() & json.loads(Mission().model_dump_json()).keys()
 
 
 # ---------------------------------------------------------------- the reader

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from llm_flock.arrays import flattened, separation
 from llm_flock.metrics import min_separation, segment_separation
 
 
@@ -31,6 +32,17 @@ def test_separation_along_segments(
     before: list[tuple[float, ...]], after: list[tuple[float, ...]], nearest: float
 ) -> None:
     assert segment_separation(before, after) == pytest.approx(nearest, abs=1e-12)
+
+
+def test_heights_count_divided_by_the_downwash() -> None:
+    one, other = (1.0, 2.0, 3.0), (4.0, 6.0, 27.0)
+    assert separation(one, other, 2.0) == pytest.approx(13.0) == min_separation([one, other], 2.0)
+    assert separation(one, other, 1.0) == math.dist(one, other) > separation(one, other, 2.0)
+    assert separation(one[:2], other[:2], 1.0) == 5.0
+    assert flattened([one, other], 2.0).tolist() == [[1.0, 2.0, 1.5], [4.0, 6.0, 13.5]]
+    assert flattened([], 2.0).size == 0
+    under, passing = [(0, 0, 0), (-5, 0, 8)], [(0, 0, 0), (5, 0, 8)]
+    assert segment_separation(under, passing, downwash=2.0) == pytest.approx(4.0)
 
 
 def test_separation_of_a_single_robot_is_infinite() -> None:

@@ -27,8 +27,8 @@ from llm_flock.metrics import ShapeTarget
 from llm_flock.mission import Mission, build_mission
 from llm_flock.plan import Plan
 from llm_flock.planner import StepAnswer, StepQuestion
-from llm_flock.protocol._geometry import turned
 from llm_flock.protocol._verification.plans import check_plan
+from llm_flock.shapes import rotated
 
 ROOT = Path(__file__).parents[4]
 
@@ -346,7 +346,7 @@ def test_the_documentation_lists_exactly_the_profiles() -> None:
 
 def test_turning_keeps_the_reference_unchanged() -> None:
     ideal = np.array(CIRCLE.ideal)
-    turned(ideal, (50, 50), 1.0)
+    rotated(ideal, (50, 50), 1.0)
     np.testing.assert_array_equal(ideal, np.array(CIRCLE.ideal))
 
 

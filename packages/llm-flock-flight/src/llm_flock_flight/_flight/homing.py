@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, Sequence
 
 import numpy as np
 
-from llm_flock.arrays import Point, Points, between
+from llm_flock.arrays import Point, Points, towards
 from llm_flock.mission import Mission
 from llm_flock.protocol import Observation, ShieldedSafety, leg_to
 from llm_flock.simulate import Readings
@@ -63,8 +63,7 @@ class WayHome:
             here = seen.position
             courses = {j: course for j in team.in_radio_range[robot] if (course := last_courses[j]) is not None}
             leg = leg_to(self._mission, here, home)
-            share = min(1.0, self._mission.max_step / max(math.dist(here, leg.stop), 1e-12))
-            wish = leg.stop if share == 1.0 else between(here, leg.stop, share)
+            wish = towards(here, leg.stop, self._mission.max_step)
             scene = Observation(position=here, sensed=seen.sensed, courses=courses)
             after.append(mind.step(scene, wish, leg, self._near).waypoint)
         return np.array(after) - team.places

@@ -12,7 +12,7 @@ from llm_flock import shapes as formations
 from llm_flock.arrays import Point, Points
 from llm_flock.errors import InputError
 from llm_flock.mission import Mission, build_mission
-from llm_flock.protocol import turned
+from llm_flock.shapes import rotated
 
 STEP_TEAMS: tuple[tuple[str, int], ...] = (
     ("triangle", 3),
@@ -80,7 +80,7 @@ def draw_plan(rng: np.random.Generator, mission: Mission) -> Points:
     if mission.obstacles:
         return mission.placed(*next(mission.placements(angle_rad)))
     assert mission.ideal is not None, "only shapes whose points are known are drawn"
-    return turned(np.array(mission.ideal), mission.center, angle_rad)
+    return rotated(np.array(mission.ideal), mission.center, angle_rad)
 
 
 def direction(rng: np.random.Generator, dim: int) -> Point:

@@ -11,7 +11,7 @@ import numpy as np
 
 from llm_flock.mission import ORIENTATIONS, Mission
 from llm_flock.obstacles import clearance
-from llm_flock.protocol import turned
+from llm_flock.shapes import rotated
 from llm_flock_lab._exam.draws import draw_fields, lattice, try_mission
 from llm_flock_lab._exam.questions import Question
 
@@ -112,7 +112,7 @@ def _orientations(mission: Mission) -> int:
     """Number of orientations, of `ORIENTATIONS`, that fit between the obstacles without a shift of the centre."""
     ideal = np.array(mission.ideal)
     angles = [2 * math.pi * k / ORIENTATIONS for k in range(ORIENTATIONS)]
-    rows: list[list[list[float]]] = [turned(ideal, mission.center, angle).tolist() for angle in angles]
+    rows: list[list[list[float]]] = [rotated(ideal, mission.center, angle).tolist() for angle in angles]
     least = 1.02 * mission.body_radius
     return sum(all(clearance(tuple(row), mission.obstacles) > least for row in one) for one in rows)
 

@@ -60,9 +60,9 @@ def _mission(answer: Mapping[str, Any], base: Mission) -> dict[str, Any]:
         if len(parts) == 1:
             keeps |= {name: parts[0][name] for name in keeps if parts[0][name] is not None}
     robots = answer.get("robots")
-    wishes = _sorted([wish["robot"], wish["way"]] for wish in answer.get("prefer", ()))
+    preferences = _sorted([one["robot"], one["way"]] for one in answer.get("prefer", ()))
     # The number of robots is known, whether it is said or not.
-    return {"robots": robots or team, "gaps": answer.get("gaps"), "prefer": wishes, "stages": stages}
+    return {"robots": robots or team, "gaps": answer.get("gaps"), "prefer": preferences, "stages": stages}
 
 
 def _sorted(values: Iterable[Any]) -> list[Any]:

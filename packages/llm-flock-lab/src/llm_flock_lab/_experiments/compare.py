@@ -212,7 +212,7 @@ COLUMNS: tuple[tuple[str, Callable[[Comparison], str]], ...] = (
     ("by models %", lambda row: f"{100.0 * row.by_models.value:.1f}"),
     ("rounds [95 %]", lambda row: interval(row.rounds, 1)),
     ("ratio [95 %]", lambda row: interval(row.ratio, 2)),
-    ("min sep.", lambda row: number(row.min_separation, 6)),
+    ("min sep.", lambda row: number(row.min_separation, 3)),
     ("violations", lambda row: str(row.violations)),
     ("calls/robot [95 %]", lambda row: interval(row.calls, 2)),
     ("waypoints %", lambda row: _shares(row.waypoints)),

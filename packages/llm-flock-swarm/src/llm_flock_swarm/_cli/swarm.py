@@ -189,13 +189,13 @@ def _swarm_table(settings: SwarmConfig, result: SwarmResult) -> Table:
         latency = f"median {1000 * p50:.1f} ms, 99th percentile {1000 * p99:.1f} ms"
     not_formed = "not known" if result.formed is None else NOT_FORMED
     plan = f"robot {result.plan_robot}, by {result.plan_by}" if result.plan_robot is not None else "none in force"
-    separation, limit = result.min_separation, settings.mission.safe_distance
+    separation, mission = result.min_separation, settings.mission
     rows = [
         ("protocol", rules_text(rules.consensus, rules.assignment, shield=rules.shield)),
         ("formed", f"[bold green]yes[/], after {result.mission_s or 0.0:.1f} s" if result.formed else not_formed),
         ("stopped", result.stopped),
         ("plan", escape(plan)),
-        ("smallest separation", f"{separation:.3f} (safe distance {limit:g})"),
+        ("smallest separation", f"{separation:.3f} (safe distance {mission.safe_distance:g}){mission.by_height}"),
         ("waypoints", ", ".join(f"{n} {who}" for who, n in result.waypoints.items() if n) or "none"),
         ("model calls", f"{result.model_calls} ({result.calls_failed} failed)"),
         ("tokens", f"{result.tokens:,}"),

@@ -6,8 +6,8 @@ import asyncio
 import math
 from collections.abc import Sequence
 
-from llm_flock.arrays import Point
-from llm_flock.protocol import Sighting, clip, project_async, static_half_spaces
+from llm_flock.arrays import Point, towards
+from llm_flock.protocol import Sighting, project_async, static_half_spaces
 from llm_flock_swarm._network.config import SwarmConfig
 from llm_flock_swarm._network.wire import Body, Command
 
@@ -69,17 +69,15 @@ class BodyControl:
     def _safe(self, here: Point, waypoint: Point, sightings: Sequence[Sighting], unseen_s: float) -> Point:
         longest = self._speed * self._period_s
         if not self._shield_on:
-            return _towards(here, waypoint, longest)
+            return towards(here, waypoint, longest)
         # The body may obey a little later than commanded; until then the others may fly on.
         lasts_s = self._period_s + self._lag_s
         # A robot out of sight was outside the sensing range at the last reading, and may have approached since.
         room = self._mission.sensing - self._mission.height_apart - self._speed * (unseen_s + lasts_s)
         longest = min(longest, max(room, 0.0))
-        reach = min(1.0, longest / max(math.dist(here, waypoint), STILL))
-        wish = tuple(x + reach * (w - x) for x, w in zip(here, waypoint, strict=True))
         target = project_async(
             here,
-            wish,
+            towards(here, waypoint, longest),
             sightings,
             safe_distance=self._mission.safe_distance,
             speed=self._speed,
@@ -88,9 +86,4 @@ class BodyControl:
             also=static_half_spaces(here, self._mission, max_step=self._speed * lasts_s),
         )
         # The cell is convex, and contains the robot or only lets it move away: a shorter move that way is safe too.
-        return _towards(here, target, longest)
-
-
-def _towards(here: Point, target: Point, longest: float) -> Point:
-    move = clip(tuple(t - x for t, x in zip(target, here, strict=True)), longest)
-    return tuple(x + u for x, u in zip(here, move, strict=True))
+        return towards(here, target, longest)

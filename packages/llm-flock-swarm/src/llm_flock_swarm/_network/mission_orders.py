@@ -7,7 +7,7 @@ from typing import Any
 
 from llm_flock.members import OPERATOR
 from llm_flock.message import MissionStamp
-from llm_flock.mission import MISSION_FIELDS, WISHES, Mission
+from llm_flock.mission import MISSION_FIELDS, OPTIONAL, Mission
 from llm_flock_swarm._network.config import SwarmConfig, check_still, check_unsigned
 from llm_flock_swarm._network.connection import load_keys
 from llm_flock_swarm._network.wire import MissionOrder
@@ -24,10 +24,11 @@ def changed_mission(mission: Mission, fields: Mapping[str, Any]) -> Mission:
 def mission_order(config: SwarmConfig, fields: dict[str, Any], counter: int) -> MissionOrder:
     """An order that changes these fields of the mission; with keys it is signed, and holds the whole mission."""
     keys, mission = load_keys(config, OPERATOR), changed_mission(config.mission, fields)
+    config.check_missions(mission)
     if keys is None:
         return MissionOrder(fields=fields, counter=counter)
     check_unsigned(config, mission)
-    whole = {**WISHES, **mission.model_dump(mode="json", include=set(MISSION_FIELDS))}
+    whole = {**OPTIONAL, **mission.model_dump(mode="json", include=set(MISSION_FIELDS))}
     signature = keys.sign(mission_statement(MissionStamp(counter, mission.digest)))
     return MissionOrder(fields=whole, counter=counter, signature=signature)
 

@@ -15,7 +15,7 @@ from contextlib import closing
 import numpy as np
 
 from llm_flock import metrics
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Point, Points, between
 from llm_flock.members import WORLD
 from llm_flock.runtime import finite, starts_of
 from llm_flock_swarm._network.config import SwarmConfig
@@ -92,8 +92,7 @@ class WorldBodies:
                 left -= distance
                 here = path.pop(0)
             else:
-                share = left / distance
-                here = tuple(x + share * (y - x) for x, y in zip(here, path[0], strict=True))
+                here = between(here, path[0], left / distance)
                 left = 0.0
         if path and self._deadlines[robot] <= self._now + step:
             path.clear()

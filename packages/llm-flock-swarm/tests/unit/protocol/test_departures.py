@@ -207,6 +207,7 @@ def spread(mission: Mission) -> list[Point]:
     return [tuple(row) for row in start_positions(mission, None, "connected", rng).tolist()]
 
 
+@pytest.mark.no_cover
 def test_robot_that_moves_on_repeatedly_is_excluded_by_all() -> None:
     team = beside_lies("moves on before others know", MISSION, line_up(N), liars=TWO, rounds=40)
     assert {evidence_of(agent).excluded for agent in team.agents} == {frozenset({5})} and team.settled()

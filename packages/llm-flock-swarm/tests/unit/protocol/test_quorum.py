@@ -92,6 +92,7 @@ def test_exchanges_count_only_where_one_partner_is_surely_honest(tolerated: int)
     team.end()
 
 
+@pytest.mark.no_cover
 @pytest.mark.parametrize("tolerated", [1, TWO])
 def test_robots_offer_exchanges_only_where_these_count(tolerated: int) -> None:
     team = SignedTeam(MISSION, line_up(N), liars=0, tolerated=tolerated)
@@ -103,6 +104,7 @@ def test_robots_offer_exchanges_only_where_these_count(tolerated: int) -> None:
     assert offered is (tolerated == 1)
 
 
+@pytest.mark.no_cover
 def test_two_cannot_raise_a_version_above_every_number() -> None:
     """Not even where only one was reckoned with."""
     team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=1)

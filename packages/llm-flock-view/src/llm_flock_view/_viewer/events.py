@@ -143,7 +143,8 @@ def _deadlock(detail: Detail) -> str:
 
 
 def _incident(detail: Detail) -> str:
-    what = "has failed" if detail.get("about") == "death" else "has a weak battery"
+    whats = {"death": "has failed", "battery": "has a weak battery", "blocked": "has an obstacle in its way"}
+    what = whats.get(str(detail.get("about")), "needs a choice")
     return (
         f"noticed that robot {detail.get('robot')} {what}; options: {', '.join(map(str, _list(detail.get('options'))))}"
     )

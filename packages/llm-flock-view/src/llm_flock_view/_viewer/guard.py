@@ -32,8 +32,36 @@ HEADERS = (
     (b"x-frame-options", b"DENY"),
     (b"referrer-policy", b"no-referrer"),
 )
-LEADS_ON = '<!doctype html><link rel="icon" href="data:,"><meta http-equiv="refresh" content="0;url={}">'
+LEADS_ON = (
+    '<!doctype html><link rel="icon" href="data:,"><a href="{}"></a>'
+    '<script>location.replace(document.querySelector("a").href + location.hash)</script>'
+)
+"""What stands behind # is known to the browser alone."""
+
 NEEDED = "This viewer needs the address with its token: open it as `llm-flock view` printed it in its terminal.\n"
+ASKS = """<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="color-scheme" content="light dark">
+<meta name="viewport" content="width=device-width, initial-scale=1"><title>Token needed · LLM-Flock</title>
+<link rel="icon" href="data:,"><style>
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 36em; margin: 2em auto; padding: 0 1em; }
+input, button { font: inherit; min-height: 44px; padding: 0 8px; width: 100%; box-sizing: border-box; margin-top: 8px; }
+</style></head><body><main><h1>This viewer asks for its token</h1>
+<p>Paste the address here as `llm-flock view` printed it in its terminal. The page that you asked for follows.</p>
+<form><label for="given">Address or token</label><input id="given" autocomplete="off" spellcheck="false" required>
+<button>Open</button></form><p role="status"></p></main><script>
+const wanted = new URL(location.href);
+const wrong = wanted.searchParams.has("token");
+document.querySelector("[role]").textContent = wrong ? "This is not the token of this viewer." : "";
+document.querySelector("form").addEventListener("submit", (event) => {
+  event.preventDefault();
+  const given = document.querySelector("input").value.trim();
+  wanted.searchParams.set("token", given.includes("token=") ? new URL(given).searchParams.get("token") : given);
+  location.replace(wanted);
+});
+// The token may have been shown in another tab meanwhile.
+addEventListener("focus", async () => { if ((await fetch(location.pathname)).ok) location.reload(); });
+</script></body></html>
+"""
+"""For a person: the address that was asked for, with its moment, is kept until the token is there."""
 
 
 class RequestGuard:
@@ -71,7 +99,8 @@ class RequestGuard:
             return answer
         if self._is_token(unquote(asked.cookies.get(cookie, ""))):
             return None
-        return PlainTextResponse(NEEDED, 401)
+        person = asked.method == "GET" and "text/html" in asked.headers.get("accept", "")
+        return HTMLResponse(ASKS, 401) if person else PlainTextResponse(NEEDED, 401)
 
     def _is_token(self, given: str) -> bool:
         return hmac.compare_digest(given.encode(), self._token.encode())

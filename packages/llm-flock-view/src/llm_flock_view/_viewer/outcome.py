@@ -32,18 +32,24 @@ def outcome(run: RunHistory, *, over: bool) -> dict[str, Any]:
         "headline": came.headline,
         "protocol": protocol_name(run),
         "why": found.why,
-        "by": begun(_work(run)) if formed else "",
+        "by": begun(_work(run, came.missions[-1].formed if over else None)) if formed else "",
+        "stood": run.formations,
         "robots": list(found.robots),
         "interesting": interesting(run, found),
         "missions": [part._asdict() for part in came.missions],
     }
 
 
-def _work(run: RunHistory) -> str:
-    """The robots that died, and the share of models and geometry in the work."""
-    work = work_text(run.result or {}).replace(",", ", ").replace(",  ", ", ")  # so that a list of faults breaks
+def _work(run: RunHistory, since: int | None) -> str:
+    """How long the team stood formed if it did so to the end, deaths, and the share of models and geometry."""
+    last, work = (
+        run.last_round,
+        work_text(run.result or {}).replace(",", ", ").replace(",  ", ", "),
+    )  # so that it breaks
+    stands = since is not None and since < last and run.rows[last].in_order_since is not None
+    stood = f"stood from round {since} to the end in round {last}" if stands else ""
     beware = caveats(run.result or {}, run.missions[0].mission) if run.missions else []
-    return " · ".join(part for part in (deaths_text(run), *beware, work) if part)
+    return " · ".join(part for part in (stood, deaths_text(run), *beware, work) if part)
 
 
 def protocol_name(run: RunHistory) -> str:

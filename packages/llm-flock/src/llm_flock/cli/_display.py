@@ -74,7 +74,7 @@ def live_line(
 def summary_table(result: RunResult) -> Table:
     """The result of a run as a table."""
     summary, mission = result.summary, result.mission
-    safe = f"{mission.safe_distance:g}{mission.by_height}"
+    safe = f"(safe distance {mission.safe_distance:g}){mission.by_height}"
     simulated = " (simulated language models)" if summary.simulated else ""
     title = escape(f"{shape_title(summary.shape)}, {summary.n_robots} robots, {', '.join(summary.models)}{simulated}")
     table = Table(title=title, show_header=False, title_justify="left")
@@ -87,7 +87,7 @@ def summary_table(result: RunResult) -> Table:
         ("plans in use", str(summary.plans_in_use)),
         ("distinct goals", f"{summary.distinct_goals} of {summary.awake}"),
         ("error", _number(summary.procrustes_mean, "mean distance to the ideal shape {:.3f}")),
-        ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" (safe distance {safe})"),
+        ("smallest separation", _number(summary.min_separation, "{:.3f}") + f" {safe}"),
         ("work", escape(work_text(summary.to_dict())) or "none"),
         ("model calls", f"{summary.model_calls} ({summary.calls_rejected} rejected, {summary.calls_failed} failed)"),
         ("tokens", f"{summary.tokens_input:,} in, {summary.tokens_output:,} out"),

@@ -15,7 +15,7 @@ from llm_flock.errors import InputError
 from llm_flock.formation import parse_program
 from llm_flock.formation._program import Flat
 from llm_flock.llm._mission_phrases import FIRST_CORNER_EAST, mission_words
-from llm_flock.mission import WISHES, Mission, build_mission
+from llm_flock.mission import OPTIONAL, Mission, build_mission
 from llm_flock.obstacles import Obstacle
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -109,7 +109,7 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
     if not answer.stages or (answer.stages[0].when is not None and not flying):
         allowed = "at least one stage, of which the first begins at once: it has no `when`"
         raise InputError("stages", len(answer.stages), allowed)
-    start: dict[str, Any] = {} if flying else {"n_robots": n, "places": None, "points": None, **WISHES}
+    start: dict[str, Any] = {} if flying else {"n_robots": n, "places": None, "points": None, **OPTIONAL}
     start |= {"obstacles": [*base.obstacles, *zones]} if zones else {}
     space = not flying and base.dim == 2 and formations.in_space(answer.stages[0].parts[0].shape)
     now = base.model_copy(update={"n_robots": n, "center": (*base.center, MIDDLE) if space else base.center})
@@ -135,7 +135,7 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
 
 def plain_fields(mission: Mission, names: Iterable[str]) -> dict[str, Any]:
     """Some fields of a mission as plain values for JSON, also those that it leaves out."""
-    return {name: WISHES[name] for name in names if name in WISHES} | mission.model_dump(
+    return {name: OPTIONAL[name] for name in names if name in OPTIONAL} | mission.model_dump(
         mode="json", include=set(names)
     )
 
@@ -143,11 +143,11 @@ def plain_fields(mission: Mission, names: Iterable[str]) -> dict[str, Any]:
 def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dict[str, Any]:
     """A stage as the fields of a mission that it sets. What it does not say stays as in `base`."""
     parts, n = stage.parts, base.n_robots
-    wishes: list[dict[str, Any]] = [wish.model_dump() for wish in prefer]
+    preferences: list[dict[str, Any]] = [one.model_dump() for one in prefer]
     for k, who in enumerate(part.who or Who() for part in parts):
-        wishes += [{"robot": robot, "group": k} for robot in who.ids or ()]
+        preferences += [{"robot": robot, "group": k} for robot in who.ids or ()]
         if who.side not in (None, "nearest"):
-            wishes.append({"side": SIDES.get(who.side, who.side), "group": k})
+            preferences.append({"side": SIDES.get(who.side, who.side), "group": k})
     named = [robot for part in parts for robot in (part.who and part.who.ids) or ()]
     if twice := sorted({robot for robot in named if named.count(robot) > 1}):
         raise InputError("ids", twice, "each robot in one part, once")
@@ -161,7 +161,7 @@ def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dic
     sizes = [count or (n - fixed) // others + (next(turns) < (n - fixed) % others) for count in counts]
     if len({part.velocity for part in parts}) > 1:
         raise InputError("velocity", None, "the same for all parts: a formation travels as a whole")
-    fields = {"places": None if others or fixed == n else fixed, "hold": stage.hold, "prefer": wishes}
+    fields = {"places": None if others or fixed == n else fixed, "hold": stage.hold, "prefer": preferences}
     fields |= {"velocity": parts[0].velocity} if parts[0].velocity is not None else {}
     if len(parts) == 1:
         return fields | _alone(parts[0], sizes[0], base)

@@ -60,7 +60,7 @@ def _stage_words(mission: Mission) -> str:
         said.append(_orientation(mission))
     said += [f"travelling by {_at(mission.velocity)} a round"] if mission.velocity is not None else []
     said += [f"{abs(spare)} {'robots wait aside' if spare > 0 else 'places stay empty'}"] if spare else []
-    said += [f"robot {wish.robot} {WAYS[wish.way]}" for wish in mission.prefer if wish.way is not None]
+    said += [f"robot {one.robot} {WAYS[one.way]}" for one in mission.prefer if one.way is not None]
     said += [f"held for {mission.hold} rounds"] if mission.hold else []
     return ", ".join(said)
 
@@ -75,8 +75,8 @@ def _orientation(mission: Mission) -> str:
 
 def _chosen(mission: Mission, group: int) -> str:
     """Who is to fly a group, in words; empty if nobody is preferred."""
-    ids = [str(wish.robot) for wish in mission.prefer if wish.group == group and wish.robot is not None]
-    sides = [f"those farthest {wish.side}" for wish in mission.prefer if wish.group == group and wish.side is not None]
+    ids = [str(one.robot) for one in mission.prefer if one.group == group and one.robot is not None]
+    sides = [f"those farthest {one.side}" for one in mission.prefer if one.group == group and one.side is not None]
     return " and ".join([*([f"robots {', '.join(ids)}"] if ids else []), *sides])
 
 

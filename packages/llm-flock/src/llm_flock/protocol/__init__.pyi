@@ -18,7 +18,6 @@ from ._agreement.consensus import plan_key as plan_key
 from ._geometry import GeometryPlanner as GeometryPlanner
 from ._geometry import geometric_plan as geometric_plan
 from ._geometry import straight_path as straight_path
-from ._geometry import turned as turned
 from ._membership.team import TeamMembership as TeamMembership
 from ._messages.channel import Authorization as Authorization
 from ._messages.channel import Channel as Channel

@@ -9,19 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Point, Points
+from llm_flock.arrays import Point
 from llm_flock.mission import Mission
 from llm_flock.plan import Drawing, Plan
 from llm_flock.planner import NoAnswer, PlanAnswer, Planner, PlanQuestion, StepAnswer, StepQuestion
 from llm_flock.protocol._verification.plans import check_proposal
 from llm_flock.protocol._verification.steps import towards
-
-
-def turned(points: Points, center: tuple[float, ...], angle_rad: float) -> Points:
-    """A formation, shape (n, d), turned about its centre: in the plane, or about the third axis in space."""
-    out = np.array(points, dtype=np.float64)
-    out[:, :2] = formations.rotated(out[:, :2], center[:2], angle_rad)
-    return out
 
 
 def ideal_plan(mission: Mission, turn_rad: float, shift: Point = (0.0, 0.0)) -> Plan:

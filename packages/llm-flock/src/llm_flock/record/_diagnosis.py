@@ -69,11 +69,23 @@ def diagnose(run: RunHistory) -> Diagnosis:
 
 
 def deaths_text(run: RunHistory) -> str:
-    """The robots that are dead in the last round, and when they died; empty if all are alive."""
+    """The robots that are dead in the last round, when they died and by what; empty if all are alive."""
     dead = _dead_robots(run)
     rounds = sorted({run.death_rounds[robot] for robot in dead if robot in run.death_rounds})
     when = f" in round{'s' if len(rounds) > 1 else ''} {', '.join(map(str, rounds[:MAX_PLACES]))}" if rounds else ""
-    return f"{robots_text(dead)} died{when}" if dead else ""
+    by = ", ".join(sorted({_killer(run, robot) for robot in dead}))
+    return f"{robots_text(dead)} died{when} ({by})" if dead else ""
+
+
+def _killer(run: RunHistory, robot: int) -> str:
+    """By what a robot died: runs kill robots as they are told, and of a swarm's robots nothing more is heard."""
+    number = run.death_rounds.get(robot)
+    if number is None:
+        return "no longer heard"
+    trial: Mapping[str, Any] = {} if run.info is None else run.info.config.get("trial", {})
+    if f"{robot}@{number}" in str(trial.get("kill")).replace(" ", "").split(","):
+        return "killed by --kill"
+    return "killed by --kill-random" if trial.get("kill_random") else "killed by an order in flight"
 
 
 def _dead_robots(run: RunHistory) -> list[int]:

@@ -50,7 +50,7 @@ def outcome_of(run: RunHistory, *, over: bool = True) -> RunOutcome:
         when = formed_text(run.result or {}, part.formed)
         if broken:
             when = _until(run, *stood[-1])
-        elif empty and (before := [span for span in stood if span[0] < (part.formed or 0)]):
+        elif before := [span for span in stood if span[0] < (part.formed or 0)]:
             when = f"{_until(run, *before[-1])}; formed again {when.removeprefix('formed ')}"
         words = f"{when}{given}{help_text(run.result or {})}"
     else:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, cast, get_args
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, model_validator
 
 from llm_flock import graph, metrics
-from llm_flock.bounds import DEEPEST, MAX_INTEGER, TIME_OUT
+from llm_flock.bounds import DEEPEST, MAX_INTEGER, MAX_WAITING, TIME_OUT
 from llm_flock.errors import FieldError, InputError, unknown
 from llm_flock.links import LinkFaults
 from llm_flock.llm._port import FrameName
@@ -114,8 +114,8 @@ class ProtocolConfig(ConfigSection):
     )
     judge: Literal["rule", "models"] = Field(
         default="rule",
-        description="After a death that leaves a gap, or with a weak battery: do as --gaps says and fly on (rule), or "
-        "ask all models once, and do what most of them choose (models)",
+        description="After a death that leaves a gap, with a weak battery or a blocked way: do as --gaps says and fly "
+        "on (rule), or ask all models once, and do what most of them choose (models)",
     )
     time_out: int = Field(
         default=TIME_OUT,
@@ -239,18 +239,28 @@ class RunConfig(ConfigSection):
                     allowed = f"a speed of at most {reach / rounds:.4g}: robots must see an obstacle before it is there"
                     raise InputError("moving_obstacles", one.model_dump(), allowed)
         given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
-        staged = [mission for mission in (self.mission, *given) if mission.then or mission.prefer]
-        if staged and self.protocol.assignment != "auction":
-            allowed = "auction, by which robots tell each other who stands where, for a mission with then or prefer"
-            raise InputError("assignment", self.protocol.assignment, allowed)
-        if self.trial.changes and any(mission.then for mission in staged):
+        self.check_missions(self.mission, *given)
+        if self.trial.changes and any(mission.then for mission in (self.mission, *given)):
             raise InputError(
                 "changes", len(self.trial.changes), "none beside `then`, whose stages may begin in a round"
             )
-        if self.sight.rests and any(mission.velocity is not None for mission in (self.mission, *given)):
+        return self
+
+    def check_missions(self, *missions: Mission) -> None:
+        """InputError unless these rules and sensors can fly such missions. Call for every order, also in flight."""
+        protocol = self.protocol
+        if protocol.assignment != "auction" and any(mission.then or mission.prefer for mission in missions):
+            allowed = "auction, by which robots tell each other who stands where, for a mission with then or prefer"
+            raise InputError("assignment", protocol.assignment, allowed)
+        if any(mission.prefer for mission in missions):
+            if self.mission.n_robots > MAX_WAITING:
+                allowed = f"none in a team of more than {MAX_WAITING} robots, whose places are not given together"
+                raise InputError("prefer", len(missions[-1].prefer), allowed)
+            if protocol.without == "joint-assignment":
+                raise InputError("without", protocol.without, says="takes away what preferences are part of")
+        if self.sight.rests and any(mission.velocity is not None for mission in missions):
             says = "cannot be used with a formation that travels: robots that rest to be seen would fall behind"
             raise InputError("sensing_delay", self.trial.sensing_delay, says=says)
-        return self
 
     def schedule(self) -> Schedule:
         """Deaths, joins and mission changes in flight, random ones drawn from the seed. InputError if impossible."""

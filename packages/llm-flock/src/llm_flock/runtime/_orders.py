@@ -6,7 +6,7 @@ import threading
 from typing import Any
 
 from llm_flock.errors import InputError
-from llm_flock.mission import MISSION_FIELDS, WISHES
+from llm_flock.mission import MISSION_FIELDS, OPTIONAL
 from llm_flock.runtime._config import RunConfig
 from llm_flock.runtime._schedule import Change, build_schedule
 from llm_flock.runtime._trial import Trial
@@ -46,7 +46,7 @@ class RunOrders:
             when = self.round + 1
             if self._staged:  # the schedule does not know this stage
                 changed = self.mission.at(when).change(**fields, since=when)
-                fields = {**WISHES, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
+                fields = {**OPTIONAL, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
             dead = self._schedule.kills.get(when, ())
             taker = next(robot for robot in self._awake if robot not in dead)
             # A second order for the next round replaces the first; the configuration's own changes stay.
@@ -73,5 +73,7 @@ class RunOrders:
         """Take everything that happened and is ordered, if it is as the command line allows it."""
         events = {"kill_random": 0, "join_random": 0, "changes": tuple(changes)}
         lists = {"kill": ",".join(kills) or None, "join": ",".join(self._joins) or None}
-        self._schedule = build_schedule(self._config.mission, self._config.trial.model_copy(update=events | lists))
+        schedule = build_schedule(self._config.mission, self._config.trial.model_copy(update=events | lists))
+        self._config.check_missions(*(mission for orders in schedule.missions.values() for _, mission in orders))
+        self._schedule = schedule
         self._kills, self._changes = kills, changes

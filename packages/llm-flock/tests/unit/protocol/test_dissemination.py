@@ -11,7 +11,7 @@ from still_team import StillTeam, connected_places
 from tables import told
 
 from llm_flock.message import UNSAID, BidEntry, BidTable, Message, MissionStamp, Provenance, decode, table_digest
-from llm_flock.mission import MISSION_FIELDS, WISHES, Mission, mission_text
+from llm_flock.mission import MISSION_FIELDS, OPTIONAL, Mission, mission_text
 from llm_flock.plan import Plan
 from llm_flock.protocol._membership.liveness import Liveness
 from llm_flock.protocol._messages.dissemination import RESTLESS_ROUNDS, SMALL, Dissemination
@@ -161,8 +161,8 @@ def test_mission_is_spelled_out_only_for_outdated_neighbours() -> None:
 
 
 def test_a_spelled_out_mission_leaves_out_a_robots_own_limits() -> None:
-    assert set(json.loads(mission_text(MISSION))) == MISSION_FIELDS - WISHES.keys()
-    own = {"n_robots", "safe_distance", "max_step", "comm_range", "sense_range", "arena", "obstacles"}
+    assert set(json.loads(mission_text(MISSION))) == MISSION_FIELDS - OPTIONAL.keys()
+    own = {"n_robots", "safe_distance", "downwash", "max_step", "comm_range", "sense_range", "arena", "obstacles"}
     assert set(Mission.model_fields) - MISSION_FIELDS == own
 
 

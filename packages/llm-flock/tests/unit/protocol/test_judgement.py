@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from typing import Any
 
 import numpy as np
@@ -11,17 +13,25 @@ from msgspec.structs import replace
 import llm_flock
 from llm_flock.arrays import Point
 from llm_flock.events import AskJudgement, Note
-from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Incident, Vote
+from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Choice, Incident, Vote
 from llm_flock.mission import Mission
-from llm_flock.obstacles import Obstacle
+from llm_flock.obstacles import Mover, Obstacle
 from llm_flock.plan import Plan
 from llm_flock.planner import AIMS, JudgementAnswer, JudgementOption, NoAnswer, best_option
 from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._agreement.assignment import Claim
-from llm_flock.protocol._agreement.judgement import PATIENCE, WEIGHT, Judgement
-from llm_flock.protocol._agreement.options import LARGEST, battery_options, closing, death_options
+from llm_flock.protocol._agreement.judgement import PATIENCE, STUCK, WEIGHT, Judgement
+from llm_flock.protocol._agreement.options import (
+    LARGEST,
+    battery_options,
+    blocked_options,
+    closing,
+    death_options,
+    way_past,
+)
 from llm_flock.protocol._membership.team import TeamMembership
-from llm_flock.protocol._parts import Gaps, Parts, Situation
+from llm_flock.protocol._motion.safety import ShieldedSafety
+from llm_flock.protocol._parts import Gaps, Observation, Parts, Situation
 
 FIVE = Mission(shape="line", n_robots=5, comm_range=60)
 SPOTS: tuple[Point, ...] = FIVE.ideal or ((0.0, 0.0),) * 5
@@ -105,6 +115,13 @@ def test_a_weak_robot_may_go_on_swap_or_be_replaced() -> None:
     assert (go_on.lost, go_on.gaps, swap.lost, spare.lost) == (1, 1, 0, 0)
     assert "robot 1" in swap.does and "robot 5" in spare.does
     assert best_option(options) in ("swap", "spare")
+    empty = battery_options(replace(WEAK, left=1.0), now, 0, frozenset(range(6)))
+    assert [option.lost for option in empty] == [1, 1, 1]  # it would have to get out of the way, too
+
+
+def test_nobody_swaps_places_that_were_given_by_preference() -> None:
+    now = situation(0, 1, 2, 3, 4, mission=FIVE.change(prefer=({"robot": 4, "way": "edge"},)), sensed={1: SPOTS[1]})
+    assert names(battery_options(WEAK, now, 0, frozenset(range(5)))) == ["continue"]
 
 
 def test_a_robot_that_reaches_its_place_is_not_lost() -> None:
@@ -139,6 +156,46 @@ def test_without_a_place_for_the_weak_robot_there_are_no_options() -> None:
     assert battery_options(WEAK, now, 0, frozenset(range(5))) == ()
 
 
+def blocked(center: Point, radius: float, mission: Mission = FIVE) -> tuple[Incident, Situation]:
+    """Robot 4 stands 20 units below its place, robot 0 at its own."""
+    now = situation(0, 1, 2, 3, 4, mission=mission, sensed={4: (SPOTS[4][0], SPOTS[4][1] - 20.0)})
+    return Incident(kind="blocked", robot=4, left=radius, at=center), now
+
+
+def test_a_robot_may_wait_or_go_round_what_is_in_its_way() -> None:
+    incident, now = blocked((SPOTS[4][0], SPOTS[4][1] - 10.0), 3.0)
+    wait, around = blocked_options(incident, now, 0, frozenset(range(5)))
+    assert (wait.choice, wait.gaps, wait.rounds, wait.distance) == ("wait", 1, 0, 0.0)
+    assert (around.choice, around.gaps) == ("round", 0) and around.distance > 20.0
+    assert around.rounds == math.ceil(around.distance / FIVE.max_step)
+
+
+def test_a_spare_robot_that_gets_there_takes_the_place() -> None:
+    six = Mission(shape="line", n_robots=6, places=5, comm_range=60)
+    incident, now = blocked((SPOTS[4][0], SPOTS[4][1] - 10.0), 3.0, six)
+    assert names(blocked_options(incident, now, 0, frozenset(range(6)))) == ["wait", "round"]  # nobody sees it
+    now.sensed = {**now.sensed, 5: (SPOTS[4][0], SPOTS[4][1] + 6.0)}
+    spare = blocked_options(incident, now, 0, frozenset(range(6)))[-1]
+    assert (spare.choice, spare.rounds) == ("spare", 1) and "spare robot 5" in spare.does
+
+
+def test_a_covered_place_needs_another_plan() -> None:
+    incident, now = blocked(SPOTS[4], 3.0)
+    options = blocked_options(incident, now, 0, frozenset(range(5)))
+    assert names(options) == ["wait", "replan"] and options[1].gaps == 0 and options[1].distance > 0.0
+    incident, now = blocked(SPOTS[2], 3.0)  # the middle of every line about this centre
+    assert names(blocked_options(replace(incident, robot=2), now, 2, frozenset(range(5)))) == ["wait"]
+
+
+def test_who_does_not_see_the_blocked_robot_has_no_options() -> None:
+    incident, now = blocked(SPOTS[4], 3.0)
+    now.sensed = {}
+    assert blocked_options(incident, now, 0, frozenset(range(5))) == ()
+    assert blocked_options(replace(incident, robot=9), now, 0, frozenset(range(5))) == ()
+    now.plan = None
+    assert blocked_options(incident, now, 0, frozenset(range(5))) == ()
+
+
 @pytest.mark.parametrize(("aim", "best"), [*zip(AIMS, ("replan", "leave", "leave"), strict=True)])
 def test_the_right_option_depends_on_what_counts(aim: str, best: str) -> None:
     options = death_options(situation(0, 1, NO_OWNER, 3, 4, visits=1.0))
@@ -165,10 +222,10 @@ class Judging:
         live = self.membership.liveness
         live.silent, live.strangers = frozenset(range(5)) - {*robots}, frozenset()
 
-    def round(self) -> list[AskJudgement | Note]:
+    def round(self, *resting: Obstacle, **sensed: Point) -> list[AskJudgement | Note]:
         self.number += 1
-        self.agreement.sense(self.here, {})
-        return self.judgement.begin_round(self.number, self.here)
+        self.agreement.sense(self.here, {int(robot[1:]): x for robot, x in sensed.items()})
+        return self.judgement.begin_round(self.number, self.here, resting)
 
     def fails(self, robot: int = 2) -> list[AskJudgement | Note]:
         """Robot 2 dies, and leaves its place empty."""
@@ -339,9 +396,13 @@ def test_a_robot_that_sees_no_choice_casts_an_empty_vote() -> None:
 def test_flying_uses_the_battery_up_and_a_new_mission_asks_again() -> None:
     team = Judging()
     team.round()
-    team.judgement.weaken(10.0)
     team.here = (team.here[0], team.here[1] + 4.0)
+    team.judgement.weaken(10.0)  # what was flown before this does not count
     assert kinds(team.round()) == ["incident"]
+    assert team.judgement.votes.incidents["battery", 0].left == 10.0
+    team.judgement.begin_mission()
+    team.here = (team.here[0], team.here[1] - 4.0)
+    team.round()
     assert team.judgement.votes.incidents["battery", 0].left == pytest.approx(6.0)
     team.judgement.begin_mission()
     team.here = (team.here[0], team.here[1] + 40.0)
@@ -350,6 +411,117 @@ def test_flying_uses_the_battery_up_and_a_new_mission_asks_again() -> None:
     team.judgement.begin_mission()
     stale = team.judgement.take(JudgementAnswer(choice="continue"))
     assert stale == [Note("stale_answer", {"about": "judgement"})]
+
+
+BELOW = (SPOTS[4][0], SPOTS[4][1] - 20.0)
+DISC = Obstacle(center=(SPOTS[4][0], SPOTS[4][1] - 10.0), radius=3.0)
+
+
+def stuck(disc: Obstacle = DISC) -> tuple[Judging, list[AskJudgement | Note]]:
+    """Robot 4 flies no more towards its place, because of an obstacle."""
+    team = Judging(4)
+    team.here = BELOW
+    for _ in range(STUCK):
+        assert team.round(disc) == []
+    return team, team.round(disc)
+
+
+def choose(team: Judging, choice: Choice) -> Incident:
+    """The whole team, robot 4 as well, votes for a choice about its way."""
+    team.judgement.take(JudgementAnswer(choice=choice))
+    incident = team.judgement.votes.incidents["blocked", 4]
+    team.hear(incident, r0=choice, r1=choice, r2=choice, r3=choice)
+    return incident
+
+
+def test_a_robot_that_an_obstacle_stops_asks_once() -> None:
+    team, effects = stuck()
+    asked = effects[-1]
+    assert isinstance(asked, AskJudgement) and "in the way of robot 4" in asked.question.event
+    assert effects[0] == Note("incident", {"about": "blocked", "robot": 4, "options": ["wait", "round"]})
+    incident = choose(team, "round")
+    assert (incident.left, incident.at) == (DISC.radius, DISC.center)
+    assert kinds(team.round(DISC)) == ["agreed"] and team.agreement.resting == (DISC,)
+    kept = team.agreement.resting
+    assert team.round(DISC) == [] and team.agreement.resting is kept and team.judgement.waits is None
+    assert way_past((), BELOW, SPOTS[4], team.agreement) > 20.0
+
+
+def test_an_obstacle_elsewhere_stops_nobody() -> None:
+    for disc in (Obstacle(center=(SPOTS[0][0], 20.0), radius=3.0), None):
+        team = Judging(4)
+        team.here = BELOW
+        for _ in range(STUCK + 2):
+            assert team.round(*([] if disc is None else [disc])) == []
+    team = Judging(4)  # one that flies on is not stopped
+    for k in range(STUCK + 2):
+        team.here = (BELOW[0], BELOW[1] + k)
+        assert team.round(DISC) == []
+    at_home = Judging(4)
+    at_home.here = SPOTS[4]
+    for _ in range(STUCK + 2):
+        assert at_home.round(DISC) == []
+
+
+def test_obstacles_rest_that_are_where_they_were() -> None:
+    here = Mover(number=0, position=(60.0, 50.0), radius=2.0, speed=3.0)
+    scene = Observation(position=(50.0, 50.0), sensed={}, moving=(here,))
+    assert Parts().safety.resting(scene) == ()
+    safety = ShieldedSafety(0, FIVE, noise_bound=0.1)
+    assert safety.resting(scene) == (), "it has just come into sight"
+    safety.stay(scene)
+    (disc,) = safety.resting(scene)
+    assert (disc.center, disc.radius) == ((60.0, 50.0), pytest.approx(5.2))
+    assert safety.resting(replace(scene, moving=(dataclasses.replace(here, position=(60.0, 51.0)),))) == ()
+
+
+def test_a_formation_that_travels_asks_about_no_way() -> None:
+    team = Judging(4)
+    team.here, team.agreement.mission = BELOW, FIVE.change(velocity=(0.1, 0.0))
+    for _ in range(STUCK + 2):
+        assert team.round(DISC) == []
+
+
+def test_a_robot_that_is_to_wait_holds_while_it_is_blocked() -> None:
+    team, _ = stuck()
+    assert team.judgement.waits is None
+    choose(team, "wait")
+    team.round(DISC)
+    assert team.judgement.waits == "blocked" and team.agreement.resting == ()
+    team.round()  # the obstacle has flown on
+    assert team.judgement.waits is None
+
+
+def test_a_place_under_an_obstacle_is_planned_away() -> None:
+    disc = Obstacle(center=SPOTS[4], radius=3.0)
+    team, effects = stuck(disc)
+    assert effects[0] == Note("incident", {"about": "blocked", "robot": 4, "options": ["wait", "replan"]})
+    choose(team, "replan")
+    team.round(disc)
+    assert team.membership.gaps == "replan" and team.agreement.resting == (disc,)
+    occupancy = team.membership.occupancy(team.agreement, hears_others=True, knows_blocked=True)
+    assert (occupancy.blocked, 4 in occupancy.clear) == ({4}, False)
+
+
+def test_a_blocked_robot_gives_its_place_to_a_spare_one() -> None:
+    team, _ = stuck()
+    choose(team, "spare")
+    assert kinds(team.round(DISC)) == ["agreed", "claimed"] and team.agreement.retired
+    assert team.round(DISC) == []  # without a place nothing is in its way
+
+
+def test_a_team_goes_round_an_obstacle_in_a_door() -> None:
+    gaps = ((0, 40), (50, 80), (90, 100))
+    walls = tuple(Obstacle(polygon=((50, a), (54, a), (54, b), (50, b))) for a, b in gaps)
+    mission = Mission(
+        shape="line", turn=90, n_robots=5, center=(76, 45), spacing=8, comm_range=100, sense_range=100, obstacles=walls
+    )
+    door: Any = ({"center": (58, 45), "radius": 4, "speed": 3, "path": ((52, 45),)},)
+    given: Any = {"moving_obstacles": door, "seed": 1, "decide": "on-event", "time_out": 5, "trace": False}
+    usual = llm_flock.run(mission, rounds=30, **given)
+    judged = llm_flock.run(mission, rounds=30, judge="models", **given)
+    assert (usual.formed, judged.formed) == (False, True)
+    assert (judged.summary.min_separation or 0.0) >= mission.safe_distance
 
 
 def test_no_search_begins_while_the_team_chooses() -> None:

@@ -28,8 +28,8 @@ from llm_flock.message import (
 )
 from llm_flock.mission import Mission
 from llm_flock.plan import Drawing, Plan
-from llm_flock.protocol import turned
 from llm_flock.protocol._geometry import ideal_plan
+from llm_flock.shapes import rotated
 
 PLAN = Plan.of([[1.0, 2.0], [3.5, -4.25]])
 ORIGIN = Provenance(mission=0, mission_digest="ab" * 8, epoch=0, degree=1, proposer=1, sequence=0)
@@ -100,7 +100,7 @@ def test_the_plan_of_a_program_costs_no_bytes_for_places(shape: str, dim: int, s
             and read.plan.points == plan.points
             and read.places == len(plan.points) == n
         )
-        assert np.allclose(plan.array, Plan.of(turned(np.array(mission.ideal), mission.center, 0.3)).array, atol=0.2)
+        assert np.allclose(plan.array, Plan.of(rotated(np.array(mission.ideal), mission.center, 0.3)).array, atol=0.2)
         sizes.append(len(encode(said)))
         as_points.append(len(encode(replace(said, plan=Plan(plan.points)))))
     assert sizes == [size] * 3

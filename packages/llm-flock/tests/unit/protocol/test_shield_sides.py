@@ -31,6 +31,19 @@ def test_a_body_on_the_own_spot_gives_no_side() -> None:
     assert len(separation_half_spaces(here, others, safe_distance=3.0, max_step=6.0)) == 1
 
 
+@pytest.mark.parametrize(("downwash", "height", "out_of_step"), [(1.0, 2.5, 0.5), (2.0, 1.0, 0.0)])
+def test_above_each_other_robots_keep_more_distance(downwash: float, height: float, out_of_step: float) -> None:
+    """Both may use half of what is left: of 8 - 3, or of 8 - 2 * 3 with the downwash."""
+    here, aside, above = (0.0, 0.0, 0.0), (8.0, 0.0, 0.0), (0.0, 0.0, 8.0)
+    up = project(here, (0.0, 0.0, 6.0), [above], safe_distance=3.0, max_step=6.0, downwash=downwash)
+    assert up == pytest.approx((0.0, 0.0, height))
+    side = project(here, (6.0, 0.0, 0.0), [aside], safe_distance=3.0, max_step=6.0, downwash=downwash)
+    assert side == pytest.approx((2.5, 0.0, 0.0))
+    seen = [Sighting(position=above, age_s=0.0)]
+    to = project_async(here, (0.0, 0.0, 4.0), seen, safe_distance=3.0, speed=0.5, period_s=9.0, downwash=downwash)
+    assert to == pytest.approx((0.0, 0.0, out_of_step))
+
+
 def test_walls_are_sides_too() -> None:
     def wall(longest: float) -> list[HalfSpace]:
         return [HalfSpace((1.0, 0.0), min(2.0, longest))]

@@ -83,6 +83,24 @@ def test_reasons_have_numbers() -> None:
     assert wall == "the position is 1 outside the arena from [0, 0] to [100, 100]."
 
 
+def test_a_step_under_another_robot_needs_more_distance() -> None:
+    tall = Mission(shape="sphere", n_robots=12, downwash=2)
+    asked = StepQuestion(
+        mission=tall,
+        robot=0,
+        round=1,
+        position=(50.0, 50.0, 50.0),
+        neighbors=((56.0, 50.0, 55.0),),
+        plan=Plan.of([[80.0, 50.0, 50.0]] * 12),
+        slot=0,
+    )
+    assert blocked(asked) and not blocked(replace(asked, mission=tall.change(downwash=1)))
+    assert said_of(asked, (56.0, 50.0, 50.0)) == (
+        "the position is 2.5 from the robot at [56, 50, 55] (with differences of z divided by 2), "
+        "at least 3 is required."
+    )
+
+
 def test_a_blocked_robot_may_wait_or_go_round() -> None:
     free = ask((50.0, 50.0), (80.0, 50.0), (50.0, 56.0), (42.0, 50.0), (70.0, 50.0))
     in_the_way = ask((50.0, 50.0), (80.0, 50.0), (55.0, 51.0))

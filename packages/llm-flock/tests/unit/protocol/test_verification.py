@@ -49,6 +49,19 @@ def test_every_shape_passes_turned_and_rounded_to_two_decimals(shape: str, n: in
         assert plan_class(mission, candidate) is PlanClass.EXACT
 
 
+def test_places_above_each_other_are_farther_apart() -> None:
+    tower: dict[str, Any] = {"center": (50,) * 3, "arena": ((0,) * 3, (100,) * 3), "n_robots": 2, "downwash": 2}
+    mission = build_mission(shape="text:a tower", spacing=5, **tower)
+    flat, high = plan([[47.5, 50, 50], [52.5, 50, 50]]), plan([[50, 50, 47.5], [50, 50, 52.5]])
+    assert check_plan(mission, flat) is None and check_plan(mission.change(downwash=1), high) is None
+    assert check_plan(mission, high) == (
+        "points 0 and 1 are 2.5 apart (with differences of z divided by 2), at least 3 is required."
+    )
+    said = check_proposal(mission, flat, still=[(47.5, 50, 55)], position=(50, 50, 50))
+    assert said is not None and said.startswith("point 0 is 2.5 from the robot that stands still")
+    assert check_proposal(mission, flat, still=[(47.5, 50, 57)], position=(50, 50, 50)) is None
+
+
 def test_whole_numbers_pass_mostly_and_are_of_a_lower_class() -> None:
     mission = Mission(shape="circle", n_robots=10)
     plans = [plan(ideal(mission, angle).round(0)) for angle in np.linspace(0, 0.6, 40)]

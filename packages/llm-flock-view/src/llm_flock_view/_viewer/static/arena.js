@@ -20,6 +20,11 @@ function union(boxes) {
   return boxes[0].map((_, k) => Math[k < boxes[0].length / 2 ? "min" : "max"](...boxes.map((box) => box[k])));
 }
 
+/** The box around places. */
+function boxAround(places) {
+  return [Math.min, Math.max].flatMap((end) => places[0].map((_, axis) => end(...places.map((at) => at[axis]))));
+}
+
 /** Whether two places can be told apart. */
 function away([ax, ay], [bx, by]) {
   return Math.abs(ax - bx) + Math.abs(ay - by) > 0.5;
@@ -27,17 +32,10 @@ function away([ax, ay], [bx, by]) {
 
 export class Arena {
   constructor(element, run, clock, options, pick) {
-    this.run = run;
-    this.clock = clock;
-    this.pick = pick;
-    this.layers = { ...options.layers };
-    this.selected = [];
+    Object.assign(this, { run, clock, pick, layers: { ...options.layers }, selected: [], hovered: -1, drawn: 0, at: [] });
     this.surface = new Surface(element, `Arena of ${options.title}: the team. ? lists the keys.`, () => this.draw());
     this.view = new View(this.surface, () => clock.changed(), options.chosen);
     this.peers = options.peers; // runs that are drawn to the same scale
-    this.hovered = -1;
-    this.drawn = 0;
-    this.at = [];
     clock.listen(() => this.draw());
     this.view.listen((event) => this.picked(event), (event) => this.hover(event));
     this.surface.canvas.addEventListener("pointerleave", () => {
@@ -151,7 +149,7 @@ export class Arena {
     const peers = this.peers.filter((run) => run.about && run.about.space === about.space);
     const all = (name) => union(peers.map((run) => run[name]).filter((box) => box.length));
     const arena = union(peers.map((run) => run.about.arena.flat()));
-    this.view.place([arena.slice(0, arena.length / 2), arena.slice(arena.length / 2)], { way: all("extent"), formation: all("formation") }, about.safe_distance);
+    this.view.place([arena.slice(0, arena.length / 2), arena.slice(arena.length / 2)], { way: all("extent"), formation: all("formation"), team: about.space ? boxAround([...frame.x, ...frame.g.filter(Boolean)]) : [] }, about.safe_distance);
     this.scale = this.view.scale;
     // A disk is as wide as the body; where that is too small to be seen and touched it is larger, but not beside safety
     // discs, which are to be larger than bodies.
@@ -159,8 +157,7 @@ export class Arena {
     const least = frame.x.length > MANY ? 3 : Math.min(9, SHARE * about.spacing * this.scale);
     this.radius = Math.max(3, body, this.layers.safety ? 0 : least);
     const pixels = frame.x.map((at) => this.pixel(at));
-    // Seen from an angle, robots may stand before one another: turning the picture shows them.
-    const { at, crowds } = this.deep || frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels.map(([x, y]) => [x, y]), this.radius);
+    const { at, crowds } = frame.x.length > MANY ? { at: pixels, crowds: [] } : fanned(pixels, this.radius, this.deep);
     this.at = at;
     this.foot = about.arena[0][2] || 0;
     // Between two rounds the pairs of a large team are those of the round before: counting takes longer than drawing.
@@ -199,7 +196,6 @@ export class Arena {
     const { pen } = this.surface;
     pen.strokeStyle = theme().danger;
     pen.lineWidth = 4;
-    pen.setLineDash([]);
     for (const [one, other] of this.near) {
       this.surface.line(this.at[one], this.at[other]);
       for (const k of [one, other]) {
@@ -223,7 +219,6 @@ export class Arena {
     const { pen } = this.surface;
     pen.strokeStyle = theme().faint;
     pen.lineWidth = 1;
-    pen.setLineDash([]);
     if (this.deep) {
       pen.fillStyle = theme().grid;
       pen.globalAlpha = 0.35;
@@ -273,7 +268,6 @@ export class Arena {
     const { pen } = this.surface;
     pen.strokeStyle = pen.fillStyle = theme().soft;
     pen.lineWidth = 1;
-    pen.setLineDash([]);
     pen.globalAlpha = 0.7;
     pen.beginPath();
     const feet = frame.x.map(([x, y]) => this.pixel([x, y, this.foot]));
@@ -289,7 +283,6 @@ export class Arena {
   cells(frame, about) {
     const { pen } = this.surface;
     pen.lineWidth = 1;
-    pen.setLineDash([]);
     const silent = new Set([...frame.d, ...frame.z]);
     cells(frame.x, about.safe_distance, about.arena).forEach((cell, robot) => {
       if (cell.length < 3 || silent.has(robot)) return;
@@ -313,7 +306,6 @@ export class Arena {
     pen.strokeStyle = theme().soft;
     pen.globalAlpha = Math.max(0.06, Math.min(0.4, 30 / Math.sqrt(pairs.length + 1) / 10));
     pen.lineWidth = 1;
-    pen.setLineDash([]);
     pen.beginPath();
     for (const [one, other] of pairs) {
       pen.moveTo(pixels[one][0], pixels[one][1]);
@@ -336,7 +328,6 @@ export class Arena {
     }
     if (!rounds.length) return;
     pen.lineWidth = frame.x.length > MANY ? 1 : 2;
-    pen.setLineDash([]);
     pen.globalAlpha = 0.45;
     frame.x.forEach((at, robot) => {
       pen.strokeStyle = look(this.run, frame.p[robot]).line;
@@ -366,10 +357,8 @@ export class Arena {
       if (robot >= frame.x.length || !frame.g[robot]) continue;
       pen.strokeStyle = theme().ink;
       pen.lineWidth = 1.5;
-      pen.setLineDash([4, 4]);
-      this.surface.line(this.pixel(frame.x[robot]), this.pixel(frame.g[robot]));
+      this.surface.line(this.pixel(frame.x[robot]), this.pixel(frame.g[robot]), [4, 4]);
     }
-    pen.setLineDash([]);
   }
 
   safety(frame, about) {

@@ -8,14 +8,14 @@ const ORBIT = [-30, 28]; // degrees: turned about the vertical, and looked down
 
 /** Arenas that are shown side by side share what is chosen: both have one scale. */
 export function choices() {
-  return { own: null, fitted: "way", look: [...ORBIT], fits: new Map() };
+  return { own: null, fitted: null, look: [...ORBIT], fits: new Map() };
 }
 
 export class View {
   constructor(surface, redraw, chosen = choices()) {
     this.surface = surface;
     this.redraw = redraw;
-    this.chosen = chosen; // `own` is a centre and pixels a unit, null fits; `look` two angles, or "top" or "side"
+    this.chosen = chosen; // `own` is a centre and pixels a unit, null fits `fitted`; `look` two angles, or "top" or "side"
     this.center = [0, 0];
     this.scale = 0;
     this.camera = null;
@@ -49,7 +49,7 @@ export class View {
     const { own, fitted, look } = this.chosen;
     const tidy = (numbers) => numbers.map((one) => Number(one.toPrecision(5))).join();
     const from = !this.camera || String(look) === String(ORBIT) ? [] : [typeof look === "string" ? look : `turn,${tidy(look)}`];
-    const what = own ? [tidy([...own.center, own.span || this.least / own.scale])] : fitted === "way" ? [] : [fitted];
+    const what = own ? [tidy([...own.center, own.span || this.least / own.scale])] : fitted ? [fitted] : [];
     return [...from, ...what].join(";");
   }
 
@@ -71,7 +71,7 @@ export class View {
     return Math.min(this.surface.width, this.surface.height);
   }
 
-  /** `extents` are boxes around `formation` and `way`; `robot` is room for one robot [units]. */
+  /** `extents` are boxes around `formation`, `way` and `team`, which is followed in space; `robot` is room for one robot [units]. */
   place(arena, extents, robot) {
     this.camera = arena[0].length > 2 ? eye(arena, this.chosen.look) : null;
     const { own, fitted } = this.chosen;
@@ -82,13 +82,13 @@ export class View {
       this.scale = own.scale;
       return;
     }
-    const extent = extents[fitted];
+    const extent = extents[fitted || (this.camera ? "team" : "way")];
     const half = arena[0].length;
     let [low, high] = arena;
     if (extent && extent.length) {
       const room = Math.max(robot, ROOM * Math.max(extent[half] - extent[0], extent[half + 1] - extent[1]));
       [low, high] = [extent.slice(0, half).map((one) => one - room), extent.slice(half).map((one) => one + room)];
-      if (this.camera) low[2] = Math.min(low[2], arena[0][2]); // robots stand above the ground
+      if (this.camera) low[2] = Math.min(low[2], Math.max(arena[0][2], 2 * low[2] - high[2])); // the ground is seen where it is near
     }
     const seen = corners(low, high).map((corner) => this.plane(corner));
     const [left, right, bottom, top] = [0, 1].flatMap((axis) => [Math.min(...seen.map((at) => at[axis])), Math.max(...seen.map((at) => at[axis]))]);

@@ -57,9 +57,7 @@ function strokeOf(k) {
 
 export class Banner {
   constructor(run, k, pair, clock, choose) {
-    this.run = run;
-    this.clock = clock;
-    this.choose = choose;
+    Object.assign(this, { run, k, pair, clock, choose, text: "" });
     this.sign = h("span", { class: "flock-sign", "aria-hidden": "true" });
     this.headline = h("strong", { class: "flock-headline" });
     this.protocol = h("span", { class: "flock-chip" });
@@ -68,9 +66,6 @@ export class Banner {
     this.key = pair ? h("span", { class: `flock-key flock-side-${k}`, "aria-hidden": "true" }) : null;
     this.element = h("div", { class: "flock-banner", role: "status" },
       h("div", { class: "flock-said-first" }, this.key, h("span", {}, this.sign, " ", this.headline), this.protocol), this.missions, this.why);
-    this.pair = pair;
-    this.k = k;
-    this.text = "";
     clock.listen(() => this.draw());
   }
 
@@ -105,8 +100,8 @@ export class Banner {
     if (!found) return [];
     if (this.run.failure) return [h("span", { text: this.run.failure })];
     if (!found.why) return found.by ? [h("span", { class: "flock-hint", text: found.by })] : [];
-    const robots = found.robots.slice(0, 4).map((robot) =>
-      h("button", { type: "button", class: "flock-link", text: `Show robot ${robot}`, onclick: () => this.choose(robot) }));
+    const robots = found.robots.slice(0, 4).map((robot, k) => h("button", { type: "button", class: "flock-link",
+      text: k ? String(robot) : `Show robot ${robot}`, "aria-label": `Show robot ${robot}`, onclick: () => this.choose(robot) }));
     return [h("span", { text: `Why: ${found.why} ` }), ...robots];
   }
 }

@@ -14,14 +14,17 @@ export function closePairs(points, safe, downwash = 1) {
   return links(downwash === 1 ? points : points.map(([x, y, z]) => [x, y, z / downwash]), safe - ROUNDING, new Set());
 }
 
-/** Where disks are drawn [pixels]: those that hide one another fan out around their middle, the others' numbers stay in sight. */
-export function fanned(pixels, radius) {
+/**
+ * Where disks are drawn [pixels]: those that hide one another fan out around their middle, the others' numbers stay in sight.
+ * In perspective, where a turn of the picture would make such a circle jump, all of them step aside.
+ */
+export function fanned(pixels, radius, deep = false) {
   const apart = APART * radius + 2;
   const near = links(pixels, apart, new Set());
   if (!near.length) return { at: pixels, crowds: [] };
   const far = ([one, other]) => Math.hypot(pixels[one][0] - pixels[other][0], pixels[one][1] - pixels[other][1]);
   const at = pixels.map((place) => [...place]);
-  const crowds = groups(pixels.length, near.filter((pair) => far(pair) < 0.9 * radius)).map((members) => {
+  const crowds = groups(pixels.length, near.filter((pair) => !deep && far(pair) < 0.9 * radius)).map((members) => {
     const middle = [0, 1].map((axis) => members.reduce((sum, k) => sum + pixels[k][axis], 0) / members.length);
     const wide = Math.max(radius + COUNT, (members.length * (radius + 4)) / Math.PI);
     fan(at, members, middle, wide);
@@ -30,11 +33,10 @@ export function fanned(pixels, radius) {
   // A little aside: less than a robot's radius, and nothing to be told.
   for (let pass = 0; pass < PASSES; pass += 1) {
     for (const [one, other] of links(at, apart, new Set())) {
-      const [dx, dy] = [at[other][0] - at[one][0], at[other][1] - at[one][1]];
-      const gap = Math.hypot(dx, dy) || 1;
+      const [dx, dy] = [at[other][0] - at[one][0] || 0.01, at[other][1] - at[one][1]];
+      const gap = Math.hypot(dx, dy);
       const by = (apart - gap) / 2 / gap;
-      at[one] = [at[one][0] - dx * by, at[one][1] - dy * by];
-      at[other] = [at[other][0] + dx * by, at[other][1] + dy * by];
+      for (const [k, way] of [[one, -by], [other, by]]) [at[k][0], at[k][1]] = [at[k][0] + dx * way, at[k][1] + dy * way];
     }
     for (const { middle } of crowds) {
       at.forEach((place, k) => {

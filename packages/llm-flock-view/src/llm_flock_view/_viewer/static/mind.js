@@ -37,6 +37,7 @@ export class Minds {
       return list;
     });
     this.note = h("div", { class: "flock-hint flock-first" });
+    this.brief = h("button", { type: "button", class: "flock-brief", hidden: true });
     this.find = field("Find a robot", h("input", { type: "number", min: 0, placeholder: "number", onchange: () => this.search() }));
     this.find.box.classList.add("flock-find");
     this.find.box.hidden = true; // a list of few is read
@@ -104,6 +105,8 @@ export class Minds {
   async show(round) {
     const mine = (this.asked += 1);
     const chosen = this.chosen();
+    const told = (text) => this.place.replaceChildren(h("div", { class: "flock-hint", text }));
+    if (chosen.length && !this.place.querySelector("article")) told("Reading …");
     let gone = false;
     const found = await Promise.all(chosen.map(async ([k, robot]) => {
       try {
@@ -115,9 +118,14 @@ export class Minds {
     }));
     if (mine !== this.asked) return;
     const minds = found.map((mind, number) => mind && this.mind(this.runs[chosen[number][0]], mind)).filter(Boolean);
+    const [first] = found;
+    const last = first && first.calls.at(-1);
+    this.brief.hidden = !first;
+    const said = () => (last ? `${last.used ? "✓" : "✗"} ${last.answer === null ? last.verdict : `“${last.answer}”`}` : unasked(first));
+    if (first) this.brief.textContent = `Robot ${first.robot} in round ${first.round}: ${said()}`;
     const over = chosen.some(([k]) => round > this.runs[k].last) ? "This run ended before the round under the cursor." : "";
-    this.place.replaceChildren(...minds.length ? minds
-      : [h("div", { class: "flock-hint", text: gone ? GONE : over || "Choose a robot: click on it, or choose its number. Shift-click a second one to compare." })]);
+    if (minds.length) this.place.replaceChildren(...minds);
+    else told(gone ? GONE : over || (chosen.length && "Reading …") || "Choose a robot: click on it, or choose its number. Shift-click a second one to compare.");
   }
 
   mind(run, found) {
@@ -134,9 +142,8 @@ export class Minds {
   }
 
   silent(found) {
-    if (found.before === null) return [h("div", { class: "flock-hint", text: "Its model has not been asked yet." })];
-    return [h("div", { class: "flock-hint", text: `Its model was last asked in round ${found.before}.` }),
-      button(`Go to round ${found.before}`, () => this.clock.seek(found.before))];
+    const told = h("div", { class: "flock-hint", text: unasked(found) });
+    return found.before === null ? [told] : [told, button(`Go to round ${found.before}`, () => this.clock.seek(found.before))];
   }
 
   call(run, found, call, k) {
@@ -157,6 +164,10 @@ export class Minds {
         h("span", { "aria-hidden": "true", text: call.used ? "✓" : "✗" }), h("span", { class: "flock-said", text: call.verdict })),
       h("div", { class: "flock-hint", text: call.price }));
   }
+}
+
+function unasked({ before }) {
+  return before === null ? "Its model has not been asked yet." : `Its model was last asked in round ${before}.`;
 }
 
 /** The events of the round under the cursor, as sentences. */

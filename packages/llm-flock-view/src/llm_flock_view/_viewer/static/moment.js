@@ -4,12 +4,11 @@ import { button, dialog, h } from "llm-flock-viewer/dom.js";
 const WAIT_MS = 300; // between what changes and its address: browsers refuse to change it all the time
 
 export class Moment {
-  /** `parts` are the page's clock, arenas, tabs, and its minds, if any; `path` leads to its runs. */
-  constructor(parts, path) {
-    Object.assign(this, parts);
-    this.path = path;
-    this.wanted = {};
-    this.act = button("Link", () => this.copy(), { words: "Copy a link to this moment" });
+  /** `parts` are the page's clock, arenas, tabs, and its minds, if any; `path` leads to its runs, and `needs` says what a reader of a link needs. */
+  constructor(parts, path, needs) {
+    Object.assign(this, parts, { path, needs, wanted: {} });
+    this.act = button("Copy link", () => this.copy(), { words: "Copy a link to this moment" });
+    this.note = h("p", { class: "flock-tip flock-note", role: "status", hidden: true });
     addEventListener("hashchange", () => this.read());
     this.read();
     this.clock.listen(() => this.follow());
@@ -66,10 +65,11 @@ export class Moment {
     try {
       await navigator.clipboard.writeText(link);
       this.act.textContent = "Copied";
-      setTimeout(() => { this.act.textContent = "Link"; }, 1500);
+      this.note.hidden = !(this.note.textContent = this.needs);
+      setTimeout(() => { this.act.textContent = "Copy link"; this.note.hidden = true; }, 20 * WAIT_MS);
     } catch { // pages without encryption may write no clipboard: it is shown, marked to be copied
       const shown = h("input", { value: link, readonly: true, class: "flock-copy", "aria-label": "Link to this moment" });
-      dialog("Link to this moment", shown);
+      dialog("Link to this moment", h("div", {}, shown, h("p", { text: this.needs })));
       shown.select();
     }
   }

@@ -57,7 +57,8 @@ export function player(options, place, held = null) {
   const arenas = [];
   const chosen = choices();
   // An exported page is its own address.
-  const moment = () => new Moment({ clock, arenas, tabs, minds }, held ? location.pathname : `/${pair ? "pair" : "run"}/${runs.map((run) => run.key).join("/")}`);
+  const moment = () => new Moment({ clock, arenas, tabs, minds }, held ? location.pathname : `/${pair ? "pair" : "run"}/${runs.map((run) => run.key).join("/")}`,
+    held ? "The link leads into this page: send the page along." : "The link opens in a viewer that shows this record: send the record along, from Export. Or send its replay, a page that needs no viewer.");
   const all = (act) => () => arenas.forEach(act);
   const show = (name, on) => {
     help.show(name, on);
@@ -70,7 +71,8 @@ export function player(options, place, held = null) {
     h("main", { class: `flock-player${pair ? " flock-pair" : ""}` },
       field,
       h("aside", { class: "flock-side", "aria-label": "Mind, plots and events" }, tabs.element),
-      h("section", { class: "flock-time", "aria-label": "Time" }, transport(runs, names, clock), line)));
+      h("section", { class: "flock-time", "aria-label": "Time" }, transport(runs, names, clock), minds && minds.brief, line)));
+  if (minds) minds.brief.addEventListener("click", () => { tabs.open("Mind"); minds.element.scrollIntoView(); });
   runs.forEach((run, k) => {
     arenas.push(new Arena(figures[k].part, run, clock, { title: names[k], layers, chosen, peers: runs }, (robot, second) => {
       if (minds) choose(k)(robot, second);
@@ -86,7 +88,8 @@ export function player(options, place, held = null) {
     help.show("repeated", runs.some((run) => run.plans.some((plan) => plan.rim !== "-")));
   });
   if (steer) clock.listen(() => steered(steer, tabs));
-  link.replaceWith(moment().act);
+  const { act, note: copied } = moment();
+  link.replaceWith(act, copied);
   keys(clock, arenas, help);
   for (const run of runs) clock.attach(run);
 }

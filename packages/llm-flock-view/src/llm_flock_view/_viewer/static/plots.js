@@ -69,9 +69,7 @@ export class Plots {
     this.frame(x, y, y0, y1, { step, top: upper, beyond: high > upper }, span);
     if (edge) {
       pen.strokeStyle = pen.fillStyle = colours.danger;
-      pen.setLineDash([4, 3]);
-      this.surface.line([LEFT, y(edge)], [width - RIGHT, y(edge)]);
-      pen.setLineDash([]);
+      this.surface.line([LEFT, y(edge)], [width - RIGHT, y(edge)], [4, 3]);
       pen.textAlign = "right";
       pen.fillText("safe distance", width - RIGHT - 4, y(edge) + 8);
     }
@@ -121,9 +119,7 @@ export class Plots {
       const y = first + line * LINE;
       pen.strokeStyle = pen.fillStyle = one.ink;
       pen.lineWidth = 2;
-      pen.setLineDash(one.stroke);
-      this.surface.line([left, y], [left + 22, y]);
-      pen.setLineDash([]);
+      this.surface.line([left, y], [left + 22, y], one.stroke);
       pen.fillText(text, left + 26, y);
       left += wide;
     }

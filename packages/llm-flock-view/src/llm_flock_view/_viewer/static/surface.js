@@ -65,11 +65,14 @@ export class Surface {
     this.pen.clearRect(0, 0, this.width, this.height);
   }
 
-  line([x0, y0], [x1, y1]) {
+  /** A line; one with `dashes` leaves the pen without any. */
+  line([x0, y0], [x1, y1], dashes = null) {
+    if (dashes) this.pen.setLineDash(dashes);
     this.pen.beginPath();
     this.pen.moveTo(x0, y0);
     this.pen.lineTo(x1, y1);
     this.pen.stroke();
+    if (dashes) this.pen.setLineDash([]);
   }
 
   /** Begin a path along a circle, to be filled or stroked. */

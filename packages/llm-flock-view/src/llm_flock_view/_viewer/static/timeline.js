@@ -118,9 +118,7 @@ export class Timeline {
     pen.lineWidth = 1.5;
     if (pair) {
       // Whose half of the row this is, by the stroke of its side: colours alone do not tell it.
-      pen.setLineDash(side(r).stroke.length ? [3, 2] : []);
-      this.surface.line([LEFT - 12, at], [LEFT - 3, at]);
-      pen.setLineDash([]);
+      this.surface.line([LEFT - 12, at], [LEFT - 3, at], side(r).stroke.length ? [3, 2] : []);
     }
     let before = -Infinity;
     for (const [round, counts] of run.marks) {
@@ -138,13 +136,13 @@ export class Timeline {
     const pair = this.runs.length > 1;
     const parts = run.outcome ? run.outcome.missions : [];
     pen.font = `700 11px ${FONT}`;
+    pen.fillStyle = pair ? side(r).ink : theme().good;
+    for (const [first, last] of run.outcome ? run.outcome.stood : []) pen.fillRect(this.x(first), bottom - 5 - 6 * r, Math.max(2, this.x(last) - this.x(first)), 4);
     parts.forEach((part, k) => {
       if (k) {
         pen.strokeStyle = pair ? side(r).ink : theme().soft;
         pen.lineWidth = 1;
-        pen.setLineDash([2, 2]);
-        this.surface.line([this.x(part.first), 0], [this.x(part.first), bottom]);
-        pen.setLineDash([]);
+        this.surface.line([this.x(part.first), 0], [this.x(part.first), bottom], [2, 2]);
       }
       if (part.formed !== null) this.sign("✓", this.x(part.formed), bottom, pair ? side(r).ink : theme().good, r);
     });

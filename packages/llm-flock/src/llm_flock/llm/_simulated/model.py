@@ -43,7 +43,7 @@ from llm_flock.llm._simulated.prompt_reader import (
 from llm_flock.llm._simulated.seen import AFTER_REJECTION, SEEN, is_retry, spoiled
 from llm_flock.mission import ORIENTATIONS
 from llm_flock.planner import best_option
-from llm_flock.protocol._geometry import turned
+from llm_flock.shapes import rotated
 
 CHARS_PER_TOKEN = 4  # for an estimate of the tokens
 ADDED_LATER = 14  # number of the last `FAILURES` that were added after the first results were published
@@ -178,7 +178,7 @@ class SimulatedModel:
         if "canonical" in failures or oriented:
             angle_rad = 0.0
         for k in range(ORIENTATIONS if (task.obstacles or still) and not oriented else 1):
-            points = turned(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
+            points = rotated(formation(task), task.center, angle_rad + 2 * math.pi * k / ORIENTATIONS)
             if is_clear(points, task, still):
                 break
         if "distorted" in failures:

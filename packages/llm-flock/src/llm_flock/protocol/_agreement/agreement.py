@@ -206,7 +206,7 @@ class Agreement(Situation):
             roadmap=self.ways,
             occupancy=occupancy,
             positions=self._membership.positions(self),
-            wishes=self.mission if self.mission.prefer else None,
+            preferences=self.mission if self.mission.prefer else None,
             exchanges=not self.mission.prefer,
             weights=self.weights,
             retired=self.retired,

@@ -72,7 +72,7 @@ class AssignmentInput(msgspec.Struct, frozen=True, kw_only=True):
     weights: Mapping[int, float] = NO_WEIGHTS  #: Of robots whose squared ways count for more in exchanges.
     retired: bool = False  #: Whether the robot has given its slot to another for good, and claims none.
     straight: bool = False  #: Whether exchanges weigh straight distances, not ways along the formation.
-    wishes: Mission | None = None  #: The mission, if it has preferences.
+    preferences: Mission | None = None  #: The mission, if it has preferences.
 
 
 class AssignmentRule(Protocol):

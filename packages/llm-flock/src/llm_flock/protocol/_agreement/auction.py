@@ -110,7 +110,9 @@ class AuctionAssignment:
         assert table is not None and bids is not None, "an auction claim carries a table and bids"
         table, touched = merged(table, [(m.table, m.said) for m in now.heard if m.table is not None])
         if now.positions is not None and self.joint:
-            table, more = merged(table, [(optimal_assignment(now.plan, now.positions, now.roadmap, now.wishes), None)])
+            table, more = merged(
+                table, [(optimal_assignment(now.plan, now.positions, now.roadmap, now.preferences), None)]
+            )
             touched |= more
         if now.granted is None:
             table = with_occupancy(reclaim(now.robot, claim, table), now.occupancy)

@@ -16,13 +16,14 @@ from llm_flock.mission import Mission
 from llm_flock.obstacles import Obstacle, clearance
 from llm_flock.plan import Plan
 from llm_flock.planner import Choice, JudgementOption, PlanAnswer, PlanQuestion
-from llm_flock.protocol._geometry import geometric_plan, turned
+from llm_flock.protocol._geometry import geometric_plan
 from llm_flock.protocol._membership.occupancy import reachable, waiting_place
 from llm_flock.protocol._membership.search import LOOKS_FOR_SILENT, NEXT_TO
 from llm_flock.protocol._membership.search import PATIENCE as SEARCH_PATIENCE
 from llm_flock.protocol._membership.team import REPLAN_PATIENCE
 from llm_flock.protocol._parts import Situation
 from llm_flock.protocol._verification.validator import resized
+from llm_flock.shapes import rotated
 
 MARGIN = 1.05
 """The way for which a battery should last, as a multiple of the way that code expects: others may be in the way."""
@@ -104,7 +105,7 @@ def _ways_to_new_plan(smaller: Mission, plan: Plan, owned: tuple[int, ...]) -> t
     """Ways of the robots on these places to those of a new plan, for some orientations of it [units]."""
     here, ideal, found = plan.array[list(owned)], np.array(smaller.ideal), list[Points]()
     for k in range(TURNS):
-        there = turned(ideal, smaller.center, 2.0 * math.pi * k / TURNS)
+        there = rotated(ideal, smaller.center, 2.0 * math.pi * k / TURNS)
         ways = scipy.spatial.distance.cdist(here, there)
         found.append(ways[scipy.optimize.linear_sum_assignment(ways**2)])
     return tuple(found)
@@ -135,6 +136,7 @@ def battery_options(
     options = [option("continue", f"Robot {weak} goes on to its place.", straight)]
     near = {j: where.get(j, places[a]) for j, a in slots.items() if j != weak}
     near = {j: x for j, x in near.items() if math.dist(x, incident.at) <= mission.comm_range}
+    near = {} if mission.prefer else near  # places that are given by preference are not exchanged
     peer = min(near, key=lambda j: (round(way(incident.at, places[slots[j]]), 6), j), default=None)
     if peer is not None and (short := way(incident.at, places[slots[peer]])) < straight - AT_GOAL * mission.spacing:
         does = f"Robot {weak} exchanges its place with robot {peer}."

@@ -16,11 +16,12 @@ import msgspec
 import numpy as np
 import scipy
 
-from llm_flock.arrays import Point, between
+from llm_flock.arrays import Point, towards
+from llm_flock.bounds import MAX_WAITING
 from llm_flock.message import BLOCKED, LAST_ROUND, NO_OWNER, BidTable, PositionReport, TeamPositions
 from llm_flock.mission import Mission
 from llm_flock.plan import Plan
-from llm_flock.protocol._agreement.wishes import costs
+from llm_flock.protocol._agreement.preferences import costs
 from llm_flock.protocol._membership.rendezvous import landing
 from llm_flock.protocol._membership.search import MANY
 from llm_flock.protocol._path_length import ways
@@ -28,7 +29,6 @@ from llm_flock.roadmap import Roadmap
 
 ROUNDS = 8  # rounds of a mission in which a large team passes on positions at the start; then they are out of date
 SECOND = 0.15  # share of the team size, in rounds, after which waiting robots report a final position for one table
-MAX_WAITING = 256  # larger teams do not wait: the traffic grows with the square of the team size
 VERSION = 2**22  # version of a joint assignment for each robot that it places: above all earlier claims
 DIGESTS = 2**16  # if two joint assignments of equally many robots share a digest by chance, bids decide
 DECIMALS = 2  # decimals of reported positions
@@ -145,7 +145,9 @@ class JointAssignment:
         for j in ids:
             _, here, mark = self.known[j]
             flown = 0.0 if self._large else mission.max_step * (self._round - self._heard_in[j])
-            where.append(_towards(here, plan.points[slots[j]], flown) if flown and j in slots else mark or here)
+            where.append(
+                _round_point(towards(here, plan.points[slots[j]], flown)) if flown and j in slots else mark or here
+            )
             if self.waiting and not mark:
                 return None
         digest = hashlib.blake2b(msgspec.msgpack.encode((ids, where)), digest_size=2).digest()
@@ -162,23 +164,17 @@ def _round_point(point: Point) -> Point:
     return tuple(round(x, DECIMALS) for x in point)
 
 
-def _towards(here: Point, goal: Point, longest: float) -> Point:
-    away = math.dist(here, goal)
-    share = 1.0 if away <= longest else longest / away
-    return _round_point(between(here, goal, share))
-
-
 @lru_cache(maxsize=64)
 def optimal_assignment(
-    plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None, wishes: Mission | None = None
+    plan: Plan, positions: TeamPositions, roadmap: Roadmap | None = None, preferences: Mission | None = None
 ) -> BidTable:
-    """The bid table with the smallest sum of squared ways, as the mission's `wishes` count them.
+    """The bid table with the smallest sum of squared ways, as the mission's `preferences` count them.
 
     Robots or slots may be left over.
     """
     version, ids, places = positions
     distances = np.array([ways(place, plan.array, roadmap) for place in places])
-    cost = distances**2 if wishes is None else costs(wishes, plan, ids, np.array(places), distances)
+    cost = distances**2 if preferences is None else costs(preferences, plan, ids, np.array(places), distances)
     table = [(version, 0.0, NO_OWNER)] * len(plan)
     for row, slot in zip(*scipy.optimize.linear_sum_assignment(cost), strict=True):
         table[slot] = (version, 0.0, ids[row])

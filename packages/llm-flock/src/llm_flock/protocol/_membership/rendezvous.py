@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from llm_flock import shapes as formations
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, between
 from llm_flock.message import NO_OWNER, BidEntry
 from llm_flock.mission import Mission
 from llm_flock.obstacles import clearance
@@ -142,17 +142,11 @@ class Gathering:
             return None
         if unturned(mission, plan):
             return None
-        there = away <= reach + mission.spacing / 10
+        there, far = away <= reach + mission.spacing / 10, max(away, 1e-9)
         self._left, self._wait = self._left - 1, self._wait - there
         if alone and there and self._beyond is None:
-            self._beyond = _towards(center, here, -reach)
-        return self._beyond if alone and self._beyond is not None else _towards(center, here, min(reach, away))
-
-
-def _towards(center: Point, here: Point, distance: float) -> Point:
-    """The point at this distance from the centre on the way to `here` [units]."""
-    share = distance / max(math.dist(here, center), 1e-9)
-    return tuple(c + share * (x - c) for x, c in zip(here, center, strict=True))
+            self._beyond = between(center, here, -reach / far)
+        return self._beyond if alone and self._beyond is not None else between(center, here, min(reach, away) / far)
 
 
 @lru_cache(maxsize=256)
@@ -169,7 +163,6 @@ def heard_when_turned(mission: Mission, plan: Plan, slot: int) -> bool:
     """Whether robots would hear a robot at its place, or meet it on a circle, in any orientation of the plan."""
     if on_circle(plan, mission.center) is not None:
         return True
-    turns = np.repeat(plan.array[[slot]], ANGLES, axis=0)
-    for k, angle in enumerate(np.linspace(0.0, math.tau, ANGLES, endpoint=False).tolist()):
-        turns[k, :2] = formations.rotated(turns[k, :2], mission.center[:2], angle)
+    angles = np.linspace(0.0, math.tau, ANGLES, endpoint=False).tolist()
+    turns = np.concatenate([formations.rotated(plan.array[[slot]], mission.center, angle) for angle in angles])
     return bool(scipy.spatial.distance.cdist(turns, plan.array).min(axis=1).max() <= mission.comm_range)

@@ -10,7 +10,7 @@ from itertools import combinations
 import numpy as np
 
 from llm_flock import shield
-from llm_flock.arrays import Point, between, moved
+from llm_flock.arrays import Point, between, moved, towards
 from llm_flock.events import Note, Origin
 from llm_flock.message import MAX_LEVEL, MAX_STOPS, Course
 from llm_flock.mission import Mission
@@ -93,7 +93,7 @@ class ShieldedSafety(Safety):
             return 0.0
         self._moving = scene.moving
         here, stop = scene.position, moved(leg.stop, scene.drift)
-        straight = self._project(here, _towards(here, stop, self._limits.max_step), scene.others)
+        straight = self._project(here, towards(here, stop, self._limits.max_step), scene.others)
         return math.dist(here, stop) - math.dist(straight, stop)
 
     def step(self, scene: Observation, wish: Point, leg: Leg, tolerance: float) -> SafeStep:
@@ -143,7 +143,7 @@ class ShieldedSafety(Safety):
             return None
         path = self._path(here, self._next_stop(here, refuge, still), refuge, still)
         self._right_of_way.pass_on(path, pressing[0])
-        to = self._project(here, _towards(here, path[0], self._limits.max_step), scene.others)
+        to = self._project(here, towards(here, path[0], self._limits.max_step), scene.others)
         return SafeStep(waypoint=to, origin=Origin.YIELD, notes=self._note_way(pressing[0]))
 
     def _wait(self, scene: Observation, wish: Point, ways: Sequence[Way]) -> SafeStep:
@@ -163,7 +163,7 @@ class ShieldedSafety(Safety):
     def _is_blocked(self, scene: Observation, stop: Point, safe: Point) -> bool:
         """Whether bodies cost the robot over half of the gain that planner and obstacles would allow."""
         here, others, passing = scene.position, scene.others, self._right_of_way.passing_distance
-        straight, far = _towards(here, stop, self._limits.max_step), math.dist(here, stop)
+        straight, far = towards(here, stop, self._limits.max_step), math.dist(here, stop)
         alone = far - math.dist(self._project(here, straight, ()), stop)
         if passing > self._limits.safe_distance:
             safe = self._project(here, safe, others, passing)
@@ -174,7 +174,7 @@ class ShieldedSafety(Safety):
         """The next corners of the way, first `stop`, for a course of three steps [units; world frame]."""
         path, left = list[Point](), 3.0 * self._limits.max_step
         while left > 0.0 and len(path) < MAX_STOPS and (here != goal or not path):
-            path.append(_towards(here, stop, left))
+            path.append(towards(here, stop, left))
             left -= math.dist(here, stop)
             here, stop = stop, self._next_stop(stop, goal, still)
         return path
@@ -254,12 +254,6 @@ class ShieldedSafety(Safety):
         nearest = min(limits.separation(x, position) for x in near.values())
         note = Note("separating", {"nearest": nearest, "makes_way": self._robot not in crowd})
         return SafeStep(waypoint=flown, origin=Origin.SHIELD, notes=(note,))
-
-
-def _towards(here: Point, there: Point, longest: float) -> Point:
-    """A point at most this far on the way to another [units]."""
-    far = math.dist(here, there)
-    return there if far <= longest else between(here, there, longest / far)
 
 
 def _crowd(positions: Mapping[int, Point], limit: float, mission: Mission) -> frozenset[int]:

@@ -35,14 +35,14 @@ def costs(mission: Mission, plan: Plan, robots: Sequence[int], positions: Points
     """The cost of each place for each robot, shape (n, m) [units^2]: squared ways, and what preferences add."""
     cost, groups = ways**2, _groups_of(mission, plan)
     far = ((plan.array - np.array(mission.center)) ** 2).sum(axis=1)
-    for wish in mission.prefer:
-        if wish.side is not None:
-            cost[:, groups == wish.group] -= SIDE * (positions[:, :2] @ np.array(AXES[wish.side]))[:, None]
-        elif wish.robot in robots:
-            row = robots.index(wish.robot)
-            if wish.group is not None:
-                cost[row, groups == wish.group] -= FIRM
+    for one in mission.prefer:
+        if one.side is not None:
+            cost[:, groups == one.group] -= SIDE * (positions[:, :2] @ np.array(AXES[one.side]))[:, None]
+        elif one.robot in robots:
+            row = robots.index(one.robot)
+            if one.group is not None:
+                cost[row, groups == one.group] -= FIRM
             else:
-                strong = {"shortest": cost[row], "center": far, "edge": -far}[wish.way or "shortest"]
+                strong = {"shortest": cost[row], "center": far, "edge": -far}[one.way or "shortest"]
                 cost[row] = cost[row] + STRONG * strong
     return cost
