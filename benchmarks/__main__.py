@@ -19,6 +19,7 @@
 `ros2`      50 robots shown in ROS 2: latency added and processor time; see benchmarks/ros2.py (only when named)
 `local`     missions with a model on board; `local-ten`, `local-table`, `local-letters`, `local-wishes`:
             see benchmarks/local.py (only when named)
+`lessons`   examples for the adapter of the model on board; see benchmarks/lessons.py
 `same`      hashes of whole runs, to show that a change does not change behaviour; see benchmarks/same.py
 `containment`  teams with models that are always bad, `containment-http` over HTTP; see benchmarks/containment.py
 `arrivals`  the same starts flown with several methods, ORCA and CAPT among them; see benchmarks/arrivals.py
@@ -56,6 +57,7 @@ from benchmarks import (
     drawn,
     flight,
     flight_cases,
+    lessons,
     lies,
     links,
     local,
@@ -216,6 +218,9 @@ if __name__ == "__main__":
         "lies-curve": lies.curve,
         "lies-swarm": lies.swarm,
         "local-letters": local.letters,
+        "local-exam": local.exam,
+        "local-held": local.held,
+        "lessons": lessons.main,
     }
     if sys.argv[1:2] and sys.argv[1] in commands:
         commands[sys.argv[1]](sys.argv[2:])

@@ -5,6 +5,9 @@ python -m benchmarks local-ten      a circle of ten, asked on events only: durat
 python -m benchmarks local-table    the same missions: stock weights, the adapter, and ideal simulated models
 python -m benchmarks local-wishes   missions with the model that was taught letters, one for each wish and seed, in
                                     wordings that it was not taught
+python -m benchmarks local-exam LOG    docs/data/on-board-exam.csv from a log of `exam local:smollm2 --out LOG`:
+                                    each section, and apart what was never taught
+python -m benchmarks local-held SEEDS   docs/data/on-board-held.csv: six teams, `--fallback hold`, at other centres
 python -m benchmarks local-letters FILE.gguf [TURNS]
                                     ten robots asked for a step: a waypoint of the packaged adapter, and a letter of
                                     this one, in turns: tokens and processor time of an answer
@@ -13,6 +16,7 @@ python -m benchmarks local-letters FILE.gguf [TURNS]
 from __future__ import annotations
 
 import asyncio
+import csv
 import itertools
 import json
 import os
@@ -23,6 +27,7 @@ import threading
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median
 from typing import Any
 
@@ -36,14 +41,19 @@ from llm_flock.llm._port import AnswerForm, Attempt
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.runtime._api import run_async
 from llm_flock.runtime._result import Summary
+from llm_flock_lab._exam.questions import SECTIONS
+from llm_flock_lab._experiments.statistics import wilson
 from llm_flock_onboard._distill.choices import draw_choices
+from llm_flock_onboard._distill.curriculum import CURRICULUM
 from llm_flock_onboard._distill.wishes import WORDINGS
 from llm_flock_onboard._local.engine import Engine, slot_count, thread_count
+from llm_flock_onboard._local.source import is_taught
 from llm_flock_onboard._local.weights import find_weights
 
 TRAINED, STOCK, IDEAL = "local:smollm2", "local:smollm2+none", "simulated:ideal"
 LETTERS_MODEL = "local:smollm2+letters"
 BARS = (("triangle", 3), ("circle", 5))
+HELD = (("triangle", 3), ("square", 4), ("star", 10), ("circle", 7), ("line", 5), ("wedge", 9))
 TRIALS = 20
 TEN = 10
 """Robots that ask at once."""
@@ -199,6 +209,84 @@ async def _letters(taught: str, turns: int) -> None:
             f"| {name} | `{text.rpartition('/')[2]}` | {len(written)} | {100 * parsed:.0f} | {read:.0f} "
             f"| {sum(written) / len(written):.1f} | {max(written)} | {middle:.3f} ({low:.3f} to {high:.3f}) |"
         )
+
+
+def exam(arguments: Sequence[str]) -> None:
+    """Reduce a log of the exam to shares by section, with the questions apart whose plan was never taught."""
+    from inspect_ai.log import read_eval_log
+
+    from llm_flock_lab._exam.splits import public_split
+
+    if not arguments:
+        raise SystemExit("local-exam LOG: the folder of the log is missing")
+    asked = {question.id: question for question in public_split()}
+    right: dict[tuple[str, str], list[bool]] = {}
+    used: dict[str, list[tuple[int, float]]] = {}
+    logs = (read_eval_log(str(path)).samples or [] for path in sorted(Path(arguments[0]).glob("*.eval")))
+    for sample in {str(sample.id): sample for sample in itertools.chain(*logs) if sample.scores}.values():
+        question, score = asked[str(sample.id)], (sample.scores or {}).get("by_our_checks")
+        if score is None:
+            continue
+        kinds = ["all"]
+        if question.asks_plan and question.meant is None and not question.first:
+            mission = question.build_mission()
+            taught = is_taught(mission) and not question.still and not mission.obstacles
+            given = CURRICULUM["plans"]
+            shape = mission.shape in given["held_out_shapes"] or mission.shape not in given["shapes"]
+            kinds.append("taught" if taught else "shape never taught" if shape else "size or place never taught")
+        for kind in kinds:
+            right.setdefault((question.section, kind), []).append(score.value == 1)
+        found: dict[str, Any] = score.metadata or {}
+        used.setdefault(question.section, []).append((found["tokens_output"], found["seconds"]))
+    rows = [("Section", "Questions", "Asked", "Right", "Right [%]", "Low [%]", "High [%]", "Tokens out, mean")]
+    for (section, kind), hits in sorted(right.items(), key=lambda one: list(SECTIONS).index(one[0][0])):
+        share = wilson(sum(hits), len(hits))
+        low, high = 100 * (share.low or 0.0), 100 * (share.high or 0.0)
+        out = f"{sum(tokens for tokens, _ in used[section]) / len(used[section]):.0f}" if kind == "all" else ""
+        figures = (str(len(hits)), str(sum(hits)), f"{100 * share.value:.0f}", f"{low:.0f}", f"{high:.0f}", out)
+        rows.append((section, kind, *figures))
+    _write("on-board-exam.csv", rows)
+
+
+def held(arguments: Sequence[str]) -> None:
+    """Fly six teams whose robots do nothing but what their model answers, at random centres and spacings."""
+    seeds, rows = range(int(arguments[0]) if arguments else 20), list[tuple[str, ...]]()
+    rows.append(
+        (
+            "Team",
+            "Plan taught",
+            "Missions",
+            "Formed",
+            "By models only",
+            "Waypoints by the model [%]",
+            "Calls",
+            "CPU [s a call]",
+        )
+    )
+    for shape, n in HELD:
+        rng, flown, spent = np.random.default_rng([n, 47]), list[Summary](), time.process_time()
+        for seed in seeds:
+            center, spacing = (
+                tuple(rng.uniform(40.0, 60.0, 2).round(1).tolist()),
+                round(float(rng.uniform(5.0, 10.0)), 1),
+            )
+            found = fly(TRAINED, shape, n, range(seed, seed + 1), fallback="hold", center=center, spacing=spacing)
+            flown += found.summaries
+        calls = sum(one.model_calls for one in flown)
+        model = sum(one.waypoint_shares.get("model", 0.0) for one in flown) / len(flown)
+        formed = [str(sum(x)) for x in ([one.formed for one in flown], [one.formed_by_models for one in flown])]
+        told = {str(one.plan_taught) for one in flown if one.plan_taught is not None}
+        cpu = f"{(time.process_time() - spent) / max(1, calls):.2f}"
+        rows.append(
+            (f"{shape} {n}", "/".join(sorted(told)), str(len(flown)), *formed, f"{100 * model:.0f}", str(calls), cpu)
+        )
+        _write("on-board-held.csv", rows)
+
+
+def _write(name: str, rows: Sequence[Sequence[str]]) -> None:
+    with (Path(__file__).parents[1] / "docs" / "data" / name).open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
+    print(*(", ".join(row) for row in rows), sep="\n", flush=True)
 
 
 def machine() -> None:

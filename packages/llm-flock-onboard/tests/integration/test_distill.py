@@ -1,74 +1,16 @@
 """Teaching a small model: examples, batches, figures and files, without what training itself needs."""
 
 import json
-import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from answer_readers import parse_path, parse_plan, parse_step
 
 from llm_flock.errors import InputError
-from llm_flock.llm._frame import frame_step
-from llm_flock.llm._prompting import PromptSet
-from llm_flock.mission import build_mission
-from llm_flock.plan import Plan
-from llm_flock.planner import StepQuestion
-from llm_flock.protocol._verification.plans import PlanClass, plan_class
 from llm_flock_onboard._distill.adapter import Adapter, turned_rows, write_gguf
 from llm_flock_onboard._distill.batches import Lesson, make_batch, plan_epoch, shared_prefix
-from llm_flock_onboard._distill.examples import (
-    HELD_OUT_TEAMS,
-    REACH,
-    TEAMS,
-    Example,
-    draw_mission,
-    draw_step,
-    motion_examples,
-    plan_examples,
-    read_examples,
-    step_example,
-    write_examples,
-)
-from llm_flock_onboard._distill.wishes import SPLITS
-
-BRIEF = PromptSet.load("brief")
-
-
-def test_motion_examples_have_readable_answers_within_limits() -> None:
-    found = list(motion_examples(3, 80, "train"))
-    assert found == list(motion_examples(3, 80, "train")) != list(motion_examples(4, 80, "train"))
-    assert {example.kind for example in found} == {"step", "path"}
-    for example in found:
-        goal = [float(x) for x in example.user.rpartition("Goal: [")[2].rstrip("]").split(", ")]
-        said = parse_step(example.answer, 2) if example.kind == "step" else parse_path(example.answer, 20, 2)[0]
-        if math.hypot(*goal) <= REACH:
-            assert list(said) == goal, "a goal that is near is repeated"
-        else:
-            assert REACH - 0.01 <= math.hypot(*said) <= 1.0
-            assert math.dist(said, [REACH * g / math.hypot(*goal) for g in goal]) <= 0.0072
-
-
-def test_examples_of_plans_hold_exact_plans() -> None:
-    found = list(plan_examples(0, "train"))
-    assert len(found) == sum(sum(sizes) for _, sizes in TEAMS), "every robot asks once"
-    for example in found:
-        shape, _, n = example.team.partition(" ")
-        plan, slot = parse_plan(example.answer, int(n), 2)
-        mission = build_mission(shape=shape, n_robots=int(n), center=(0.0, 0.0), arena=((-99.0, -99.0), (99.0, 99.0)))
-        world = Plan.of([[10 * x for x in row] for row in plan.points])
-        assert plan_class(mission, world) is PlanClass.EXACT
-        assert f"You are robot {slot} of {n}." in example.user
-
-
-def test_the_own_frame_leaves_no_held_out_question_for_a_plan() -> None:
-    """Centres and spacings of the two splits differ, but not one prompt does: answers can be known by heart."""
-    taught, held_out = (
-        {(example.system, example.user) for seed in range(5) for example in plan_examples(seed, split)}
-        for split in SPLITS
-    )
-    assert len(taught) == 27 and held_out == taught
+from llm_flock_onboard._distill.choices import choice_examples
+from llm_flock_onboard._distill.examples import HELD_OUT_TEAMS, TEAMS, draw_mission, read_examples, write_examples
 
 
 def test_held_out_missions_differ_in_shape_centre_and_spacing() -> None:
@@ -78,19 +20,10 @@ def test_held_out_missions_differ_in_shape_centre_and_spacing() -> None:
     assert not {m.shape for m in taught} & {m.shape for m in held}
     assert max(m.spacing for m in taught) < min(m.spacing for m in held)
     assert max(max(m.center) for m in taught) < min(min(m.center) for m in held)
-    assert {e.team.partition(" ")[0] for e in motion_examples(0, 30, "held-out")} <= {"star", "wedge"}
-
-
-def test_answers_that_checks_reject_are_not_taught(monkeypatch: pytest.MonkeyPatch) -> None:
-    question = draw_step(np.random.default_rng(0), draw_mission(np.random.default_rng(0), "train", TEAMS))
-    assert step_example(BRIEF, question) is not None
-    monkeypatch.setattr("llm_flock_onboard._distill.examples.REACH", 1.1)
-    far = replace(question, position=(question.goal[0] + 50.0, question.goal[1]))
-    assert step_example(BRIEF, far) is None
 
 
 def test_examples_are_kept_as_json_lines(tmp_path: Path) -> None:
-    found = list(motion_examples(0, 3, "train"))
+    found = list(choice_examples(0, 3, "train"))
     assert write_examples(tmp_path / "a.jsonl", found) == 3
     assert read_examples(tmp_path / "a.jsonl") == found
     for text in ("", "{}", "no json", json.dumps({"kind": "step"})):
@@ -137,18 +70,6 @@ def test_a_step_has_batches_of_different_kinds() -> None:
     assert mixed > 0.8 * len(steps)
 
 
-MISSION = build_mission(shape="line", n_robots=2)
-STEP = StepQuestion(
-    mission=MISSION,
-    robot=0,
-    round=1,
-    position=(30.0, 50.0),
-    neighbors=((33.0, 50.0),),
-    plan=Plan.of(MISSION.ideal or ()),
-    slot=0,
-)
-
-
 def test_rows_of_queries_are_in_the_engines_order() -> None:
     # Two heads of four rows: the halves of each head are interleaved.
     rows = np.arange(8, dtype=np.float32).reshape(8, 1)
@@ -190,15 +111,3 @@ def test_an_adapter_is_written_as_llama_cpp_reads_it(tmp_path: Path) -> None:
     assert np.allclose(tensors["blk.0.attn_q.weight.lora_a"], a, atol=1e-3)
     assert np.allclose(tensors["blk.0.attn_q.weight.lora_b"], turned_rows(b, 2), atol=1e-3)
     assert np.allclose(tensors["blk.0.ffn_up.weight.lora_b"], made.factors["blk.0.ffn_up"][1], atol=1e-3)
-
-
-def test_example_has_the_prompt_of_a_run() -> None:
-    question = replace(STEP, neighbors=())
-    example = step_example(BRIEF, question)
-    assert example == Example(
-        kind="step",
-        system=BRIEF.system(MISSION),
-        user=BRIEF.step(frame_step(question, "own").framed),
-        answer="Position: [0.92, 0.0]",
-        team="line 2",
-    )

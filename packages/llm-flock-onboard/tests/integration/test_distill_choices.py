@@ -54,10 +54,12 @@ def test_splits_share_no_wording_number_distance_or_prompt() -> None:
     assert not set(NEIGHBORS["train"]) & set(NEIGHBORS["held-out"])
     assert DISTANCES["train"][1] <= DISTANCES["held-out"][0]
     held = list(choice_examples(1, 100, "held-out"))
-    assert not {example.user for example in held} & {example.user for example in choice_examples(0, 1_000, "train")}
-    assert {example.team.partition(" ")[0] for example in held} <= {"star", "wedge"}
+    assert not {example.messages[1][1] for example in held} & {
+        example.messages[1][1] for example in choice_examples(0, 1_000, "train")
+    }
+    assert {example.topic.partition(" ")[0] for example in held} <= {"star", "wedge"}
     assert held == list(choice_examples(1, 100, "held-out")) != list(choice_examples(2, 100, "held-out"))
-    assert all(example.kind == "choice" and example.system == system_message() for example in held)
+    assert all(example.kind == "choice" and example.messages[0][1] == system_message() for example in held)
 
 
 def test_no_held_out_wording_is_nearly_a_taught_one() -> None:
@@ -82,7 +84,7 @@ def test_examples_ask_as_a_run_does() -> None:
     found = next(c for c in draw_choices(0, "train") if len(c.ways) == 4 and "W" not in {w.letter for w in c.ways})
     prompts = PromptSet.load("letters", wish=found.words)
     assert prompts.step(found.question) == found.user
-    assert prompts.system(found.question.mission) == found.example().system
+    assert prompts.system(found.question.mission) == found.example().messages[0][1]
 
 
 def test_no_program_without_a_model_reads_the_held_out_wishes() -> None:

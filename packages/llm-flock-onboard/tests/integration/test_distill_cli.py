@@ -19,20 +19,19 @@ def call(*arguments: str) -> str:
 
 
 def test_examples_are_written(tmp_path: Path) -> None:
-    said = call("data", str(tmp_path / "a.jsonl"), "--count", "5", "--plans", "1")
-    lines = (tmp_path / "a.jsonl").read_text().splitlines()
-    counted = f"{len(lines)} examples in {tmp_path / 'a.jsonl'}, with different prompts: 27 of 27 for a plan, "
-    assert said.startswith(counted) and said.endswith("4 of 4 for a step, 1 of 1 for a path\n"), said
-    assert [json.loads(line)["kind"] for line in lines].count("plan") == len(lines) - 5
-    call("data", str(tmp_path / "b.jsonl"), "--count", "5", "--plans", "0", "--held-out")
+    said = call("data", str(tmp_path / "a.jsonl"), "--count", "5")
+    examples = [json.loads(line) for line in (tmp_path / "a.jsonl").read_text().splitlines()]
+    assert said == f"5 examples in {tmp_path / 'a.jsonl'}, with 5 different prompts\n"
+    assert all(example["messages"][0][0] == "system" and example["answer"] for example in examples)
+    call("data", str(tmp_path / "b.jsonl"), "--count", "5", "--held-out")
     held = map(json.loads, (tmp_path / "b.jsonl").read_text().splitlines())
-    assert {example["team"].partition(" ")[0] for example in held} <= {"star", "wedge"}
+    assert {example["topic"].partition(" ")[0] for example in held} <= {"star", "wedge"}
 
 
 def test_distill_names_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="adapter"):
         call("export", str(tmp_path), str(tmp_path / "a.gguf"))
-    call("data", str(tmp_path / "a.jsonl"), "--count", "1", "--plans", "0")
+    call("data", str(tmp_path / "a.jsonl"), "--count", "1")
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(InputError, match=r"llm-flock\[distill\]"):
         call("train", str(tmp_path / "a.jsonl"), str(tmp_path / "run"))
@@ -46,6 +45,6 @@ def test_no_file_is_written_over(tmp_path: Path) -> None:
             call(*line)
     assert notes.read_text(encoding="utf-8") == "mine"
     with pytest.raises(InputError, match="a place that can be written to"):
-        call("data", str(notes / "a.jsonl"), "--count", "1", "--plans", "0")
+        call("data", str(notes / "a.jsonl"), "--count", "1")
     assert "Invalid value" in call("data", str(tmp_path / "a.jsonl"), "--count", str(10**30))
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

@@ -14,6 +14,8 @@ from llm_flock_onboard._distill.training import TrainingOptions, TrainingProgres
 
 torch: Any = pytest.importorskip("torch")
 transformers: Any = pytest.importorskip("transformers")
+# Newer versions have another name for it.
+pytestmark = pytest.mark.filterwarnings("ignore:.*past_key_values:FutureWarning")
 
 
 def student(rank: int = 4) -> Student:
@@ -86,6 +88,31 @@ def test_training_resumes_from_its_checkpoint(tmp_path: Path) -> None:
         train(student(rank=2), ROWS, TrainingOptions(steps=20), tmp_path, resume=True)
     with pytest.raises(InputError, match="resume"):
         train(student(), ROWS, TrainingOptions(steps=20), tmp_path / "other", resume=True)
+
+
+def test_training_begins_from_given_factors(tmp_path: Path) -> None:
+    one = student()
+    with torch.no_grad():
+        for _, b in one.factors.values():
+            b.normal_()
+    kept = one.adapter()
+    kept.save(tmp_path / "whole.npz")
+    bare = {f"{name}.{part}": x for name, pair in kept.factors.items() for part, x in zip("ab", pair, strict=True)}
+    np.savez(tmp_path / "bare.npz", **bare)  # type: ignore[arg-type]
+    for name in ("whole.npz", "bare.npz"):
+        again = student()
+        again.begin_from([tmp_path / name])
+        assert all(torch.equal(x, y) for x, y in zip(one.parameters, again.parameters, strict=True))
+    for made, file in ((student(rank=2), "bare.npz"), (student(), "none.npz")):
+        with pytest.raises(InputError, match="start"):
+            made.begin_from([tmp_path / file])
+
+
+def test_a_training_by_time_ends_and_its_rate_falls(tmp_path: Path) -> None:
+    options = TrainingOptions(steps=10**6, minutes=0.02, rate=0.01, tokens=40)
+    end = train(student(), ROWS, options, tmp_path)
+    assert 1 <= end.step < 10**6 and (tmp_path / "factors.npz").is_file()
+    assert options.rate_at(10**4, 0.0) == 0.01 and options.rate_at(10**4, 1.2) == 0.0
 
 
 def test_the_rate_rises_stays_and_falls() -> None:

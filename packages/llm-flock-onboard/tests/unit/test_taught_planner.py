@@ -23,8 +23,7 @@ from llm_flock.planner import NoAnswer, PlanAnswer, PlanQuestion, StepAnswer, St
 from llm_flock.protocol._geometry import KnownPlans
 from llm_flock.runtime._config import build_config
 from llm_flock.runtime._planners import TeamPlanners
-from llm_flock_onboard._distill.examples import TEAMS
-from llm_flock_onboard._local.source import TAUGHT_PLANS, is_taught
+from llm_flock_onboard._local.source import is_asked, is_taught
 
 SAID = PlanAnswer(plan=Plan.of([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0)]), slot=2)
 
@@ -44,34 +43,35 @@ class Saying:
         return StepAnswer(waypoint=(1.0, 2.0))
 
 
-def test_taught_plans_are_those_of_the_recipe() -> None:
-    assert {(shape, n) for shape, sizes in TEAMS for n in sizes} == set(TAUGHT_PLANS)
-
-
-@pytest.mark.parametrize(("shape", "n"), TAUGHT_PLANS)
-def test_the_model_is_asked_for_what_it_was_taught(shape: str, n: int) -> None:
+@pytest.mark.parametrize(("shape", "n"), [("triangle", 3), ("circle", 7), ("star", 10), ("text:a heart", 5)])
+def test_the_model_is_asked_for_shapes_to_draw(shape: str, n: int) -> None:
     question = asked(shape, n)
-    assert is_taught(question) and asyncio.run(KnownPlans(Saying(), is_taught).plan(question)) is SAID
+    assert is_asked(question) and asyncio.run(KnownPlans(Saying(), is_asked).plan(question)) is SAID
 
 
 @pytest.mark.parametrize(
     "question",
     [
-        asked("circle", 6),
-        asked("triangle", 6),
-        asked("star", 10),
+        asked("letters:L", 6),
+        asked("sphere", 6, fields={"center": (50.0, 50.0, 50.0), "arena": ((0.0,) * 3, (100.0,) * 3)}),
         asked("circle", 5, still=((80.0, 80.0),)),
         asked("circle", 5, fields={"obstacles": [{"center": [80, 80], "radius": 2}]}),
     ],
 )
-def test_untaught_plans_by_geometry_are_marked(question: PlanQuestion) -> None:
-    answer = asyncio.run(KnownPlans(Saying(), is_taught).plan(question))
+def test_plans_left_to_code_are_marked(question: PlanQuestion) -> None:
+    answer = asyncio.run(KnownPlans(Saying(), is_asked).plan(question))
     assert isinstance(answer, PlanAnswer) and answer.by == "geometry"
     assert len(answer.plan) == question.mission.n_places
 
 
+@pytest.mark.parametrize(("shape", "n", "taught"), [("circle", 5, True), ("circle", 7, False), ("star", 10, False)])
+def test_it_is_known_which_plans_were_taught(shape: str, n: int, taught: bool) -> None:
+    assert is_taught(build_mission(shape=shape, n_robots=n)) == taught
+
+
 def test_described_shape_has_no_plan_by_geometry() -> None:
-    assert isinstance(asyncio.run(KnownPlans(Saying(), is_taught).plan(asked("text:a heart", 5))), NoAnswer)
+    question = asked("text:a heart", 5, still=((80.0, 80.0),))
+    assert isinstance(asyncio.run(KnownPlans(Saying(), is_asked).plan(question)), NoAnswer)
 
 
 @pytest.mark.parametrize(("model", "by"), [("local:smollm2", "geometry"), ("openai:o3-mini", None)])

@@ -122,7 +122,7 @@ class Examiner:
     def first_messages(self, question: Question) -> Iterator[tuple[ChatMessage, ...]]:
         """The first messages to a model, for each robot that is asked, without scripted answers."""
         if question.words is not None:
-            yield _call_of(question).messages
+            yield self._call_of(question).messages
             return
         mission = question.build_mission()
         for robot in question.robots:
@@ -249,7 +249,7 @@ class Examiner:
         """Ask once for a mission or an edit in words; geometry reads none."""
         if model is None:
             return _score(question, repeat, [], tries=None, marks=None, cause=None, reason="geometry reads no words.")
-        call = replace(_call_of(question), round=round_)
+        call = replace(self._call_of(question), round=round_)
         try:
             reply = await model.ask(call)
         except ModelError as error:
@@ -261,13 +261,13 @@ class Examiner:
         scored = _score(question, repeat, [attempt], tries=tries, marks=None, cause=None, reason=marks.reason)
         return replace(scored, readable=marks.read, flyable=marks.safe)
 
-
-def _call_of(question: Question) -> Call:
-    """The question in words as people's missions and edits are asked."""
-    assert question.words is not None and question.mission is not None
-    if question.section == "edit":
-        return edit_call(question.words, drawn_program(question.mission["shape"]), question.n)
-    return mission_call(question.words, question.build_mission(), flying=question.flying)
+    def _call_of(self, question: Question) -> Call:
+        """The question in words as people's missions and edits are asked."""
+        assert question.words is not None and question.mission is not None
+        brief = self._prompts.programs and not self._prompts.reasons
+        if question.section == "edit":
+            return edit_call(question.words, drawn_program(question.mission["shape"]), question.n, brief=brief)
+        return mission_call(question.words, question.build_mission(), flying=question.flying, brief=brief)
 
 
 async def _by_geometry(

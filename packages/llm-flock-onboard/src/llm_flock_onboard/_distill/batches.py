@@ -71,7 +71,7 @@ def plan_epoch(
     pool = max(1, POOL * budget // typical)
     steps: list[list[list[int]]] = []
     for begin in range(0, len(order), pool):
-        chosen = sorted(order[begin : begin + pool], key=lambda i: lessons[i].prompt[:ALIKE])
+        chosen = sorted(order[begin : begin + pool], key=lambda i: (lessons[i].prompt[:ALIKE], len(lessons[i])))
         batches = _cut_batches(lessons, chosen, budget)
         # Batches far apart in the sorted list differ in kind: each step learns from several kinds, and forgets none.
         stride = -(-len(batches) // together)

@@ -75,7 +75,8 @@ class Choice:
         """The question with its answer, to learn from."""
         mission = self.question.mission
         team = f"{mission.shape} {mission.n_places}"
-        return Example(kind="choice", system=system_message(), user=self.user, answer=self.right, team=team)
+        messages = ("system", system_message()), ("user", self.user)
+        return Example(kind="choice", messages=messages, answer=self.right, topic=team)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

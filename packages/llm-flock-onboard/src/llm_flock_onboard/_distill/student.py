@@ -6,6 +6,7 @@ LoRA (Hu et al. 2021): y = W x + scale * B (A x). Only A and B are learnt.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,10 +43,7 @@ def base_weights(path: Path | None) -> Path:
 
 @dataclass(slots=True)
 class Student:
-    """A base model of transformers with trainable factors by the layer's name in GGUF, whose product is scaled.
-
-    To compute in bfloat16 (`half`) is quicker on processors that know it, and nearly as exact.
-    """
+    """A base model of transformers with trainable factors by the layer's name in GGUF, whose product is scaled."""
 
     model: Any
     tokenizer: Any
@@ -53,7 +51,6 @@ class Student:
     rank: int
     scale: float
     device: str
-    half: bool = False
 
     @classmethod
     def load(
@@ -61,7 +58,8 @@ class Student:
     ) -> Student:
         """Load a base, dequantized, on the GPU where there is one.
 
-        Factors of zero effect are put beside the layers of the last `blocks` blocks, of all where that is None.
+        Factors of zero effect are put beside the layers of the last `blocks` blocks, of all where that is None. To
+        compute in bfloat16 (`half`) is quicker on processors that know it, and nearly as exact; factors stay whole.
         """
         torch, transformers = need("torch"), need("transformers")
         need("gguf")
@@ -69,8 +67,8 @@ class Student:
         device = "cuda" if torch.cuda.is_available() else "cpu"
         tokenizer = transformers.AutoTokenizer.from_pretrained(base.parent, gguf_file=base.name)
         model = transformers.AutoModelForCausalLM.from_pretrained(base.parent, gguf_file=base.name, dtype=torch.float32)
-        model.to(device).requires_grad_(False)
-        student = cls(model, tokenizer, {}, rank, scale, device, half)
+        model.to(device, torch.bfloat16 if half else torch.float32).requires_grad_(False)
+        student = cls(model, tokenizer, {}, rank, scale, device)
         count = len(model.model.layers)
         for i in range(0 if blocks is None else max(0, count - blocks), count):
             block = model.model.layers[i]
@@ -86,7 +84,7 @@ class Student:
         self.factors[name] = (a.requires_grad_(), b.requires_grad_())
 
         def add(_: Any, inputs: tuple[Any, ...], output: Any) -> Any:
-            first, second = self.factors[name]
+            first, second = (factor.to(output.dtype) for factor in self.factors[name])
             return output + self.scale * ((inputs[0] @ first.T) @ second.T)
 
         layer.register_forward_hook(add)
@@ -96,9 +94,32 @@ class Student:
         """All trainable tensors."""
         return [factor for pair in self.factors.values() for factor in pair]
 
+    def begin_from(self, files: Sequence[Path]) -> None:
+        """Take the factors of NumPy files for those of the same layers; InputError if one does not fit.
+
+        A file without `about` has factors whose product is scaled as here.
+        """
+        torch = need("torch")
+        for file in files:
+            try:
+                with np.load(file) as arrays:
+                    about = arrays["about"].tolist() if "about" in arrays.files else (1.0, self.scale)
+                    pairs = {key: arrays[key] for key in arrays.files if key != "about"}
+            except (OSError, ValueError) as error:
+                raise InputError("start", str(file), f"a NumPy file of factors ({error})") from None
+            for key, array in pairs.items():
+                name, _, part = key.rpartition(".")
+                mine = self.factors[name]["ab".index(part)] if name in self.factors and part in ("a", "b") else None
+                if mine is None or tuple(mine.shape) != array.shape:
+                    raise InputError("start", f"{file}: {key}", "factors of the same base with the same rank")
+                with torch.no_grad():
+                    mine.copy_(torch.from_numpy(array.astype(np.float32)))
+                    if part == "b":
+                        mine.mul_(about[1] / about[0] / self.scale)
+
     def lesson(self, example: Example) -> Lesson:
         """An example as tokens, in the model's chat template."""
-        messages = [{"role": "system", "content": example.system}, {"role": "user", "content": example.user}]
+        messages = [{"role": role, "content": text} for role, text in example.messages]
         prompt = self.tokenizer.apply_chat_template(messages, add_generation_prompt=True, tokenize=False)
         encode = self.tokenizer.encode
         answer = encode(example.answer, add_special_tokens=False)
@@ -107,10 +128,6 @@ class Student:
     def loss(self, batch: Batch) -> Any:
         """Mean cross-entropy of the answers' tokens [nats]; the common prefix is computed once."""
         torch = need("torch")
-        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.half):
-            return self._loss(torch, batch)
-
-    def _loss(self, torch: Any, batch: Batch) -> Any:
         cache = None
         if batch.prefix:
             prefix = torch.tensor([batch.prefix], device=self.device)
@@ -121,7 +138,7 @@ class Student:
         asked = labels >= 0
         # Scores of the whole vocabulary are needed only where something is learnt.
         scores = self.model.lm_head(hidden.last_hidden_state[asked])
-        return torch.nn.functional.cross_entropy(scores, labels[asked])
+        return torch.nn.functional.cross_entropy(scores.float(), labels[asked])
 
     def adapter(self) -> Adapter:
         """The factors as arrays."""

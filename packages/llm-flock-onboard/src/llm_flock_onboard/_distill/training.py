@@ -26,19 +26,24 @@ STATE, FACTORS = "state.pt", "factors.npz"
 class TrainingOptions:
     """How to train."""
 
-    steps: int = 3000  #: Optimizer steps in all.
+    steps: int = 3000  #: Optimizer steps in all, at most.
+    minutes: float | None = None  #: Time of the training, by which the rate falls; None goes by the steps.
     rate: float = 2e-3  #: Learning rate of AdamW before it decays.
     descent: float = 0.3  #: Share of the steps, the last ones, over which the rate falls to zero.
     warm_up: int = 20  #: Steps over which it rises.
     tokens: int = 600  #: Size of all batches of a step, about.
-    together: int = 2  #: Batches of a step, of different kinds of questions; all have the same weight.
-    keep_s: float = 120.0  #: Time between two checkpoints [s].
+    together: int = 4  #: Batches of a step, of different kinds of questions; all have the same weight.
+    keep_s: float = 100.0  #: Time between two checkpoints [s].
     seed: int = 0
 
-    def rate_at(self, step: int) -> float:
+    def done(self, step: int, spent_s: float) -> float:
+        """The share of the training that is over: of the steps, or of the time if that is nearer to its end."""
+        return max(step / self.steps, 0.0 if self.minutes is None else spent_s / 60.0 / self.minutes)
+
+    def rate_at(self, step: int, spent_s: float = 0.0) -> float:
         """The learning rate of a step, counted from 0."""
-        left = (self.steps - step) / max(1.0, self.descent * self.steps)
-        return self.rate * min(1.0, (step + 1) / self.warm_up, left)
+        left = (1.0 - self.done(step, spent_s)) / max(1e-9, self.descent)
+        return self.rate * max(0.0, min(1.0, (step + 1) / self.warm_up, left))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,39 +85,41 @@ def train(
     queue: list[list[list[int]]] = []
     began, kept = time.monotonic(), time.monotonic()
     first, progress = step, TrainingProgress(step=step, steps=options.steps, examples=examples)
-    while step < options.steps:
+    while options.done(step, time.monotonic() - began) < 1.0:
         if not queue:
             # The seed depends on the first step: a resumed training draws new orders.
             rng = np.random.default_rng([options.seed, first, epoch])
             queue = plan_epoch(lessons, options.tokens // options.together, rng, options.together)
             epoch += 1
         chosen = queue.pop()
-        rate = options.rate_at(step)
+        rate = options.rate_at(step, time.monotonic() - began)
         for group in optimizer.param_groups:
             group["lr"] = rate
         loss = 0.0
         for batch in chosen:
-            share = student.loss(make_batch([lessons[i] for i in batch])) / len(chosen)
-            share.backward()
-            loss += float(share.detach())
+            part = student.loss(make_batch([lessons[i] for i in batch])) / len(chosen)
+            part.backward()
+            loss += float(part.detach())
         torch.nn.utils.clip_grad_norm_(student.parameters, 1.0)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)
         step, examples = step + 1, examples + sum(map(len, chosen))
         losses = [*losses[-49:], loss]
         now = time.monotonic()
+        over, before = options.done(step, now - began), options.done(first, 0.0)
         progress = TrainingProgress(
             step=step,
             steps=options.steps,
             loss=float(np.mean(losses)),
             examples=examples,
             rate=rate,
-            left_s=(now - began) / (step - first) * (options.steps - step),
+            left_s=(now - began) * (1.0 - over) / max(1e-9, over - before),
         )
         on_progress(progress)
-        if now - kept > options.keep_s or step == options.steps:
+        if now - kept > options.keep_s:
             _save_checkpoint(torch, student, optimizer, folder, step, examples)
             kept = now
+    _save_checkpoint(torch, student, optimizer, folder, step, examples)
     return progress
 
 

@@ -17,6 +17,9 @@ from llm_flock_onboard._local.weights import Weights, find_weights
 
 MIN_CONTEXT = 1024
 
+LONGEST_PROGRAM = 512
+"""Longest program or mission of a small model [tokens]: memory for each question grows with it."""
+
 
 def context_for(call: Call) -> int:
     """Context for a question and its answer, with room to ask once more [tokens]; a power of two."""
@@ -25,7 +28,8 @@ def context_for(call: Call) -> int:
 
 
 def _longest(call: Call) -> int:
-    return 512 if call.form is None else longest_answer(call.kind, call.form)
+    """Longest answer [tokens]; of a small model, no program is longer than `LONGEST_PROGRAM`."""
+    return LONGEST_PROGRAM if call.form is None or call.form.program else longest_answer(call.kind, call.form)
 
 
 class EngineLeases:

@@ -8,19 +8,30 @@ from typing import TYPE_CHECKING
 from llm_flock.llm import Habits, ModelHost
 
 if TYPE_CHECKING:
+    from llm_flock.mission import Mission
     from llm_flock.planner import PlanQuestion
 
-TAUGHT_PLANS = (("triangle", 3), ("square", 4), ("cross", 5), ("circle", 5), ("circle", 10))
-"""Shapes and numbers of places of the plans that the packaged adapter was taught."""
+LEFT_TO_CODE = ("points", "outline", "letters", "program")
+"""Kinds of shapes that hold their drawing already: code places the robots, and no model is asked."""
 
 
-def is_taught(question: PlanQuestion) -> bool:
-    """Whether the packaged adapter was taught to plan this: one of the taught teams, with nothing in the way.
+def is_asked(question: PlanQuestion) -> bool:
+    """Whether the packaged model draws this plan: a shape by its name or in words, with nothing in the way.
 
-    Of 25 teams that it was not taught the model gets one right.
+    Code plans where numbers decide: among obstacles and standing robots, in space, and shapes that are drawn already.
     """
     mission = question.mission
-    return (mission.shape, mission.n_places) in TAUGHT_PLANS and not mission.obstacles and not question.still
+    drawn = mission.dim > 2 or mission.shape.partition(":")[0] in LEFT_TO_CODE
+    return not (drawn or mission.obstacles or question.still)
+
+
+def is_taught(mission: Mission) -> bool:
+    """Whether the packaged adapter was taught the plan of this team, so that a right one is recalled."""
+    from llm_flock_onboard._distill.curriculum import CURRICULUM, taught_teams
+
+    words = mission.shape.removeprefix("text:")
+    said = any(words in text["say"] for text in CURRICULUM["texts"]["train"])
+    return said or (mission.shape, mission.n_places) in taught_teams()
 
 
 class OnBoard:
@@ -43,16 +54,17 @@ class OnBoard:
         return EngineLeases()
 
     def habits(self, model: str) -> Habits:
-        """The packaged model is asked as it was trained: with brief prompts in its own frame, or for a letter."""
+        """The packaged model is asked as it was trained: briefly, for programs, in its own frame; or for a letter."""
         from llm_flock_onboard._local.weights import LETTERS, SMOLLM2, is_packaged, split_name
 
         name, adapter = split_name(model)
         trained = name == SMOLLM2
         letters = trained and adapter == LETTERS
         return Habits(
-            prompts="letters" if letters else "brief" if trained else "full",
+            prompts="letters" if letters else "brief-program" if trained else "full",
             frame="own" if trained else "world",
-            plans=is_taught if trained and adapter is None else None,
+            plans=is_asked if trained and adapter is None else None,
+            taught=is_taught if trained and adapter is None else None,
             contained=is_packaged(model),
         )
 

@@ -30,8 +30,8 @@ CHARS_PER_TOKEN = 3  # only of prose: each digit and bracket is one token
 
 _ANY_OBJECT = r"""root ::= object
 value ::= object | array | string | number | "true" | "false"
-object ::= "{" (string ": " value (", " string ": " value)*)? "}"
-array ::= "[" (value (", " value)*)? "]"
+object ::= "{" (string ":" " "? value ("," " "? string ":" " "? value)*)? "}"
+array ::= "[" (value ("," " "? value)*)? "]"
 string ::= "\"" [^"\\\x00-\x1F]* "\""
 number ::= "-"? [0-9]{1,6} ("." [0-9]{1,4})?
 """

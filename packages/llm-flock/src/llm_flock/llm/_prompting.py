@@ -44,10 +44,14 @@ PACKAGED: Mapping[str, str] = {
     "brief": "prompts/brief",
     "letters": "prompts/letters",
     "program": "prompts/program",
+    "brief-program": "prompts/brief-program",
 }
-"""Packaged sets of templates, and their folders; templates that are not there are those of `full`."""
+"""Packaged sets of templates, and their folders; templates that are not there are those of `full`.
 
-PROGRAM = "program"  # the packaged set that asks for a plan as a formation program
+`brief-program` takes them from `brief` first.
+"""
+
+PROGRAMS = ("program", "brief-program")  # the packaged sets that ask for a plan as a formation program
 LETTERS = "letters"  # the packaged set that asks for the letter of one of the computed ways, and for no plan
 
 COMMON = frozenset({"json", "wish", *MISSION})
@@ -139,7 +143,7 @@ class PromptSet:
             letters = prompts == LETTERS
             if letters and json:
                 raise InputError("answers", "json", "text: the prompts 'letters' ask for one letter")
-            reasons, programs = prompts in ("full", PROGRAM), prompts == PROGRAM
+            reasons, programs = prompts in ("full", "program"), prompts in PROGRAMS
             templates = _packaged(prompts)
             return cls(json=json, reasons=reasons, letters=letters, programs=programs, wish=wish, templates=templates)
         folder = Path(prompts)
@@ -223,10 +227,11 @@ def _templates(packaged: str, folder: Path | None = None) -> Mapping[str, tuple[
             if not (folder / name).resolve().is_relative_to(folder.resolve()):
                 raise InputError("prompts", str(folder / name), "a file of its folder, no link out of it")
         folders = [jinja2.FileSystemLoader(folder)]
+    chain = (packaged, "brief", "full") if packaged == "brief-program" else (packaged, "full")
     # Templates may come from strangers. In the sandbox they can only make text.
     environment = SandboxedEnvironment(
         loader=jinja2.ChoiceLoader(
-            [*folders, *(jinja2.PackageLoader("llm_flock.llm", PACKAGED[name]) for name in (packaged, "full"))]
+            [*folders, *(jinja2.PackageLoader("llm_flock.llm", PACKAGED[name]) for name in chain)]
         ),
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,

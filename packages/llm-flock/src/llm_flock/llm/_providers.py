@@ -14,6 +14,7 @@ from llm_flock.printable import hidden
 
 if TYPE_CHECKING:
     from llm_flock.llm._port import CallSettings, FrameName, LanguageModel
+    from llm_flock.mission import Mission
     from llm_flock.planner import PlanQuestion
 
 MAX_URL_LENGTH = 2_000  # longest address of a provider [characters]
@@ -233,6 +234,7 @@ class Habits:
         prompts: name of a packaged set of prompts.
         frame: coordinates of the prompts.
         plans: whether to ask it for this plan, which else comes from geometry; None asks for all.
+        taught: whether it was taught the plan of this mission; None where that is not known.
         contained: whether it costs nothing, uses no network and reads no file outside installed packages.
         simulated: whether it is a stand-in, which all output must state.
     """
@@ -240,6 +242,7 @@ class Habits:
     prompts: str = "full"
     frame: FrameName = "world"
     plans: Callable[[PlanQuestion], bool] | None = None
+    taught: Callable[[Mission], bool] | None = None
     contained: bool = False
     simulated: bool = False
 

@@ -101,6 +101,7 @@ class _ResultFields(BaseModel):
     rounds_to_formed: Whole | None = None
     plan_robot: Robot | None = None
     plan_by: str | None = None
+    plan_taught: bool | None = None
     waypoint_shares: dict[str, Finite] | None = None
     breakers_opened: list[Robot] | None = None
     min_separation: Finite | None = None

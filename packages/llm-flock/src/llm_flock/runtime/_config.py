@@ -168,8 +168,9 @@ class ModelConfig(ConfigSection):
     )
     prompts: str | None = Field(
         default=None,
-        description="Packaged prompts (full, brief, letters), or a folder with templates that replace full ones "
-        "[the model's: brief for local:smollm2, letters for local:smollm2+letters, full for others]",
+        description="Packaged prompts (full, brief, program, brief-program, letters), or a folder with templates that "
+        "replace full ones [the model's: brief-program for local:smollm2, letters for local:smollm2+letters, full for "
+        "others]",
     )
     wish: str | None = Field(
         default=None,

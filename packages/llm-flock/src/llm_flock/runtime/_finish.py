@@ -10,6 +10,7 @@ import numpy as np
 from llm_flock import metrics
 from llm_flock.arrays import Vector
 from llm_flock.events import Origin
+from llm_flock.llm._providers import habits_of
 from llm_flock.record._schema import SummaryMessage
 from llm_flock.runtime._journal import finite
 from llm_flock.runtime._result import FlightFigures, MissionOutcome, RunResult, Summary, by_origin, waypoint_shares
@@ -46,6 +47,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
     plan, owned = episode.plan(agents), {slot for slot in slots if slot is not None}
     origin = None if plan is None else agents[0].provenance
     by = None if plan is None or origin is None else journal.suppliers.get((plan.digest, origin.proposer))
+    taught = None if by in (None, "geometry") else habits_of(by).taught
     waypoints = by_origin(journal.waypoints)
     journal.close_episode(roster)
     error = journal.errors[-1]
@@ -104,6 +106,7 @@ def _summarize(trial: Trial, record: str | None, flight: FlightFigures | None) -
         center_distance=_center_distance(trial),
         plan_robot=None if origin is None else origin.proposer,
         plan_by=by,
+        plan_taught=None if taught is None else taught(trial.mission),
         breakers_opened=tuple(sorted(journal.breakers_opened)),
         messages_sent=traffic.sent,
         bytes_per_robot_round=traffic.bytes / max(1, journal.robot_rounds),

@@ -50,7 +50,10 @@ def stand_in(config: RunConfig, profile: str = PROFILE) -> RunConfig:
     if "model" in outside or any(map(waits, parse_models(config.model.model, config.mission.n_robots))):
         plain |= {"model": f"simulated:{profile}", "reasoning_effort": None}
         plain |= {"temperature": None, "model_seed": None, "frame": None}
-        if config.model.prompts == "brief":  # stand-ins understand only the full ones, which take more tokens
+        if config.model.prompts in (
+            "brief",
+            "brief-program",
+        ):  # stand-ins understand only the full ones, which take more tokens
             plain["prompts"] = None
     # On a busy machine a rehearsal takes longer; that must not cost it an answer.
     unbounded = {"max_calls": None, "max_tokens": None, "max_cost": None, "timeout_s": LONGEST_S}

@@ -86,7 +86,7 @@ class TeamPlanners:
         model, wish = self._config.model, self._wish
         words = model.prompts or habits_of(text).prompts
         prompts = PromptSet.load(words, json=model.answers == "json", wish=wish)
-        if wish and words in ("full", "brief") and self._config.protocol.judge == "rule":
+        if wish and words in ("full", "brief", "program", "brief-program") and self._config.protocol.judge == "rule":
             allowed = f"no wish with the prompts {words!r}, which name it in judgements only: use 'letters' or judge"
             raise InputError("wish", wish, allowed)
         if parse_model(text).kind == "simulated":

@@ -151,6 +151,8 @@ class Summary:
     formed_half_tolerance: bool = False  #: As `formed`, with both tolerances halved; the run ends as always.
     formed_twice_tolerance: bool = False  #: As `formed`, with both tolerances doubled.
     flight: FlightFigures | None = None  #: The figures of a flight; None in simulation.
+    #: Whether the model that made that plan was taught it, and may only have recalled it; None where that is not known.
+    plan_taught: bool | None = None
     answered_by: tuple[str, ...] = ()  #: The models that answered, by the names that their servers gave, sorted.
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,0 +1,331 @@
+"""What the model on board is taught: plans as formation programs, steps, paths, ways round others, retries, judgements.
+
+python -m benchmarks lessons FILE [COUNT] [SEED]
+
+Every question goes through the planner of a run, with its prompts, frame, parsers and checks, and only answers that
+these accept at once are taught. What is held out stands in `curriculum.toml`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from llm_flock.arrays import Point
+from llm_flock.llm import Call, LanguagePlanner, PromptSet, Reply, frame_step, place_text
+from llm_flock.mission import build_mission
+from llm_flock.obstacles import Obstacle, nearest_on_segment
+from llm_flock.planner import (
+    AIMS,
+    JudgementOption,
+    JudgementQuestion,
+    NoAnswer,
+    PlanQuestion,
+    StepQuestion,
+    best_option,
+)
+from llm_flock.protocol import HORIZON, check_proposal, judge, step_faults
+from llm_flock.record import check_new
+from llm_flock_onboard._distill.curriculum import CURRICULUM, plan_mission, taught_teams
+from llm_flock_onboard._distill.examples import TEAMS, Example, Kind, away, draw_mission, draw_step, write_examples
+
+REACH = 0.92
+"""Length of a full step in step limits: an error of one or two in the last digit stays within the limit."""
+
+TURNS = (0, 45, 90, 30, 60, 180, 20, 36, 15, 75, 120)
+"""Turns of a drawing that are tried, in this order, where a robot stands on a place [degrees]."""
+
+SHARES: Mapping[Kind, float] = {
+    "plan": 0.26,
+    "step": 0.28,
+    "path": 0.03,
+    "judgement": 0.11,
+    "mission": 0.2,
+    "edit": 0.12,
+}
+"""Kinds of examples."""
+
+RETRIED = 0.15
+"""Share of questions for plans and steps that are asked after an answer that was refused."""
+
+PROMPTS = PromptSet.load("brief-program")
+
+
+class _Teacher:
+    """A model that gives these answers, and keeps the questions."""
+
+    name = "teacher"
+
+    def __init__(self, texts: Sequence[str]) -> None:
+        self.texts, self.calls = texts, list[Call]()
+
+    async def ask(self, call: Call) -> Reply:
+        self.calls.append(call)
+        return Reply(text=self.texts[min(len(self.calls), len(self.texts)) - 1], model=self.name, cost_usd=0.0)
+
+
+def taught(
+    kind: Kind, asked: PlanQuestion | StepQuestion | JudgementQuestion, *texts: str, wish: str = ""
+) -> Example | None:
+    """The conversation in which the last of some answers is accepted, and those before are refused; else None."""
+    teacher = _Teacher(texts)
+    planner = LanguagePlanner(
+        asked.robot,
+        teacher,
+        replace(PROMPTS, wish=wish),
+        max_retries=len(texts) - 1,
+        check_plan=lambda given, answer: check_proposal(given.mission, answer.plan, given.still, given.position),
+        judge=lambda given, answer: judge(given, answer, shield_on=True),
+        frame="own",
+    )
+    if isinstance(asked, JudgementQuestion):
+        work: Any = planner.judge(asked)
+    else:
+        work = planner.plan(asked) if isinstance(asked, PlanQuestion) else planner.step(asked)
+    answer = asyncio.run(work)
+    if isinstance(answer, NoAnswer) or len(teacher.calls) != len(texts):
+        return None
+    messages = tuple((message.role, message.text) for message in teacher.calls[-1].messages)
+    topic = f"{asked.mission.shape[:40]} {asked.mission.n_places}"
+    return Example(kind=kind, messages=messages, answer=texts[-1], topic=topic)
+
+
+def drawing(shape: str, n: int, points: Sequence[Point] = ()) -> list[dict[str, Any]]:
+    """The elements of a program that draws a shape of `n` places."""
+    name, _, argument = shape.partition(":")
+    if name == "points":
+        return [{"points": [[round(x, 2) + 0.0 for x in point]]} for point in points]
+    if name == "wedge" and n % 2 == 0:  # its first arm is longer by one robot
+        return [{"points": [[n // 2, -n // 2], [0, 0], [1 - n // 2, 1 - n // 2]]}]
+    if name == "grid":
+        columns = math.isqrt(n - 1) + 1
+        rows, left = divmod(n, columns)
+        whole: dict[str, Any] = _row(columns)
+        if rows > 1:
+            whole = {"union": [whole], "repeat": {"times": rows, "move": [0, 1]}}
+        return [whole] + ([{**_row(left), "move": [(columns - left) // 2, -1]}] if left else [])
+    return [{"shape": name, **({"sides": int(argument)} if argument else {})}]
+
+
+def _row(times: int) -> dict[str, Any]:
+    return {"points": [[0, 0]], **({"repeat": {"times": times, "move": [1, 0]}} if times > 1 else {})}
+
+
+def draw_plan(rng: np.random.Generator) -> Example | None:
+    """A plan: of a team with a name, of points, or of a shape in words; some with a robot that stands in the way."""
+    share, still, text = rng.random(), tuple[Point, ...](), ""
+    if share < 0.06:
+        dim, n = (2 if share < 0.04 else 3), int(rng.integers(4, 8))
+        rows = _lattice(rng, n, dim)
+        mission = plan_mission("points", n, points=[tuple(10 * x for x in row) for row in rows])
+        mean = [sum(column) / n for column in zip(*rows, strict=True)]
+        shape, draw = "points", drawing("points", n, [[x - m for x, m in zip(r, mean, strict=True)] for r in rows])  # type: ignore[arg-type]
+    elif share < 0.4:
+        given = pick(rng, CURRICULUM["texts"]["train"])
+        n = int(rng.choice(given["sizes"]))
+        text = pick(rng, given["say"]) + (pick(rng, CURRICULUM["beside"]["train"]) if rng.random() < 0.6 else "")
+        mission, draw = plan_mission("text:" + text, n), given["draw"]
+    else:
+        shape, n = pick(rng, taught_teams())
+        mission, draw = plan_mission(shape, n), drawing(shape, n)
+        if share > 0.85 and n <= 15:
+            assert mission.ideal is not None, "a shape with a name has points"
+            still = (tuple(round(x, 2) for x in pick(rng, mission.ideal)),)
+    robot = int(rng.integers(n))
+    asked = PlanQuestion(
+        mission=mission, robot=robot, round=1, position=(0.0,) * mission.dim, neighbors=(), still=still
+    )
+    wrong = _refused_plan(rng, draw, n) if rng.random() < RETRIED else ()
+    for turn in TURNS if still else (0,):
+        turned = draw
+        if turn:
+            turned = [{**draw[0], "turn": turn}] if len(draw) == 1 else [{"union": draw, "turn": turn}]
+        right = json.dumps({"program": {"draw": turned}, "my_plan": robot})
+        found = taught("plan", asked, *wrong, right)
+        if found is not None:
+            return found
+    return None
+
+
+def _refused_plan(rng: np.random.Generator, draw: list[dict[str, Any]], n: int) -> tuple[str]:
+    """An answer that no check accepts: coordinates, a place too many, a broken program, or words."""
+    kind = rng.random()
+    if kind < 0.4:
+        rows = [place_text(tuple(map(float, row))) for row in rng.normal(0, 1.5, (min(n, 10), 2)).round(2)]
+        return (f"Plan: [{', '.join(rows)}]\nmy plan: {int(rng.integers(n))}",)
+    if kind < 0.6:
+        return (json.dumps({"program": {"draw": draw}, "my_plan": n}),)
+    if kind < 0.8:
+        return (json.dumps({"program": {"draw": [{"shape": "blob"}]}, "my_plan": 0}),)
+    return (pick(rng, CURRICULUM["unreadable"]["train"]),)
+
+
+def draw_motion(rng: np.random.Generator, kind: Kind) -> Example | None:
+    """A step or a path of one position: straight, or round a robot in the way, also among obstacles and in space."""
+    base = draw_mission(rng, "train", TEAMS)
+    limit = float(rng.uniform(0.3, 0.8)) * base.spacing
+    base = base.change(max_step=round(limit, 2), safe_distance=round(0.3 * base.spacing, 2))
+    if rng.random() < 0.08:
+        center, arena = (50.0, 50.0, 50.0), ((-300.0,) * 3, (400.0,) * 3)
+        base = build_mission(shape="sphere", n_robots=6, center=center, arena=arena, max_step=limit, comm_range=60.0)
+    asked = draw_step(rng, base)
+    mission, here, goal, safe = base, asked.position, asked.goal, base.safe_distance
+    if mission.dim == 3:
+        here = (*here[:2], round(goal[2] + float(rng.normal(0.0, 1.5)) * mission.max_step, 2))
+    elif rng.random() < 0.08:
+        disc = Obstacle(center=away(here, float(rng.uniform(1.0, 3.0)) * limit, rng.uniform(0, 6.28)), radius=safe)
+        mission = mission.model_copy(update={"obstacles": (disc,)})
+    end, share = towards(here, goal, REACH * mission.max_step), rng.random()
+    others = list[Point]()
+    if share < 0.5 and kind == "step" and mission.dim == 2:  # in the way
+        others = [away(end, float(rng.uniform(0.0, 0.7)) * safe, rng.uniform(0.0, 2 * math.pi))]
+    elif share < 0.75:
+        for _ in range(int(rng.integers(1, 4))):
+            on = tuple(h + float(x) * (e - h) for h, e, x in zip(here, end, [rng.uniform()] * len(end), strict=True))
+            other = away(on, float(rng.uniform(1.12, 3.0)) * safe, rng.uniform(0.0, 2 * math.pi))
+            if math.dist(nearest_on_segment(other, here, end), other) > 1.1 * safe:
+                others.append(other)
+    horizon = HORIZON if kind == "path" else 1
+    asked = replace(asked, mission=mission, position=here, neighbors=tuple(others), horizon=horizon)
+    framed = frame_step(asked, "own")
+    assert framed.frame is not None, "the own frame is asked for"
+    waypoint = way_round(asked)
+    if waypoint is None:
+        return None
+    text = place_text(_rounded(framed.frame.exact(waypoint)))
+    wrong = tuple[str, ...]()
+    if rng.random() < RETRIED:
+        far = [float(rng.choice([-0.8, 1.4, 2.0, 2.5, 3.0])) * x for x in framed.frame.exact(end)]
+        said = (
+            pick(rng, CURRICULUM["unreadable"]["train"])
+            if rng.random() < 0.3
+            else f"Position: {place_text(_rounded(far))}"
+        )
+        wrong = (said,)
+    return taught(kind, asked, *wrong, f"Position: {text}" if horizon == 1 else f"Path: [{text}]")
+
+
+def way_round(asked: StepQuestion) -> Point | None:
+    """The straight step, or else the first shorter or turned one that the checks accept and that is nearer."""
+    here, goal, mission = asked.position, asked.goal, asked.mission
+    straight = towards(here, goal, REACH * mission.max_step)
+    if not step_faults(asked, straight):
+        return straight
+    longest, course = min(mission.max_step, math.dist(here, goal)), math.atan2(goal[1] - here[1], goal[0] - here[0])
+    for turn, share in itertools.product((0, 15, -15, 30, -30, 45, -45, 60, -60, 75, -75), (1.0, 0.75, 0.5, 0.25)):
+        waypoint = away(here, share * longest, course + math.radians(turn))
+        if math.dist(waypoint, goal) < math.dist(here, goal) and not step_faults(asked, waypoint):
+            return waypoint
+    return None
+
+
+def towards(here: Point, goal: Point, longest: float) -> Point:
+    """The point on the straight way to a goal, at most so far away [units]."""
+    share = min(1.0, longest / max(math.dist(here, goal), 1e-9))
+    return tuple(h + share * (g - h) for h, g in zip(here, goal, strict=True))
+
+
+def draw_judgement(rng: np.random.Generator) -> Example | None:
+    """An event with options of random figures; the right one by an aim of the product, or by a wish in other words."""
+    n, robot = int(rng.integers(4, 21)), int(rng.integers(10))
+    if rng.random() < 0.6:
+        event = f"Robot {robot} has failed, and nobody fills its place."
+        says = {
+            "leave": "Leave the place empty.",
+            "close": f"Close up: robot {(robot + 1) % 10} leaves its place at the edge and fills the gap.",
+            "replan": f"Make a new plan of {n} places for the robots that are left.",
+        }
+    else:
+        left = rng.choice([0.0, rng.uniform(1, 30)])
+        event = f"The battery of robot {robot} is weak: it can fly {left:.1f} units at most."
+        says = {
+            "continue": f"Robot {robot} goes on to its place.",
+            "swap": f"Robot {robot} exchanges its place with robot {(robot + 3) % 10}.",
+            "spare": f"Robot {robot} stops, and spare robot {n} takes its place.",
+        }
+    options = list[JudgementOption]()
+    for name, does in says.items():
+        moves, lost = rng.random() < 0.85, int(name in ("continue", "swap") and rng.random() < 0.6)
+        rounds, flown = (int(rng.integers(1, 20)), round(float(rng.uniform(3, 150)), 1)) if moves else (0, 0.0)
+        gaps = int(rng.random() < 0.8) if name == "leave" else lost
+        option = JudgementOption(choice=name, does=does, rounds=rounds, distance=flown, gaps=gaps, lost=lost)  # type: ignore[arg-type]
+        if name in ("leave", "continue") or rng.random() < 0.75:
+            options.append(option)
+    if len(options) < 2:
+        return None
+    aim = pick(rng, list(AIMS))
+    right, key = best_option(options, aim), AIMS[aim][0]
+    wish = aim
+    if rng.random() < 0.5:
+        best = min((one.lost, getattr(one, key)) for one in options)
+        if sum((one.lost, getattr(one, key)) == best for one in options) > 1:
+            return None
+        wish = pick(rng, CURRICULUM["wishes"][key]["train"])
+    asked = JudgementQuestion(mission=build_mission(), robot=robot % 10, round=1, event=event, options=tuple(options))
+    return taught("judgement", asked, f"Choice: {right}", wish=wish)
+
+
+def lessons(seed: int, count: int) -> Iterator[Example]:
+    """Draw `count` examples of all kinds; those of missions and edits are in `lessons_in_words`."""
+    from benchmarks.lessons_in_words import draw_edit, draw_request
+
+    rng, kinds, made = np.random.default_rng([seed, 7]), list(SHARES), 0
+    draws: Mapping[Kind, Callable[[np.random.Generator], Example | None]] = {
+        "plan": draw_plan,
+        "step": lambda rng: draw_motion(rng, "step"),
+        "path": lambda rng: draw_motion(rng, "path"),
+        "judgement": draw_judgement,
+        "mission": draw_request,
+        "edit": draw_edit,
+    }
+    while made < count:
+        kind = kinds[int(rng.choice(len(kinds), p=[SHARES[name] for name in kinds]))]
+        found: Example | None = None
+        while found is None:
+            found = draws[kind](rng)
+        made += 1
+        yield found
+
+
+def pick(rng: np.random.Generator, values: Sequence[Any]) -> Any:
+    """One of some values."""
+    return values[int(rng.integers(len(values)))]
+
+
+def _rounded(point: Sequence[float]) -> Point:
+    return tuple(round(float(x), 2) + 0.0 for x in point)
+
+
+def _lattice(rng: np.random.Generator, n: int, dim: int) -> list[tuple[float, ...]]:
+    """A random connected piece of a lattice: n points, each one spacing from another [spacings]."""
+    found: list[tuple[float, ...]] = [(0.0,) * dim]
+    while len(found) < n:
+        at = list(pick(rng, found))
+        at[int(rng.integers(dim))] += float(rng.choice([-1, 1]))
+        if tuple(at) not in found:
+            found.append(tuple(at))
+    return found
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Write a file of examples for `llm-flock distill train`; the adapter in the package had 6,000 of seed 1."""
+    if not arguments:
+        raise SystemExit("lessons FILE [COUNT] [SEED]: the new file is missing")
+    out, count, seed = (
+        Path(arguments[0]),
+        *(int(word) for word in (*arguments[1:], *("6000", "1")[len(arguments) - 1 :])),
+    )
+    check_new(out)
+    examples = list(lessons(seed, count))
+    write_examples(out, examples)
+    for kind in SHARES:
+        prompts = [example.prompt for example in examples if example.kind == kind]
+        print(f"{kind}: {len(prompts)} examples, {len(set(prompts))} prompts")

@@ -1,0 +1,241 @@
+"""Requests in words with their right answers: missions, questions back and refusals, and edits of programs.
+
+They are put together from the pieces in `curriculum.toml`, and an answer that cannot be flown is not taught.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+from benchmarks.lessons import pick
+
+from llm_flock.errors import AnswerError, InputError
+from llm_flock.formation import parse_program
+from llm_flock.llm import Call, draft_of, edit_call, mission_call
+from llm_flock.mission import Mission, build_mission
+from llm_flock_onboard._distill.curriculum import CURRICULUM
+from llm_flock_onboard._distill.examples import Example, Kind
+
+WORDS: dict[str, Any] = CURRICULUM["missions"]
+SIDES = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}
+UNASKED = 0.3
+"""Share of requests that a reader has to refuse, or to ask about; half each."""
+
+
+def _example(kind: Kind, call: Call, answer: dict[str, Any], topic: str) -> Example:
+    messages = tuple((message.role, message.text) for message in call.messages)
+    return Example(kind=kind, messages=messages, answer=json.dumps(answer), topic=topic)
+
+
+def draw_request(rng: np.random.Generator) -> Example | None:
+    """A request for a mission, by a team that is set up or flies; its answer has the order of the schema."""
+    flying, base = bool(rng.random() < 0.3), Mission()
+    if flying:
+        base = build_mission(shape=pick(rng, ["circle", "line", "grid"]), n_robots=int(rng.choice([6, 8, 10])))
+    if rng.random() < UNASKED:
+        if rng.random() < 0.5:
+            about = pick(rng, list(WORDS["ask"]))
+            words, answer = pick(rng, WORDS["ask"][about]), {"answer": "ask", "about": about}
+        else:
+            words, answer = pick(rng, WORDS["refuse"]["train"]), {"answer": "refuse"}
+        return _example("mission", mission_call(_worn(rng, words), base, flying=flying, brief=True), answer, "words")
+    words, answer = _mission(rng, flying=flying)
+    try:
+        draft_of(json.dumps(answer), base, flying=flying)
+    except (InputError, AnswerError):
+        return None
+    return _example("mission", mission_call(_worn(rng, words), base, flying=flying, brief=True), answer, "words")
+
+
+def _worn(rng: np.random.Generator, words: str) -> str:
+    """Words as people write them: with a phrase around them, or all in small letters."""
+    words = words[0].upper() + words[1:] if rng.random() < 0.5 else words
+    words += pick(rng, WORDS["close"]["train"]) if words[-1] not in ".!?" else ""
+    return words.lower() if rng.random() < 0.25 else words
+
+
+def _mission(rng: np.random.Generator, *, flying: bool) -> tuple[str, dict[str, Any]]:
+    answer: dict[str, Any] = {"answer": "mission"}
+    words, after = "", ""
+    if not flying and rng.random() < 0.15:
+        answer["robots"] = int(rng.integers(4, 31))
+        words = pick(rng, WORDS["robots"]["train"]).format(n=answer["robots"])
+    if not flying and rng.random() < 0.15:
+        x, y, v = (int(k) for k in rng.integers(5, 90, 3))
+        if rng.random() < 0.5:
+            answer["keep_out"] = [{"center": [x, y], "radius": 3 + v % 12}]
+            after += pick(rng, WORDS["disc"]["train"]).format(x=x, y=y, v=3 + v % 12)
+        else:
+            x2, y2 = x + 4 + v % 20, y + 5 + v % 7
+            answer["keep_out"] = [{"polygon": [[x, y], [x2, y], [x2, y2], [x, y2]]}]
+            after += pick(rng, WORDS["box"]["train"]).format(x=x, y=y, x2=x2, y2=y2)
+    if not flying and rng.random() < 0.08:
+        answer["gaps"] = pick(rng, ["replan", "report"])
+        after += pick(rng, WORDS[answer["gaps"]]["train"])
+    if rng.random() < 0.1:
+        said, parts = _parts(rng)
+        words, answer["stages"] = words + said, [{"parts": parts}]
+    else:
+        said, stage = _stage(rng, pick(rng, WORDS["open"]["train"]))
+        words, answer["stages"] = words + said, [stage]
+        while len(answer["stages"]) < 3 and rng.random() < 0.25:
+            said, stage = _stage(rng, pick(rng, WORDS["then"]["train"]))
+            if rng.random() < 0.3:
+                key = pick(rng, ["order", "round"])
+                v = int(rng.integers(10, 60))
+                stage["when"] = "order" if key == "order" else {"round": v}
+                said += pick(rng, WORDS[key]["train"]).format(v=v)
+            words, answer["stages"] = words + said, [*answer["stages"], stage]
+    if rng.random() < 0.08:
+        wish = {"robot": int(rng.integers(6)), "way": pick(rng, list(WORDS["prefer"]))}
+        answer["prefer"] = [wish]
+        after += pick(rng, WORDS["prefer"][wish["way"]]).format(i=wish["robot"])
+    return words + after, answer
+
+
+def _stage(rng: np.random.Generator, opening: str) -> tuple[str, dict[str, Any]]:
+    """One formation: its words, and the stage, fields in the order of the schema."""
+    shape = pick(rng, list(WORDS["shapes"]))
+    said: dict[str, tuple[str, Any]] = {}
+
+    def add(name: str, share: float, value: Any, **values: Any) -> None:
+        if rng.random() < share:
+            said[name] = (pick(rng, WORDS[name]["train"]).format(**values), value)
+
+    x, y = (int(k) for k in rng.integers(2, 9, 2) * 10 + (rng.random() < 0.3) * rng.integers(-4, 5, 2))
+    v, side, way = float(rng.integers(7, 41)) / 2, pick(rng, list(SIDES)), pick(rng, list(SIDES))
+    number: Any = int(v) if v == int(v) else v
+    plain = not shape.startswith("text:")
+    add("fill", 0.06 * plain, True)
+    add("center", 0.45, [x, y], x=x, y=y)
+    add("spacing", 0.25, number, v=number)
+    if "spacing" not in said:
+        add("size", 0.12 * plain, 10 + int(rng.integers(4, 45)), v="{v}")
+        if "size" in said:
+            said["size"] = (said["size"][0].format(v=said["size"][1]), said["size"][1])
+    add("point", 0.1 * (shape in ("wedge", "triangle", "line")), side, side=side)
+    if "point" not in said:
+        turn = 5 * int(rng.integers(2, 18))
+        add("turn", 0.08 * plain, turn, v=turn)
+    pace = int(rng.integers(1, 4)) / 2
+    pace = int(pace) if pace == int(pace) else pace
+    add("velocity", 0.06, [pace * k + 0 if k else 0 for k in SIDES[way]], side=way, v=pace)
+    words = opening.format(shape=pick(rng, WORDS["shapes"][shape]))
+    names = [name for name in ("center", "spacing", "size", "fill", "point", "turn", "velocity") if name in said]
+    words += "".join(said[names[k]][0] for k in rng.permutation(len(names)))
+    part = {
+        "shape": shape,
+        **{n: said[n][1] for n in ("fill", "center", "spacing", "size", "point", "turn", "velocity") if n in said},
+    }
+    stage: dict[str, Any] = {"parts": [part]}
+    if rng.random() < 0.12:
+        stage["hold"] = int(rng.integers(2, 30))
+        words += pick(rng, WORDS["hold"]["train"]).format(v=stage["hold"])
+    return words, stage
+
+
+def _parts(rng: np.random.Generator) -> tuple[str, list[dict[str, Any]]]:
+    """Two sub-teams."""
+    shapes = [shape for shape in WORDS["shapes"] if not shape.startswith(("text:", "letters:"))]
+    one, two = pick(rng, shapes), pick(rng, shapes)
+    ids, wording = (
+        sorted(int(i) for i in rng.choice(9, int(rng.integers(3, 6)), replace=False)),
+        pick(rng, WORDS["parts"]["train"]),
+    )
+    who: dict[str, Any] = {"ids": ids} if "{ids}" in wording else {"count": len(ids)}
+    listed = ", ".join(map(str, ids[:-1])) + f" and {ids[-1]}"
+    words = wording.format(
+        ids=listed, count=len(ids), one=pick(rng, WORDS["shapes"][one]), two=pick(rng, WORDS["shapes"][two])
+    )
+    return words, [{"who": who, "shape": one}, {"shape": two}]
+
+
+def _element(rng: np.random.Generator) -> dict[str, Any]:
+    shape = pick(rng, ["circle", "square", "triangle", "star", "cross", "wedge", "line", "polygon"])
+    sides = {"sides": int(rng.integers(5, 11))} if shape == "polygon" else {}
+    more: dict[str, Any] = {}
+    if rng.random() < 0.3:
+        more["scale"] = pick(rng, [0.5, 2, 1.5, [1, 2], [2, 1], [1.5, 1]])
+    if rng.random() < 0.2:
+        more["turn"] = int(rng.choice([15, 30, 45, 90]))
+    return {"shape": shape, **sides, **more}
+
+
+def draw_edit(rng: np.random.Generator) -> Example | None:
+    """A program, a wish, and the changed program in its canonical text, as programs are shown."""
+    kinds, says = list(CURRICULUM["edits"]), CURRICULUM["edits"]
+    kind, v, first = pick(rng, kinds), pick(rng, [2, 3, 1.5, 0.5, 4]), _element(rng)
+    values: dict[str, Any] = {"v": v}
+    given: dict[str, Any] = {"draw": [first]}
+    if kind in ("role", "count", "at"):
+        roles = [str(r) for r in rng.choice(["pilots", "guides", "runners", "carriers", "singers"], 3, replace=False)]
+        ats = (rng.integers(2, 9, (3, 2)) * 10).tolist()
+        counts = rng.integers(3, 9, 3).tolist()
+        groups = [
+            {
+                "role": roles[k],
+                "count": counts[k],
+                "at": ats[k],
+                "draw": [{"shape": pick(rng, ["circle", "line", "square"])}],
+            }
+            for k in range(2)
+        ]
+        given, k = {"groups": groups}, int(rng.integers(2))
+        field = {"role": "role", "count": "count", "at": "at"}[kind]
+        new = {"role": roles[2], "count": counts[2], "at": ats[2]}[kind]
+        wanted: dict[str, Any] = {"groups": [{**g, field: new} if i == k else g for i, g in enumerate(groups)]}
+        values = {"role": roles[k], "new": roles[2], "v": counts[2], "x": ats[2][0], "y": ats[2][1]}
+    elif kind == "refuse":
+        wanted = {"refuse": "It cannot be drawn."}
+    elif kind in ("drop_last", "drop_first"):
+        draws = [first, _element(rng), _element(rng)][: int(rng.integers(2, 4))]
+        given, wanted = {"draw": draws}, {"draw": draws[:-1] if kind == "drop_last" else draws[1:]}
+    elif kind == "size":
+        values["v"] = 5 * int(rng.integers(4, 20))
+        given, wanted = {"draw": [first], "size": 70}, {"draw": [first], "size": values["v"]}
+        given = given if rng.random() < 0.4 else {"draw": [first]}
+    else:
+        changed = dict(first)
+        if kind in ("scale_x", "scale_y"):
+            scale = first.get("scale", 1)
+            x, y = np.broadcast_to(scale, 2).tolist()
+            changed["scale"] = [x * v, y] if kind == "scale_x" else [x, y * v]
+        elif kind in ("turn", "turn_back"):
+            values["v"] = int(rng.choice([10, 20, 30, 45, 60, 90]))
+            changed["turn"] = first.get("turn", 0) + (values["v"] if kind == "turn" else -values["v"])
+        elif kind == "shape":
+            changed["shape"] = values["shape"] = pick(rng, ["circle", "square", "triangle", "star", "cross"])
+            changed.pop("sides", None)
+        elif kind == "sides":
+            values["v"] = int(rng.integers(3, 13))
+            first = {"shape": "polygon", "sides": int(rng.integers(5, 11))}
+            changed = {**first, "sides": values["v"]}
+        elif kind == "text":
+            first = {"text": pick(rng, ["HI", "OK", "A", "FLY"])}
+            values["word"] = pick(rng, ["BYE", "NO", "B", "GO", "ZOO"])
+            changed = {"text": values["word"]}
+        elif kind in ("mirror_x", "mirror_y"):
+            changed["mirror"] = kind[-1]
+        elif kind == "times":
+            first = {**first, "repeat": {"times": int(rng.integers(2, 5)), "move": [3, 0]}}
+            values["v"] = int(rng.integers(2, 9))
+            changed = {**first, "repeat": {**first["repeat"], "times": values["v"]}}
+        elif kind == "fill":
+            changed["fill"] = True
+        else:
+            first = {"points": rng.integers(0, 9, (int(rng.integers(3, 6)), 2)).tolist()}
+            changed = {**first, "closed": True}
+        given, wanted = {"draw": [first]}, {"draw": [changed]}
+    try:
+        program = parse_program(given)
+        right = wanted if "refuse" in wanted else json.loads(parse_program(wanted).text)
+    except InputError:
+        return None
+    words = _worn(rng, pick(rng, says[kind]).format(**values))
+    n = sum(group["count"] for group in given["groups"]) if "groups" in given else 12
+    call = edit_call(words, program, n, brief=True)
+    messages = tuple((message.role, message.text) for message in call.messages)
+    answer = json.dumps(right, separators=(",", ":"))  # as programs are shown
+    return Example(kind="edit", messages=messages, answer=answer, topic=kind)
