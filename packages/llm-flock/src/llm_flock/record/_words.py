@@ -112,7 +112,8 @@ def work_text(result: Mapping[str, Any]) -> str:
     """The suppliers of a run's last plan and of its waypoints; empty for records without them."""
     parts: list[str] = []
     if result.get("plan_robot") is not None:
-        known = {True: ", which was taught it", False: ", which was never taught it"}.get(result.get("plan_taught"), "")
+        taught: object = result.get("plan_taught")
+        known = "" if taught is None else ", which was taught it" if taught else ", which was never taught it"
         parts.append(f"plan by robot {result['plan_robot']} ({result.get('plan_by') or 'unknown'}{known})")
     shares = cast("Mapping[str, float]", result.get("waypoint_shares") or {})
     flown = sorted(((share, who) for who, share in shares.items() if share > 0.0), reverse=True)
