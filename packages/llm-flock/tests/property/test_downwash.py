@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 import llm_flock
 from llm_flock.arrays import flattened, separation
 from llm_flock.mission import MAX_DOWNWASH, Mission
-from llm_flock.protocol._motion.leg import leg_to
 
 LIARS = "simulated:random@0.2,overshoot@0.2,collapse@0.2,malformed@0.2"
 
@@ -53,16 +52,3 @@ def test_no_step_is_longer_by_the_norm(points: list[tuple[float, float, float]],
     apart = separation(one, other, downwash)
     assert apart <= separation(one, other, 1.0) + 1e-9
     assert apart == pytest.approx(np.linalg.norm(np.diff(flattened(points, downwash), axis=0)), abs=1e-9)
-
-
-@pytest.mark.parametrize(("downwash", "straight"), [(1.0, True), (2.0, False), (3.0, False)])
-def test_ways_lead_round_the_ellipsoid_of_a_dead_robot(downwash: float, straight: bool) -> None:
-    mission = Mission(shape="sphere", n_robots=12, downwash=downwash)
-    dead, here, goal = (50.0, 50.0, 50.0), (40.0, 50.0, 54.5), (60.0, 50.0, 54.5)
-    stops = [here]
-    while stops[-1] != goal and len(stops) < 20:
-        leg = leg_to(mission, stops[-1], goal, still=(dead,))
-        stops.append(leg.stop)
-    assert (len(stops) == 2) is straight and stops[-1] == goal
-    way = [np.array(a) + s * (np.array(b) - np.array(a)) for a, b in pairwise(stops) for s in np.linspace(0, 1, 41)]
-    assert min(separation(tuple(x), dead, downwash) for x in way) >= 3.0 * 0.97

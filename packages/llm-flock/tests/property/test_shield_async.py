@@ -64,8 +64,8 @@ def fly(
     for _ in range(events):
         k = min(range(n), key=lambda i: bodies[i].until_s)
         then = bodies[k].until_s
-        ends = ([b.at(at) for b in bodies] for at in (now, then))
-        smallest = min(smallest, segment_separation(*ends, downwash=downwash))
+        before, after = ([b.at(at) for b in bodies] for at in (now, then))
+        smallest = min(smallest, segment_separation(before, after, downwash=downwash))
         now, body = then, bodies[k]
         here = body.at(now)
         period_s = float(rng.uniform(1.0, 3.0) if body.seldom else rng.uniform(0.05, 0.5))

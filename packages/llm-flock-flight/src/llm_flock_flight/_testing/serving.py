@@ -23,7 +23,7 @@ class Served(Protocol):
 V = TypeVar("V", bound=Served)
 
 
-class Team(Generic[V]):
+class ServedTeam(Generic[V]):
     """Several stand-ins and the thread that serves them, from `__enter__` to `__exit__`, every `step_s` [s]."""
 
     def __init__(self, step_s: float) -> None:

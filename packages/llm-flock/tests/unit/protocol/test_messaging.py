@@ -7,6 +7,7 @@ from driven_agent import LINE, PLAN, DrivenAgent, make, says
 from msgspec.structs import replace
 from opened_payloads import Opened
 
+from llm_flock.errors import InputError
 from llm_flock.events import MissionGiven, Note, Received
 from llm_flock.message import Course, decode, encode
 from llm_flock.mission import Mission, mission_text
@@ -168,3 +169,10 @@ def test_a_program_that_cannot_be_drawn_is_refused(verify: bool, shape: str) -> 
     driven.begin()
     (note, *_) = driven.comm_round(says(1, mission=TEXT, plan=program(1, shape=shape)))
     assert isinstance(note, Note) and "a plan that cannot be drawn" in str(note.detail["detail"])
+
+
+@pytest.mark.parametrize(("spacing", "places"), [(1e-9, 3), (9e5, 300)])
+def test_a_drawing_whose_places_no_message_holds_is_refused(spacing: float, places: int) -> None:
+    plan = Plan(drawing=Drawing('{"draw":[{"shape":"line"}]}', places, spacing, LINE.center))
+    with pytest.raises(InputError, match="places"):
+        _ = plan.points

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 import pytest
 from rounds import observation
 from safe_team import SAFE, SafeTeam
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, separation
 from llm_flock.events import MoveTo, Note, Origin
 from llm_flock.message import MAX_LEVEL, Course
 from llm_flock.mission import Mission
@@ -370,3 +370,15 @@ def test_false_claims_cannot_break_the_safe_distance(seed: int) -> None:
         team.courses.update(lies)
         team.round()
     assert team.smallest >= SAFE - 1e-6
+
+
+@pytest.mark.parametrize(("downwash", "straight"), [(1.0, True), (2.0, False), (3.0, False)])
+def test_ways_lead_round_the_ellipsoid_of_a_dead_robot(downwash: float, straight: bool) -> None:
+    mission = Mission(shape="sphere", n_robots=12, downwash=downwash)
+    dead, here, goal = (50.0, 50.0, 50.0), (40.0, 50.0, 54.5), (60.0, 50.0, 54.5)
+    stops: list[Point] = [here]
+    while stops[-1] != goal and len(stops) < 20:
+        stops.append(leg_to(mission, stops[-1], goal, still=(dead,)).stop)
+    assert (len(stops) == 2) is straight and stops[-1] == goal
+    way = [np.array(a) + s * (np.array(b) - np.array(a)) for a, b in pairwise(stops) for s in np.linspace(0, 1, 41)]
+    assert min(separation(tuple(x), dead, downwash) for x in way) >= 3.0 * 0.97

@@ -15,7 +15,7 @@ import numpy as np
 from llm_flock.robots import PointMass, Position
 from llm_flock_flight._testing.crtp.firmware import COMMANDER, PID, Firmware, packet
 from llm_flock_flight._testing.crtp.radio import ModelledRadio
-from llm_flock_flight._testing.serving import Team
+from llm_flock_flight._testing.serving import ServedTeam
 
 STEP_S = 0.002  # time between two checks for log packets that are due [s]
 
@@ -170,7 +170,7 @@ class StandIn:
                 self.socket.sendto(data, self._peer)
 
 
-class StandIns(Team[StandIn]):
+class StandIns(ServedTeam[StandIn]):
     """Several stand-ins, served from `__enter__` to `__exit__`.
 
     Those with `auto_arm` are armed from the start, as Crazyflies 2.1 are shipped; those that fly by positions from

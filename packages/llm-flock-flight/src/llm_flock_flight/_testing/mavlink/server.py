@@ -16,7 +16,7 @@ from llm_flock.robots import Position
 from llm_flock_flight._mavlink.codec import GROUND_STATION, Codec
 from llm_flock_flight._mavlink.frames import enu
 from llm_flock_flight._testing.mavlink.autopilot import Autopilot
-from llm_flock_flight._testing.serving import Team
+from llm_flock_flight._testing.serving import ServedTeam
 
 PORTS = (20_000, 32_000)  # of drivers: below those that systems choose by themselves
 STEP_S = 0.005  # time between two steps of the vehicles [s]
@@ -126,7 +126,7 @@ class AutopilotStandIn:
                     self.socket.sendto(packet, self._peer)
 
 
-class AutopilotStandIns(Team[AutopilotStandIn]):
+class AutopilotStandIns(ServedTeam[AutopilotStandIn]):
     """Several stand-ins, served from `__enter__` to `__exit__`.
 
     They start at `homes` [m; world frame], the zeros of their local frames, and call the driver at `host`: if `shared`
