@@ -102,7 +102,7 @@ class FakeRun:
             result = {
                 "formed": self.agree,
                 "rounds": self.rounds,
-                "rounds_to_formed": self.rounds if self.agree else None,
+                "missions": [{"formed": self.rounds if self.agree else None}],
                 "wall_s": 1.5,
                 "cost_usd": None,
             }

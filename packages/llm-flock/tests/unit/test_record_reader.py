@@ -37,7 +37,7 @@ def test_everything_comes_back(tmp_path: Path) -> None:
     assert record.models == ("simulated:ideal",)
     assert [row.round for row in record.metrics] == [state.round for state in record.states] == list(range(6))
     assert record.errors.tolist() == [row.procrustes_mean for row in record.metrics]
-    assert record.result == {"formed": True, "rounds": 5, "rounds_to_formed": 5, "wall_s": 1.5, "cost_usd": None}
+    assert record.result == {"formed": True, "rounds": 5, "missions": [{"formed": 5}], "wall_s": 1.5, "cost_usd": None}
 
 
 def test_an_unknown_error_is_not_a_number(tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ FIGURES = (
     "distinct_goals",
     "plan_robot",
     "plan_by",
+    "plan_taught",
     "breakers_opened",
     "model_calls",
     "calls_rejected",

@@ -75,6 +75,7 @@ TRIALS: tuple[Column, ...] = (
     _flag("formed_twice_tolerance", "as formed, with both tolerances doubled"),
     _count("plan_robot", "robot that proposed the plan in force at the end; null without one plan"),
     Column("plan_by", "who made that plan: a model, by its name, or geometry"),
+    _flag("plan_taught", "whether that model was taught this plan; null where its source does not say"),
     Column("breakers_opened", "robots whose circuit breaker was open at any time"),
     _flag("cut", "the budget of the whole sweep ran out during the trial, so it says nothing about its cell"),
     _count("rounds", "motion rounds flown", "rounds"),
