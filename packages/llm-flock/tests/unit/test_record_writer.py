@@ -129,7 +129,7 @@ def test_none_is_omitted_from_fields_but_kept_in_free_values(tmp_path: Path) -> 
     assert start["goals"] == [None, None]
     assert messages[-1] == (
         "/summary",
-        {"result": {"formed": True, "rounds": 1, "rounds_to_formed": 1, "wall_s": 1.5, "cost_usd": None}},
+        {"result": {"formed": True, "rounds": 1, "missions": [{"formed": 1}], "wall_s": 1.5, "cost_usd": None}},
     )
 
 
