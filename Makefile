@@ -118,7 +118,7 @@ covered: $(STAMP)
 	$(BIN)/python -m pytest $(COVERED) --quiet --cov
 
 others: $(STAMP) $(DOCS) $(BYTES)
-	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $(PROCESSES) --dist worksteal
+	$(BIN)/python -m pytest $(ALL_TESTS) $(COVERED:%=--ignore %) --numprocesses $$(( 1 + $(WORKERS) )) --dist worksteal
 
 # Byte code of all tests, made once by one process (27 s): processes that begin at the same time would each make it.
 $(BYTES): | $(STAMP)

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from llm_flock.robots._base import Position, Robot, RobotError, RobotState
 
 CONNECT_TIMEOUT_S = 30.0
-"""Time in which a robot must connect, also over a link that loses packets and on a busy machine [s]."""
+"""Time in which a robot must connect, and settle, also over a link that loses packets and on a busy machine [s]."""
 
 PATIENCE_S = 3.0
 """Longest delay between a command and the estimate [s]."""
@@ -68,7 +68,7 @@ async def check_emergency_stop(robot: Robot, *, height_m: float = 0.4, patience_
     """Check that an emergency stop in the air is confirmed and final. The robot FALLS: only in a net."""
     await robot.connect(CONNECT_TIMEOUT_S)
     try:
-        await wait_until(lambda: robot.state().settled, 10.0, "the estimator settles")
+        await wait_until(lambda: robot.state().settled, CONNECT_TIMEOUT_S, "the estimator settles")
         await robot.arm()
         start = robot.state().position
         await robot.take_off(start[2] + height_m, 1.0)
@@ -110,7 +110,7 @@ async def _check_refusal(robot: Robot, when: str) -> None:
 async def _check_flight(
     robot: Robot, height_m: float, step_m: float, tolerance_m: float, beyond: Position | None, patience_s: float
 ) -> None:
-    await wait_until(lambda: robot.state().settled, 10.0, "the estimator settles")
+    await wait_until(lambda: robot.state().settled, CONNECT_TIMEOUT_S, "the estimator settles")
     first = robot.state()
     _check_state(first)
     await wait_until(lambda: robot.state().stamp_s > first.stamp_s, 1.0, "states advance")
