@@ -84,18 +84,23 @@ def page_at(
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
 
-    def give_up(request: Request) -> None:
-        later = asked[asked.index(request) + 1 :]
-        if request.failure != "net::ERR_ABORTED" or not any(other.is_navigation_request() for other in later):
-            said.append(f"given up: {request.url} {request.failure}")
+    lost: list[Request] = []
 
-    page.on("requestfailed", give_up)
+    def lose(request: Request) -> None:
+        lost.append(request)
+
+    page.on("requestfailed", lose)
     page.on("request", lambda request: asked.append(request))
     page.on("websocket", lambda socket: sockets.append(socket.url))
     go(page, url)
     yield page
     # A page of a run in flight asks on; an unfinished request of a page that is left is no fault.
-    page.remove_listener("requestfailed", give_up)
+    page.remove_listener("requestfailed", lose)
+    # Told at the end: that a request is given up may be known before the navigation that is its cause.
+    for request in lost:
+        later = asked[asked.index(request) + 1 :]
+        if request.failure != "net::ERR_ABORTED" or not any(other.is_navigation_request() for other in later):
+            said.append(f"given up: {request.url} {request.failure}")
     own = re.escape(url.split("/")[2])
     assert said == [], said
     addresses = [*(request.url for request in asked), *sockets]

@@ -255,7 +255,9 @@ def test_no_banner_is_green_over_a_hole(tmp_path: Path, browser: Browser) -> Non
         expect(page.locator(".flock-state")).to_contain_text("not now")
         # A smaller formation is whole again.
         expect(banner).to_have_attribute("data-tone", "good")
-        expect(said).to_have_text(re.compile(r"Formed in round \d+"))
+        expect(said).to_have_text(
+            re.compile(r"Formed in rounds \d+ to \d+, then robot 3 died; formed again in round \d+")
+        )
 
 
 def test_a_run_is_flown_steered_and_disturbed(tmp_path: Path, browser: Browser) -> None:
