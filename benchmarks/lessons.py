@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from llm_flock.arrays import Point
+from llm_flock.arrays import Point, towards
 from llm_flock.llm import Call, LanguagePlanner, PromptSet, Reply, frame_step, place_text
 from llm_flock.mission import build_mission
 from llm_flock.obstacles import Obstacle, nearest_on_segment
@@ -225,12 +225,6 @@ def way_round(asked: StepQuestion) -> Point | None:
         if math.dist(waypoint, goal) < math.dist(here, goal) and not step_faults(asked, waypoint):
             return waypoint
     return None
-
-
-def towards(here: Point, goal: Point, longest: float) -> Point:
-    """The point on the straight way to a goal, at most so far away [units]."""
-    share = min(1.0, longest / max(math.dist(here, goal), 1e-9))
-    return tuple(h + share * (g - h) for h, g in zip(here, goal, strict=True))
 
 
 def draw_judgement(rng: np.random.Generator) -> Example | None:

@@ -128,9 +128,9 @@ def test_a_pause_of_the_computer_ends_no_flight(tmp_path: Path, pause_s: float, 
     """The drones fly on by themselves: nobody blames them, or the flight, for the silence."""
     with StandIns(HOMES) as stand_ins, stalls() as late:
         summary, said = flown(tmp_path, stand_ins, pause_s, together=together)
-    if max(late) > STALL_S:  # the machine paused everybody again, for as long: whoever then lands has to do it safely
+    if max(late) > STALL_S:  # the machine paused the stand-ins as well
         assert summary["flight"]["safe"], (summary["flight"], said)
-        return
+        pytest.skip(f"the machine itself stalled for {max(late):.2f} s: only a safe end was checked")
     assert summary["flight"]["ended"] == "mission", (summary["flight"], said)
     assert "deadman" not in said and summary["formed"]
 
