@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+from copy import deepcopy
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -81,10 +83,16 @@ def test_words_of_enough_exclude_and_no_more_are_kept() -> None:
     assert departures.words() == [RestlessWord(6, witness, bytes([witness])) for witness in range(3)]
 
 
-def settled_team(liars: int = TWO) -> tuple[SignedTeam, Gang]:
+@cache
+def flown(liars: int) -> SignedTeam:
     team = SignedTeam(MISSION, line_up(N), liars=liars, tolerated=TWO)
-    gang = Gang({j: ToyKeys(j) for j in range(N - liars, N)}, MISSION)
     team.fly(4)
+    return team
+
+
+def settled_team(liars: int = TWO) -> tuple[SignedTeam, Gang]:
+    team = deepcopy(flown(liars))
+    gang = Gang({j: ToyKeys(j) for j in range(N - liars, N)}, MISSION)
     team.begin()
     for payload in team.comm_round():
         gang.hear(payload)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import pytest
 
 pytest.importorskip("llm_flock_lab")  # the benchmark draws its trials by it
@@ -32,19 +34,19 @@ pytestmark = pytest.mark.slow
 N, TWO = 7, 2
 MISSION = Mission(shape="circle", n_robots=N, comm_range=40)
 HUNTS = {
-    "hunts one robot": 40,
-    "takes the places of one robot": 100,
-    "raises versions": 40,
-    "moves on before others know": 60,
-    "frames one robot": 60,
-    "raises old claims": 40,
-    "much to check": 40,
+    "hunts one robot": 24,
+    "takes the places of one robot": 40,
+    "raises versions": 12,
+    "moves on before others know": 30,
+    "frames one robot": 20,
+    "raises old claims": 12,
+    "much to check": 12,
 }
 """Lies that keep a robot from a place for a while, and rounds in which it has one at the latest."""
 WORST = ("frees every place all the time", "frees every place and takes one", "blocks every place")
 
 
-def flown(lie: str, tolerated: int, rounds: int = 30) -> SignedTeam:
+def flown(lie: str, tolerated: int, rounds: int = 15) -> SignedTeam:
     """Five honest robots and two that lie together; their bodies fly to a corner."""
     return beside_lies(lie, MISSION, line_up(N), liars=TWO, tolerated=tolerated, rounds=rounds)
 
@@ -134,11 +136,12 @@ def test_two_liars_stop_a_team_that_reckons_with_one() -> None:
 @pytest.mark.no_cover
 def test_gang_can_tell_every_lie_of_the_library() -> None:
     told = dict.fromkeys(LIES, 0)
+    flown = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+    flown.fly(3)
     for lie in LIES:
-        team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
+        team = deepcopy(flown)
         gang = Gang({j: ToyKeys(j) for j in (5, 6)}, MISSION)
         assert round_of_lies(gang, lie) == [], "nothing is known yet"
-        team.fly(3)
         team.begin()
         for _ in range(5):
             said = round_of_lies(gang, lie)
@@ -154,6 +157,7 @@ def release(team: SignedTeam, slot: int, robots: tuple[int, ...]) -> Certificate
     return Certificate(number=0, grant=ReleaseGrant(tuple((j, ToyKeys(j).sign(statement)) for j in robots)))
 
 
+@pytest.mark.no_cover
 def test_a_release_needs_one_witness_more_than_may_lie() -> None:
     team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
     team.fly(12)
@@ -175,6 +179,7 @@ def test_a_release_needs_one_witness_more_than_may_lie() -> None:
     assert admits((2, 5, 6))
 
 
+@pytest.mark.no_cover
 def test_robots_that_were_taken_for_dead_stay_where_they_are() -> None:
     """Two liars and one honest robot that has not heard of the others for too long are enough witnesses."""
     team = SignedTeam(MISSION, line_up(N), liars=TWO, tolerated=TWO)
@@ -193,11 +198,12 @@ def test_robots_that_were_taken_for_dead_stay_where_they_are() -> None:
     assert all(team.owners(0)[slot] == (table[slot][0] + 1, robot) for robot, slot in enumerate(places))
 
 
+@pytest.mark.no_cover
 def test_words_passed_on_tell_a_far_robot_that_a_place_is_free() -> None:
     """In a row, the neighbours of a dead robot are too few; with passed-on words all others agree that it is gone."""
     row = Mission(shape="line", n_robots=N, comm_range=15)
     team = SignedTeam(row, [(20.0 + 10.0 * k, 50.0) for k in range(N)], liars=TWO, tolerated=TWO)
-    team.fly(80)
+    team.fly(40)
     freed = {team.owners(robot) for robot in range(5)}
     assert len(freed) == 1
     assert all(owner not in (5, 6) for _, owner in team.owners(0))

@@ -114,7 +114,7 @@ def test_no_message_changes_the_origin_of_the_current_plan(adopted: bool, monkey
     assert team.counts("forged_origin") == before == 0
 
 
-@pytest.mark.parametrize("places", [3, 4, 5])
+@pytest.mark.parametrize("places", [3, *(pytest.param(n, marks=pytest.mark.no_cover) for n in (4, 5))])
 def test_last_epoch_plan_yields_only_to_one_for_more_robots(places: int) -> None:
     """A liar proposes the last plan that counts, for fewer robots than are there: none is left without a place."""
     team = SignedTeam(MISSION, line_up(5), gaps="replan")

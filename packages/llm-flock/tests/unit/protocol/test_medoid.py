@@ -282,16 +282,16 @@ def nearest_picture(points: Points) -> str:
 
 
 @pytest.mark.no_cover
-@pytest.mark.parametrize(("seed", "options"), [(0, {}), (1, {"loss": 0.3, "join": "3@6"})])
-def test_team_flies_what_most_alike_models_drew(seed: int, options: dict[str, object]) -> None:
+def test_team_flies_what_most_alike_models_drew() -> None:
     wrong = [name for name in PICTURES if name != "heart"]
     names = [*["heart"] * 10, *(wrong[k % 8] for k in range(14))]
-    names = [names[int(k)] for k in np.random.default_rng(seed).permutation(24)]
-    flown = fly_pictures(names, seed, **options)
+    names = [names[int(k)] for k in np.random.default_rng(1).permutation(24)]
+    flown = fly_pictures(names, 1, loss=0.3, join="3@6")
     assert flown.summary.formed and (flown.summary.min_separation or 0.0) >= 1.0 - 1e-9
     assert nearest_picture(flown.positions[-1]) == "heart"
 
 
+@pytest.mark.no_cover
 def test_robots_that_come_late_have_their_say() -> None:
     """Without the four late proposals, the three that are alike win."""
     names = ["heart"] * 5 + ["moon"] * 3

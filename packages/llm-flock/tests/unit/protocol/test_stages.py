@@ -179,6 +179,7 @@ def test_no_order_drops_what_it_cannot_change(staged: bool, field: dict[str, Any
         orders.change(field)
 
 
+@pytest.mark.no_cover
 def test_a_body_on_a_place_that_may_not_turn_ends_no_flight() -> None:
     line: Any = [{"set": {"shape": "line", "turn": 0.0, "center": [50, 40]}, "when": "formed"}]
     mission = Mission(n_robots=8, comm_range=25, then=line)
