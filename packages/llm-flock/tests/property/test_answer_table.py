@@ -41,7 +41,7 @@ def read(text: str, ask: str) -> object:
 
 
 @pytest.mark.parametrize("row", FORMS, ids=lambda row: row["Form"][:40])
-@settings(max_examples=10)
+@settings(max_examples=5)
 @given(points, points, two_places)
 def test_a_rendered_form_is_read_as_the_table_says(
     row: dict[str, str], some: list[tuple[float, float]], other: list[tuple[float, float]], places: tuple[int, int]

@@ -43,7 +43,7 @@ def test_liars_and_the_dead_never_share_an_ellipsoid(seed: int, downwash: float)
 
 
 def test_spheres_alone_let_robots_into_each_others_downwash() -> None:
-    assert min(fly(seed, 1.0, 3.0)[0] for seed in range(4)) < 3.0
+    assert any(fly(seed, 1.0, 3.0)[0] < 3.0 for seed in range(4))
 
 
 @given(st.lists(st.tuples(*[st.floats(-1e3, 1e3)] * 3), min_size=2, max_size=2), st.floats(1, MAX_DOWNWASH))

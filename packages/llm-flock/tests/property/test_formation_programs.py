@@ -42,7 +42,7 @@ areas = st.fixed_dictionaries(
 )
 drawings = st.lists(st.one_of(strokes, areas, spatial), min_size=1, max_size=3)
 
-relaxed = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+relaxed = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def placed(drawing: list[Any], n: int, dim: int = 3) -> np.ndarray | None:
@@ -88,7 +88,7 @@ odd_programs = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much])
 @given(program=odd_programs)
 def test_a_program_can_be_read_back_from_its_text(program: dict[str, Any]) -> None:
     try:
@@ -114,7 +114,7 @@ def test_places_are_spaced_and_the_same_on_every_call(drawing: list[Any], n: int
     assert again.tobytes() == points.tobytes()
 
 
-@relaxed
+@settings(relaxed, max_examples=20)
 @given(drawing=st.lists(strokes, min_size=1, max_size=3), n=st.integers(2, 60), angle=st.sampled_from([30, 90, 145]))
 def test_a_turned_drawing_has_turned_places(drawing: list[Any], n: int, angle: int) -> None:
     plain = placed(drawing, n, dim=2)
@@ -143,7 +143,7 @@ json_values = st.recursive(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(value=json_values)
 def test_anything_is_a_program_or_refused(value: Any) -> None:
     with suppress(InputError):

@@ -78,7 +78,7 @@ def test_every_end_and_junction_of_a_letter_has_a_robot() -> None:
 @pytest.mark.parametrize("letter", sorted(set(GLYPHS) - set(" .:!-")))
 def test_strokes_of_a_letter_meet_where_they_should(letter: str) -> None:
     """A stroke that ran past another by a little would need two robots there, and make the whole huge."""
-    assert np.ptp(placed(60, {"text": letter}), axis=0).max() < 60
+    assert np.ptp(placed(30, {"text": letter}), axis=0).max() < 30
 
 
 def test_crossing_strokes_share_a_robot() -> None:
