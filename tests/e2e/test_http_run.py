@@ -114,8 +114,7 @@ def test_a_cap_on_answers_reaches_the_server_and_the_record(tmp_path: Path) -> N
 BAD = "openai-compatible:bad"
 
 
-@pytest.mark.parametrize(("shape", "robots"), [("circle", 10), ("square", 8)])
-@pytest.mark.parametrize("one_in", [5, 2])
+@pytest.mark.parametrize(("shape", "robots", "one_in"), [("circle", 10, 2), ("square", 8, 5)])
 def test_robots_with_a_bad_model_harm_no_other(shape: str, robots: int, one_in: int) -> None:
     """Every fifth or second robot's model always distorts its plan and always overshoots, over real HTTP.
 

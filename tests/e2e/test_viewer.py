@@ -40,8 +40,7 @@ def replay(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield url
 
 
-@pytest.mark.parametrize("dark", [False, True])
-@pytest.mark.parametrize("width", [400, 1280])
+@pytest.mark.parametrize(("width", "dark"), [(400, True), (1280, False)])
 def test_a_record_is_replayed(replay: str, browser: Browser, width: int, dark: bool) -> None:
     with page_at(browser, replay, width=width, dark=dark) as page:
         ready(page)
