@@ -18,6 +18,7 @@ from typing import Any
 
 import pytest
 from clock import running_at
+from effort import EFFORT
 from hypothesis import settings
 from skipped_waits import skip_waits
 
@@ -25,7 +26,7 @@ SUITES = ("unit", "property", "integration", "e2e")
 OFFLINE_SUITES = ("unit", "property")
 
 # A busy machine must not turn a slow example into a failure; a failing example prints how to repeat it.
-settings.register_profile("default", deadline=None, print_blob=True)
+settings.register_profile("default", deadline=None, print_blob=True, max_examples=max(1, round(50 * EFFORT)))
 settings.load_profile("default")
 
 

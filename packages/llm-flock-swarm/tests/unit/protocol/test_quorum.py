@@ -198,7 +198,6 @@ def test_robots_that_were_taken_for_dead_stay_where_they_are() -> None:
     assert all(team.owners(0)[slot] == (table[slot][0] + 1, robot) for robot, slot in enumerate(places))
 
 
-@pytest.mark.no_cover
 def test_words_passed_on_tell_a_far_robot_that_a_place_is_free() -> None:
     """In a row, the neighbours of a dead robot are too few; with passed-on words all others agree that it is gone."""
     row = Mission(shape="line", n_robots=N, comm_range=15)

@@ -117,7 +117,6 @@ def test_a_team_forms_again_after_obstacles_have_crossed(model: str) -> None:
     assert summary.min_clearance <= min(gaps) - 2.0 + 1e-9
 
 
-@pytest.mark.no_cover
 def test_robots_without_the_shield_are_hit() -> None:
     result = llm_flock.run(seed=4, protocol="paper", rounds=46, moving_obstacles=[CROSSING], trace=False)
     assert result.summary.obstacle_violations > 0

@@ -291,7 +291,6 @@ def test_team_flies_what_most_alike_models_drew() -> None:
     assert nearest_picture(flown.positions[-1]) == "heart"
 
 
-@pytest.mark.no_cover
 def test_robots_that_come_late_have_their_say() -> None:
     """Without the four late proposals, the three that are alike win."""
     names = ["heart"] * 5 + ["moon"] * 3

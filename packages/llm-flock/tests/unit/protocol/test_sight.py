@@ -72,7 +72,6 @@ def test_all_rest_in_the_same_rounds() -> None:
     ] * 3
 
 
-@pytest.mark.no_cover
 def test_a_late_run_forms_in_turns_of_flight_and_rest() -> None:
     usual = llm_flock.run(seed=3)
     late = llm_flock.run(seed=3, sensing_delay=1)
