@@ -1,10 +1,12 @@
 """Flies the test worlds of judgements, and writes the exam's questions about them.
 
-    python -m benchmarks.exam_worlds [--worlds 60] > judgement.jsonl
+    python -m benchmarks.exam_worlds [--worlds 60] [--kinds death,battery] [--each N] [--first 0] > judgement.jsonl
+    python -m benchmarks.exam_worlds --worlds 52 --kinds blocked --each 4 --first 23 >> judgement.jsonl
 
 In each world every option is flown from the same seed. A question is kept if exactly one option is the best as flown,
 and the same one by the figures in the question: it can be answered, and code knows that the answer is right. Half of
 the wishes are the program's own; the others say the same in other words, where the first thing that counts decides.
+`--each` keeps at most so many questions of a kind with one right answer: after most blocked ways it is to wait.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import re
+from collections import Counter
 from typing import Any
 
 from benchmarks.judgement import Fixed, World, fly, world_of
@@ -107,13 +110,19 @@ def question_of(world: World, kind: str, seed: int) -> dict[str, Any] | None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--worlds", type=int, default=60)
-    number = 0
-    for seed in range(parser.parse_args().worlds):
-        for kind in SAYS:
+    parser.add_argument("--kinds", default="death,battery")
+    parser.add_argument("--each", type=int)
+    parser.add_argument("--first", type=int, default=0, help="number of the first question")
+    given = parser.parse_args()
+    number, right = given.first, Counter[tuple[str, str]]()
+    for seed in range(given.worlds):
+        for kind in given.kinds.split(","):
             question = question_of(world_of(kind, seed), kind, seed)
-            if question is not None:
+            answer = kind, "" if question is None else question["wanted"][0]["choice"]
+            if question is not None and (given.each is None or right[answer] < given.each):
                 print(json.dumps({"id": f"judgement-{number:04d}", **question}, separators=(",", ":")), flush=True)
                 number += 1
+                right[answer] += 1
 
 
 if __name__ == "__main__":
