@@ -21,7 +21,7 @@ from llm_flock_view._figures.animation import HOLD_S, KEY_INCHES, STEPS_A_ROUND,
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> RunRecord:
-    return read_record(make_record(tmp_path_factory.mktemp("record") / "run.mcap", n=5, rounds=4))
+    return read_record(make_record(tmp_path_factory.mktemp("record") / "run.mcap", n=5, rounds=3))
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +45,12 @@ def test_a_gif_shows_every_round_for_its_time(animated: Path) -> None:
             picture.seek(k)
             shown.append(picture.info["duration"])
     # Pillow joins frames that are equal, so times are counted, not frames.
-    assert sum(shown) == 100 * STEPS_A_ROUND * 4 + 1000 * HOLD_S
+    assert sum(shown) == 100 * STEPS_A_ROUND * 3 + 1000 * HOLD_S
     assert shown[-1] >= 1000 * HOLD_S
 
 
 def test_frames_are_of_one_size_and_move(pictures: list[Image.Image]) -> None:
-    assert len(pictures) == 1 + STEPS_A_ROUND * 4
+    assert len(pictures) == 1 + STEPS_A_ROUND * 3
     assert len({picture.size for picture in pictures}) == 1
     for one, two in itertools.pairwise(pictures[:7]):
         assert one.tobytes() != two.tobytes()

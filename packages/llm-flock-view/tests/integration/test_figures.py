@@ -141,8 +141,9 @@ def test_records_and_labels_must_fit(record: RunRecord) -> None:
     assert "error" not in words(figures.snapshots(replace(record, metrics=rows)))
 
 
-@pytest.mark.parametrize("width", [3.5, 7.16])
-@pytest.mark.parametrize("kind", ["snapshots", "error", "comparison"])
+@pytest.mark.parametrize(
+    ("kind", "width"), [("snapshots", 3.5), ("snapshots", 7.16), ("error", 3.5), ("comparison", 7.16)]
+)
 def test_figure_of_a_column_keeps_its_width_and_letters(
     record: RunRecord, tmp_path: Path, kind: str, width: float
 ) -> None:
