@@ -15,7 +15,7 @@ from llm_flock.errors import InputError
 from llm_flock.formation import parse_program
 from llm_flock.formation._program import Flat
 from llm_flock.llm._mission_phrases import FIRST_CORNER_EAST, mission_words
-from llm_flock.mission import OPTIONAL, Mission, build_mission
+from llm_flock.mission import MISSION_FIELDS, OPTIONAL, Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.printable import counted
 
@@ -87,7 +87,7 @@ class MissionAnswer(_Form):
 class MissionDraft(NamedTuple):
     """A mission as the model understood it, not yet confirmed."""
 
-    fields: Mapping[str, Any]  #: Fields of a mission that are set, in flight those that an order changes.
+    fields: Mapping[str, Any]  #: The order that flies it, also if another order came meanwhile.
     in_words: str  #: Everything that would be flown, for people.
     mission: Mission  #: The whole mission.
     gaps: Literal["replan", "report"] | None = None  #: What to do about gaps, where the words say it.
@@ -133,15 +133,16 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
         "then": stages[1:] if at_once else stages,
     }
     mission = base.change(**given) if flying else build_mission(**{**base.model_dump(), **given})
-    words = mission_words(mission, answer.gaps)
-    return MissionDraft(plain_fields(mission, given), words, mission, answer.gaps)
+    return MissionDraft(order_of(mission, base, given), mission_words(mission, answer.gaps), mission, answer.gaps)
 
 
-def plain_fields(mission: Mission, names: Iterable[str]) -> dict[str, Any]:
-    """Some fields of a mission as plain values for JSON, also those that it leaves out."""
-    return {name: OPTIONAL[name] for name in names if name in OPTIONAL} | mission.model_dump(
-        mode="json", include=set(names)
-    )
+def order_of(mission: Mission, base: Mission, given: Iterable[str]) -> dict[str, Any]:
+    """The order to fly a mission as it was read for `base`, as plain values for JSON, whatever is flown meanwhile.
+
+    Only a formation that travels goes on from where it is by then, unless its centre is `given`.
+    """
+    kept = {"since"} if base.velocity is None or "center" in given else {"since", "center"}
+    return {**OPTIONAL, **mission.model_dump(mode="json", include={*MISSION_FIELDS, *given} - kept)}
 
 
 def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dict[str, Any]:
