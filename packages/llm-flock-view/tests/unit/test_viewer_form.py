@@ -145,8 +145,9 @@ def test_words_and_stages_steer_a_run_in_flight(tmp_path: Path) -> None:
         "answer": "mission",
         "stages": [{"parts": [{"shape": "line"}]}, {"parts": [{"shape": "wedge"}], "when": "order"}],
     }
-    zone = {"answer": "mission", "stages": [{"parts": [{"shape": "line"}]}], "keep_out": [{"center": [9, 9], "radius": 2}]}
-    table = {"a line, and a wedge when I say so": line, "a zone": zone, "wider": {"draw": [{"shape": "wedge", "scale": [2, 1]}]}}
+    zone = {**line, "keep_out": [{"center": [9, 9], "radius": 2}]}
+    wide = {"draw": [{"shape": "wedge", "scale": [2, 1]}]}
+    table = {"a line, and a wedge when I say so": line, "a zone": zone, "wider": wide}
     (tmp_path / "table.json").write_text(json.dumps(table), encoding="utf-8")
     reader = MissionReader(f"simulated:reader:{tmp_path / 'table.json'}")
     started_by = Launcher(Library(), tmp_path / "runs", reader=reader)

@@ -35,9 +35,7 @@ def _factor(value: float) -> float:
     return _rounded(value)
 
 
-Number = Annotated[
-    float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False, strict=True), AfterValidator(_rounded)
-]
+Number = Annotated[float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False, strict=True), AfterValidator(_rounded)]
 Factor = Annotated[float, Field(gt=0, le=WIDEST[1], allow_inf_nan=False, strict=True), AfterValidator(_factor)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)]
 Factors = Annotated[tuple[Factor, ...], Field(min_length=2, max_length=3)]
