@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -15,7 +15,7 @@ from llm_flock.errors import InputError
 from llm_flock.formation import parse_program
 from llm_flock.formation._program import Flat
 from llm_flock.llm._mission_phrases import FIRST_CORNER_EAST, mission_words
-from llm_flock.mission import MISSION_FIELDS, OPTIONAL, Mission, build_mission
+from llm_flock.mission import OPTIONAL, Mission, build_mission
 from llm_flock.obstacles import Obstacle
 from llm_flock.printable import counted
 
@@ -133,16 +133,7 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
         "then": stages[1:] if at_once else stages,
     }
     mission = base.change(**given) if flying else build_mission(**{**base.model_dump(), **given})
-    return MissionDraft(order_of(mission, base, given), mission_words(mission, answer.gaps), mission, answer.gaps)
-
-
-def order_of(mission: Mission, base: Mission, given: Iterable[str]) -> dict[str, Any]:
-    """The order to fly a mission as it was read for `base`, as plain values for JSON, whatever is flown meanwhile.
-
-    Only a formation that travels goes on from where it is by then, unless its centre is `given`.
-    """
-    kept = {"since"} if base.velocity is None or "center" in given else {"since", "center"}
-    return {**OPTIONAL, **mission.model_dump(mode="json", include={*MISSION_FIELDS, *given} - kept)}
+    return MissionDraft(mission.order(base, given), mission_words(mission, answer.gaps), mission, answer.gaps)
 
 
 def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.formation import Program, parse_program, program_of, program_schema
 from llm_flock.formation._program import Flat
 from llm_flock.llm._limits import CallLimits, Limited, RetryPolicy
-from llm_flock.llm._mission_draft import MissionAnswer, MissionDraft, compiled, order_of
+from llm_flock.llm._mission_draft import MissionAnswer, MissionDraft, compiled
 from llm_flock.llm._mission_phrases import difference, mission_words
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._port import AnswerForm, Call, ChatMessage, Reply
@@ -89,7 +89,7 @@ class MissionReader:
             fields["prefer"] = base.prefer if len(new.groups or ()) == len(program.groups or ()) else ()
             mission = base.change(**fields)
             words = f"{difference(base, mission)} · {mission_words(mission)}"
-            return MissionDraft(order_of(mission, base, fields), words, mission)
+            return MissionDraft(mission.order(base, fields), words, mission)
 
         return await self._ask(edit_call(text, program, base.n_places, brief=self._brief), take)
 

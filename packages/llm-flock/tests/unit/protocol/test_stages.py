@@ -126,6 +126,8 @@ def test_a_stage_waits_for_its_round_or_an_order() -> None:
     assert llm_flock.run(waits, steer=steer, trace=False).summary.missions[-1].round == 22
     with pytest.raises(InputError, match="no stage of the mission is left"):
         Mission().proceeding()
+    order = waits.change(center=(45, 50), then=by_order).proceeding()
+    assert Mission(n_robots=4, spacing=9).change(**order) == Mission(n_robots=4, shape="line", center=(45, 50))
 
 
 def test_an_order_in_flight_is_checked_as_all_others_are() -> None:
