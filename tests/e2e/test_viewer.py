@@ -460,9 +460,11 @@ def test_described_mission_is_confirmed_before_it_flies(tmp_path: Path, browser:
             viewer(tmp_path, "--model", "openai:reader", "--base-url", base) as url,
             page_at(browser, url) as page,
         ):
-            page.get_by_label("Mission in plain words").and_(page.locator("textarea")).fill(
-                "eight drones in a square around 40, 60, 8 apart"
-            )
+            words = page.get_by_label("Mission in plain words").and_(page.locator("textarea"))
+            words.fill("too long " * 300)
+            page.get_by_role("button", name="Read").click()
+            expect(page.get_by_text("error: ")).to_contain_text("from 1 to 2000 letters")
+            words.fill("eight drones in a square around 40, 60, 8 apart")
             page.get_by_role("button", name="Read").click()
             said = page.get_by_text("8 robots · a square around 40, 60, neighbours 8 apart")
             expect(said).to_be_visible(timeout=20_000)
@@ -477,8 +479,9 @@ def test_described_mission_is_confirmed_before_it_flies(tmp_path: Path, browser:
             assert page.evaluate("window.broken") is None
             Answering.answer = good
             page.get_by_role("button", name="Read").click()
-            page.get_by_role("button", name="Fly it").click(timeout=20_000)
+            page.get_by_role("button", name="Fly it").dblclick(timeout=20_000)
             expect(page).to_have_url(re.compile("/run/"), timeout=20_000)
+            assert len(keys_of(url)) == 1
     finally:
         server.shutdown()
         server.server_close()

@@ -6,10 +6,13 @@ from importlib.metadata import EntryPoint
 from typing import Any
 
 import pytest
+from typer.testing import CliRunner
 
 from llm_flock import plugins
+from llm_flock.cli import app
 from llm_flock.errors import InputError
 from llm_flock_swarm import SwarmConfig
+from llm_flock_swarm._network import watch
 from llm_flock_swarm._network.mission_orders import changed_mission, mission_order
 
 
@@ -27,6 +30,16 @@ def test_swarm_says_whether_a_model_is_simulated(model: str, simulated: bool, mo
     entry = EntryPoint("stands", "own_models:SOURCE", "llm_flock.models")
     monkeypatch.setattr(plugins, "entries", lambda kind: {"stands": entry} if kind == "models" else {})
     assert SwarmConfig.build(model=model, n_robots=3).simulated == simulated
+
+
+@pytest.mark.parametrize(("flags", "says"), [(["--id", "9"], "--id 9: no such robot"), ([], "no swarm answers there")])
+def test_a_robot_that_does_not_answer_is_named(flags: list[str], says: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def nobody(*given: object) -> list[int]:
+        return []
+
+    monkeypatch.setattr(watch, "give_mission", nobody)
+    found = CliRunner().invoke(app, ["mission", "--set", "shape=line", *flags])
+    assert says in f"{found.output}{found.exception}"
 
 
 def test_record_of_a_swarm_cannot_repeat_code_of_the_user() -> None:

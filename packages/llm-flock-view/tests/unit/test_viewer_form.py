@@ -145,7 +145,9 @@ def test_words_and_stages_steer_a_run_in_flight(tmp_path: Path) -> None:
         "answer": "mission",
         "stages": [{"parts": [{"shape": "line"}]}, {"parts": [{"shape": "wedge"}], "when": "order"}],
     }
-    table = {"a line, and a wedge when I say so": line, "wider": {"draw": [{"shape": "wedge", "scale": [2, 1]}]}}
+    zone = {**line, "keep_out": [{"center": [9, 9], "radius": 2}]}
+    wide = {"draw": [{"shape": "wedge", "scale": [2, 1]}]}
+    table = {"a line, and a wedge when I say so": line, "a zone": zone, "wider": wide}
     (tmp_path / "table.json").write_text(json.dumps(table), encoding="utf-8")
     reader = MissionReader(f"simulated:reader:{tmp_path / 'table.json'}")
     started_by = Launcher(Library(), tmp_path / "runs", reader=reader)
@@ -164,6 +166,8 @@ def test_words_and_stages_steer_a_run_in_flight(tmp_path: Path) -> None:
         assert run.orders.mission.shape == shape
 
     try:
+        refused = said(order="read", words="a zone")["error"]
+        assert "belongs to the robots, and is set before they start: no order in flight" in refused
         draft = said(order="read", words="a line, and a wedge when I say so")
         assert "(2) on your order: a wedge" in draft["in_words"]
         assert "has the mission" in said(order="change", draft=draft["draft"])["done"]

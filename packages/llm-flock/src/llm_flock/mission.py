@@ -243,8 +243,15 @@ class Mission(BaseModel):
         """The fields of an order to go on to the next stage now; InputError if none is left."""
         if not self.then:
             raise InputError("then", None, says="no stage of the mission is left")
-        stage, *rest = self.then
-        return {"hold": 0, **stage.set, "then": [one.model_dump(mode="json") for one in rest]}
+        return self.following().order(self, self.then[0].set)
+
+    def order(self, base: Mission, given: Iterable[str]) -> dict[str, Any]:
+        """The order to fly this mission, made of `base`, as plain values for JSON, whatever is flown by then.
+
+        Only a formation that travels goes on from where it is by then, unless its centre is `given`.
+        """
+        kept = {"since"} if base.velocity is None or "center" in given else {"since", "center"}
+        return {**OPTIONAL, **self.model_dump(mode="json", include={*MISSION_FIELDS, *given} - kept)}
 
     def _check_room(self) -> None:
         """Check that messages have room for the mission, and the arena for random starts `safe_distance` apart."""

@@ -115,6 +115,24 @@ def test_an_answer_of_another_form_is_no_draft(given: str) -> None:
         draft_of(given)
 
 
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (answer({"shape": "circle"}, robots=True), r"robots = True: expected a whole number"),
+        (answer({"shape": "circle", "turn": "90"}), r"parts\.0\.turn = '90': expected a number"),
+        (answer({"shape": "circle", "center": [True, 50]}), r"center\.0 = True: expected a number"),
+        (answer({"shape": "circle", "spacing": float("inf")}), r"spacing = inf: expected a finite number"),
+        (answer({"shape": "circle", "fill": 1}), r"fill = 1: expected true or false"),
+        (answer({"parts": [{"shape": "circle"}], "hold": "5"}), r"hold = '5': expected a whole number"),
+        (answer({"who": {"count": True}, "shape": "circle"}), r"who\.count = True: expected a whole number"),
+        (answer({"shape": "circle"}, keep_out=[{"center": [9, 9], "radius": True}]), r"radius = True: expected a num"),
+    ],
+)
+def test_text_and_truths_are_no_numbers_of_a_draft(given: str, says: str) -> None:
+    with pytest.raises(AnswerError, match=says):
+        draft_of(given)
+
+
 @pytest.mark.parametrize("more", [{"robots": 5}, {"gaps": "replan"}, {"keep_out": [{"center": [9, 9], "radius": 2}]}])
 def test_no_order_in_flight_changes_what_is_the_robots_own(more: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="before they start"):
@@ -127,6 +145,22 @@ def test_what_is_not_said_in_flight_stays_as_it_is() -> None:
     assert (draft.mission.center, draft.mission.spacing, draft.mission.shape) == ((40, 60), 8, "wedge")
     later = draft_of(answer({"parts": [{"shape": "line"}], "when": "order"}), flown, flying=True)
     assert later.mission.shape == "circle" and later.mission.following().shape == "line"
+
+
+@pytest.mark.parametrize("words", ["a circle", "wider"])
+def test_what_was_confirmed_is_flown_after_another_order(words: str, table: str) -> None:
+    flown = Mission(shape="square", n_robots=8, spacing=8)
+    reader = MissionReader(table)
+    draft = asyncio.run(reader.edit(words, flown) if words == "wider" else reader.read(words, flown, flying=True))
+    meanwhile = flown.change(shape="line", center=(40, 50), velocity=(1, 0), spacing=9, places=7, turn=30)
+    assert meanwhile.change(**draft.fields) == draft.mission
+    assert flown.change(**draft.fields) == draft.mission
+
+
+def test_a_formation_that_travels_goes_on_from_where_it_is() -> None:
+    flown = Mission(center=(40, 50), velocity=(1, 0))
+    assert "center" not in draft_of(answer({"shape": "circle"}), flown, flying=True).fields
+    assert draft_of(answer({"shape": "circle", "center": [60, 50]}), flown, flying=True).fields["center"] == [60, 50]
 
 
 def test_every_field_that_is_flown_is_said() -> None:
@@ -224,6 +258,7 @@ def test_wishes_leave_no_trace_in_missions_without_them() -> None:
 
 TABLE = {
     "Eight of you, a circle!": json.loads(answer({"shape": "circle"}, robots=8)),
+    "a circle": json.loads(answer({"shape": "circle"})),
     "wider": {"draw": [{"shape": "square", "scale": [1.5, 1]}]},
 }
 
@@ -238,8 +273,9 @@ def test_a_simulated_reader_knows_its_sentences_alone(table: str) -> None:
     reader = MissionReader(table)
     draft = asyncio.run(reader.read("  eight of you,\n a circle! "))
     assert draft.mission.n_robots == 8 and draft.in_words.startswith("simulated: 8 robots · a circle")
-    with pytest.raises(ModelError, match="knows the sentences of its file only"):
-        asyncio.run(reader.read("Nine of you, a circle!"))
+    for other in ("Nine of you, a circle!", "Nine of you.\n\na circle"):
+        with pytest.raises(ModelError, match="knows the sentences of its file only"):
+            asyncio.run(reader.read(other))
     for broken in ("no file", "[]", "{"):
         (Path(table.removeprefix("simulated:reader:"))).write_text(broken, encoding="utf-8")
         with pytest.raises(InputError, match="an object of sentences"):

@@ -294,6 +294,8 @@ def mission(
             fields = dict(confirmed_draft(settings, words, edit, reader, yes=yes, flying=True).fields)
     settings.mission.change(**fields)  # refused here with a message; a robot would only record the refusal
     takers = asyncio.run(give_mission(settings, fields, robot_id))
+    if not takers and robot_id is not None:
+        raise InputError("id", robot_id, says="no such robot answers there")
     if not takers:
         raise InputError("connect", settings.network.connect or None, says=NOBODY)
     say("given to robot " + " and robot ".join(map(str, takers)))

@@ -47,7 +47,7 @@ NO_ORDERS = "this run takes no orders: it was not started from the page"
 
 MAX_DRAFTS = 20  #: Missions in words that wait for their confirmation.
 
-_NAME = re.compile(rf"\b({'|'.join(LABELS)})\b(?= =|:)")
+_NAME = re.compile(rf"(?<![\w.])({'|'.join(LABELS)})(?= =)|^({'|'.join(LABELS)})(?=:)")
 
 
 class PageOrders:
@@ -242,7 +242,7 @@ def _in_form_words(error: FlockError, *, at_field: bool) -> str:
         text = error.says
     if isinstance(error, InputError) and error.field == "arena":
         text = f"the formation reaches beyond the walls of the arena: {error.says}"
-    text = _NAME.sub(lambda found: LABELS[found[1]], text).replace("safe_distance = ", "the safe distance, ")
+    text = _NAME.sub(lambda found: LABELS[found[0]], text).replace("safe_distance = ", "the safe distance, ")
     return text[:1].upper() + text[1:]
 
 

@@ -35,8 +35,8 @@ def _factor(value: float) -> float:
     return _rounded(value)
 
 
-Number = Annotated[float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False), AfterValidator(_rounded)]
-Factor = Annotated[float, Field(gt=0, le=WIDEST[1], allow_inf_nan=False), AfterValidator(_factor)]
+Number = Annotated[float, Field(ge=WIDEST[0], le=WIDEST[1], allow_inf_nan=False, strict=True), AfterValidator(_rounded)]
+Factor = Annotated[float, Field(gt=0, le=WIDEST[1], allow_inf_nan=False, strict=True), AfterValidator(_factor)]
 Vector = Annotated[tuple[Number, ...], Field(min_length=2, max_length=3)]
 Factors = Annotated[tuple[Factor, ...], Field(min_length=2, max_length=3)]
 Letters = Annotated[
@@ -57,7 +57,7 @@ class _Table(BaseModel):
 class Repeat(_Table):
     """Copies, each moved, turned and scaled from the one before."""
 
-    times: int = Field(ge=2, le=100)
+    times: int = Field(ge=2, le=100, strict=True)
     move: Vector | None = None
     turn: Number = 0.0
     scale: Factor = 1.0
@@ -71,9 +71,9 @@ class Element(_Table):
     path: str | None = Field(default=None, description="SVG path data, y downwards")
     points: tuple[Vector, ...] | None = Field(default=None, min_length=1, description="corners, y upwards")
     union: tuple[Element, ...] | None = Field(default=None, min_length=1)
-    closed: bool = Field(default=False, description="points: back to the first one")
-    fill: bool = Field(default=False, description="robots inside, not along the outline")
-    sides: int | None = Field(default=None, ge=3, le=100, description="of a polygon")
+    closed: bool = Field(default=False, strict=True, description="points: back to the first one")
+    fill: bool = Field(default=False, strict=True, description="robots inside, not along the outline")
+    sides: int | None = Field(default=None, ge=3, le=100, strict=True, description="of a polygon")
     arc: tuple[Number, Number] | None = Field(default=None, description="circle: part from, to, in degrees")
     turns: Factor | None = Field(default=None, description="of a helix")
     scale: Factor | Factors = 1.0
@@ -119,7 +119,7 @@ class Group(_Table):
     """A part of the team with a role of its own."""
 
     role: Name
-    count: int | None = Field(default=None, ge=1, description="robots; or else a share of the others")
+    count: int | None = Field(default=None, ge=1, strict=True, description="robots; or else a share of the others")
     share: Factor = 1.0
     at: Vector = Field(default=(0.0, 0.0), description="its centre, in units from the first group's at [0, 0]")
     size: SkipJsonSchema[Factor | None] = None

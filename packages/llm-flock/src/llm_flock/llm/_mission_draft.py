@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -87,7 +87,7 @@ class MissionAnswer(_Form):
 class MissionDraft(NamedTuple):
     """A mission as the model understood it, not yet confirmed."""
 
-    fields: Mapping[str, Any]  #: Fields of a mission that are set, in flight those that an order changes.
+    fields: Mapping[str, Any]  #: The order that flies it, also if another order came meanwhile.
     in_words: str  #: Everything that would be flown, for people.
     mission: Mission  #: The whole mission.
     gaps: Literal["replan", "report"] | None = None  #: What to do about gaps, where the words say it.
@@ -133,15 +133,7 @@ def compiled(answer: MissionAnswer, base: Mission, *, flying: bool = False) -> M
         "then": stages[1:] if at_once else stages,
     }
     mission = base.change(**given) if flying else build_mission(**{**base.model_dump(), **given})
-    words = mission_words(mission, answer.gaps)
-    return MissionDraft(plain_fields(mission, given), words, mission, answer.gaps)
-
-
-def plain_fields(mission: Mission, names: Iterable[str]) -> dict[str, Any]:
-    """Some fields of a mission as plain values for JSON, also those that it leaves out."""
-    return {name: OPTIONAL[name] for name in names if name in OPTIONAL} | mission.model_dump(
-        mode="json", include=set(names)
-    )
+    return MissionDraft(mission.order(base, given), mission_words(mission, answer.gaps), mission, answer.gaps)
 
 
 def _stage(stage: StageDraft, prefer: Sequence[Preferred], base: Mission) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from llm_flock.errors import AnswerError, InputError, ModelError
 from llm_flock.formation import Program, parse_program, program_of, program_schema
 from llm_flock.formation._program import Flat
 from llm_flock.llm._limits import CallLimits, Limited, RetryPolicy
-from llm_flock.llm._mission_draft import MissionAnswer, MissionDraft, compiled, plain_fields
+from llm_flock.llm._mission_draft import MissionAnswer, MissionDraft, compiled
 from llm_flock.llm._mission_phrases import difference, mission_words
 from llm_flock.llm._models import ModelPool
 from llm_flock.llm._port import AnswerForm, Call, ChatMessage, Reply
@@ -30,6 +30,8 @@ from llm_flock.validation import input_error
 MAX_TEXT_LENGTH = 2000  # longest text of a mission [characters]
 
 TRIES = 3  #: Answers until the reader is given up; each rejected one is sent back with the reason.
+
+GIVEN = "The program:\n"  #: Begins the question for an edit; two line breaks end the program.
 
 TABLE = "simulated:reader:"  #: Names a stand-in that knows the answers to the sentences of a JSON file, and no others.
 
@@ -87,7 +89,7 @@ class MissionReader:
             fields["prefer"] = base.prefer if len(new.groups or ()) == len(program.groups or ()) else ()
             mission = base.change(**fields)
             words = f"{difference(base, mission)} · {mission_words(mission)}"
-            return MissionDraft(plain_fields(mission, fields), words, mission)
+            return MissionDraft(mission.order(base, fields), words, mission)
 
         return await self._ask(edit_call(text, program, base.n_places, brief=self._brief), take)
 
@@ -125,7 +127,8 @@ class _TableReader:
             raise InputError("model", model, f"{TABLE}FILE with an object of sentences and their answers") from None
 
     async def ask(self, call: Call) -> Reply:
-        words = _plain(call.messages[-1].text.rpartition("\n\n")[2])
+        asked = call.messages[-1].text
+        words = _plain(asked.partition("\n\n")[2] if asked.startswith(GIVEN) else asked)
         if words not in self._answers:
             raise ModelError("refused", f"a simulated reader knows the sentences of its file only, not {words[:80]!r}")
         return Reply(text=self._answers[words], model=self.name)
@@ -170,7 +173,7 @@ def edit_call(text: str, program: Program, n: int, *, brief: bool = False) -> Ca
     """The question to a model for a changed program of `n` places; InputError if the text is too long."""
     rules = BRIEF_EDITING if brief else EDITING.format(schema=json.dumps(program_schema()), n=n)
     form = AnswerForm(n=n, dim=2, program=True) if brief else None
-    return _call(rules, f"The program:\n{program.text}", text, form=form)
+    return _call(rules, f"{GIVEN}{program.text}", text, form=form)
 
 
 def drawn_program(shape: str) -> Program:
@@ -199,7 +202,7 @@ def _object(said: str) -> str:
 def answer_of(answer: str) -> MissionAnswer:
     """The typed answer of a model, not yet checked as a mission; AnswerError if the form is wrong."""
     try:
-        return MissionAnswer.model_validate_json(_object(answer))
+        return MissionAnswer.model_validate_json(_object(answer), strict=True)
     except (ValidationError, InputError) as error:
         wrong = input_error(error, MissionAnswer) if isinstance(error, ValidationError) else error
         raise AnswerError(f"the model's answer is not of the form that was asked for: {wrong}") from None

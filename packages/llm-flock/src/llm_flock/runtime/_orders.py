@@ -15,7 +15,8 @@ from llm_flock.runtime._trial import Trial
 class RunOrders:
     """Takes orders from any thread, and carries them out between two rounds.
 
-    `round` is the one in flight, `mission` the one in force, and `drawn` the program that a robot follows, if any.
+    `round` is the one in flight, `mission` the one in force or ordered for the next, `drawn` the program that a robot
+    follows, if any.
     """
 
     def __init__(self, config: RunConfig) -> None:
@@ -28,7 +29,6 @@ class RunOrders:
         self._ordered_rounds: set[int] = set()
         self._awake = [k for k in range(config.mission.n_robots) if k not in schedule.asleep]
         self._lock = threading.Lock()
-        self._staged = False
         self.mission, self.drawn, self.round = config.mission, "", 0
 
     def kill(self, robot: int) -> None:
@@ -44,15 +44,15 @@ class RunOrders:
         """Change fields of the mission of one robot, and return that robot. It tells the others."""
         with self._lock:
             when = self.round + 1
-            if self._staged:  # the schedule does not know this stage
-                if fixed := sorted(fields.keys() - MISSION_FIELDS | fields.keys() & {"since"}):
-                    allowed = ", ".join(sorted(MISSION_FIELDS - {"since"}))
-                    raise InputError("changes", fixed, f"only fields that a robot accepts by radio ({allowed})")
-                changed = self.mission.at(when).change(**fields, since=when)
-                fields = {**OPTIONAL, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
+            if fixed := sorted(fields.keys() - MISSION_FIELDS | fields.keys() & {"since"}):
+                allowed = ", ".join(sorted(MISSION_FIELDS - {"since"}))
+                raise InputError("changes", fixed, f"only fields that a robot accepts by radio ({allowed})")
+            # The schedule knows neither stages that robots have gone on to, nor an order that this one replaces.
+            changed = self.mission.at(when).change(**fields, since=when)
+            fields = {**OPTIONAL, **changed.model_dump(include=set(MISSION_FIELDS - {"since"}))}
             dead = self._schedule.kills.get(when, ())
             taker = next(robot for robot in self._awake if robot not in dead)
-            # A second order for the next round replaces the first; the configuration's own changes stay.
+            # A second order for the next round changes the first; the configuration's own changes stay.
             before = [one for one in self._changes if one.round != when or when not in self._ordered_rounds]
             try:
                 self._reschedule(self._kills, [*before, Change(round=when, robot=taker, set=fields)])
@@ -60,6 +60,7 @@ class RunOrders:
                 # The sender of the order knows the fields of a mission, but not the list of changes.
                 raise (error.__cause__ if isinstance(error.__cause__, InputError) else error) from None
             self._ordered_rounds.add(when)
+            self.mission, self.drawn = changed, self.drawn if changed.shape == self.mission.shape else ""
             return taker
 
     def carry_out(self, trial: Trial) -> None:
@@ -67,9 +68,10 @@ class RunOrders:
         with self._lock:
             self.round = trial.round + 1
             self._awake = list(trial.roster.awake)
-            self.mission, self._staged = trial.mission.at(trial.round), trial.staged
+            given = self._schedule.missions.get(self.round)
+            self.mission = given[-1][1] if given else trial.mission.at(trial.round)
             plan = trial.roster.agents[self._awake[0]].plan
-            self.drawn = "" if plan is None else plan.program
+            self.drawn = "" if plan is None or self.mission.shape != trial.mission.shape else plan.program
             trial.schedule = self._schedule
 
     def _reschedule(self, kills: list[str], changes: list[Change]) -> None:

@@ -111,8 +111,7 @@ def starts_of(config: RunConfig) -> Points:
 class Trial:
     """Drives agents, bodies, planners and messages through one mission, from `start`, of shape (n, d) [units].
 
-    `steer` is awaited before each round, and may change the schedule, the links and the planners. `staged` says whether
-    the mission in force began by the team's own decision.
+    `steer` is awaited before each round, and may change the schedule, the links and the planners.
     """
 
     def __init__(
@@ -136,7 +135,7 @@ class Trial:
         self.journal = journal
         journal.begin_mission(config.mission, 0, start)
         self.round = 0
-        self._stamp, self.staged = (0, config.mission.digest), False  # of the last mission that any robot has begun
+        self._stamp = (0, config.mission.digest)  # of the last mission that any robot has begun
         self.stopped = "rounds"
         self.reason: str | None = None
         self._on_round = on_round
@@ -274,7 +273,7 @@ class Trial:
             journal.close_episode(roster)  # robots may go on at any moment, and forget their plan
 
     def _begin(self, mission: Mission, ordered_at: int) -> None:
-        self._stamp, self.staged = (ordered_at, mission.digest), False
+        self._stamp = (ordered_at, mission.digest)
         self.journal.begin_mission(mission, self.round, self.bodies.positions)
 
     def _follow(self, agent: Agent) -> None:
@@ -283,7 +282,6 @@ class Trial:
             if self.journal.episode.bound is None:
                 self.journal.close_episode(self.roster)
             self._begin(agent.mission, agent.ordered_at)
-            self.staged = True
 
     async def _fly_round(self, number: int) -> None:
         questions = self.plan_questions(number)

@@ -75,7 +75,7 @@ export function cockpit(options, place) {
     h("label", { class: "flock-check" }, on, "Keep flying after it has formed"), said,
     h("div", { class: "flock-row" }, ...starts, waits));
   form.addEventListener("change", redraw);
-  const spoken = words(options, (draft) => launch(null, draft));
+  const spoken = words(options, (draft) => launch(null, draft), starts);
   listenToKeys({ "?": showKeys });
   // Without a model the words cannot be read: then the form comes first.
   place.replaceChildren(header("Cockpit", [["Runs", "/runs"]], [], showKeys),
@@ -102,8 +102,9 @@ function values(fields, on) {
   return { ...found, stop_when_formed: !on.checked };
 }
 
-function words(options, take) {
-  const box = field("Mission in plain words", h("textarea", { rows: 2, maxlength: 2000, placeholder: "eight drones in a square around 40, 60, 8 apart" }));
+/** `starts` are the buttons that start a run. */
+function words(options, take, starts) {
+  const box = field("Mission in plain words", h("textarea", { rows: 2, placeholder: "eight drones in a square around 40, 60, 8 apart" }));
   const note = h("div", { class: "flock-hint", role: "status", text: options.reads ? "" : options.needs });
   const offer = h("div", {});
   const read = button("Read", async () => {
@@ -117,8 +118,9 @@ function words(options, take) {
       return;
     }
     note.textContent = "This is what the model made of it. Protocol, model and faults are those of the form. Nothing flies before you say so.";
-    offer.append(h("div", { class: "flock-call" }, h("div", { class: "flock-said", text: said.in_words }),
-      button("Fly it", () => take(said.draft))));
+    const fly = button("Fly it", () => take(said.draft));
+    starts.push(fly);
+    offer.append(h("div", { class: "flock-call" }, h("div", { class: "flock-said", text: said.in_words }), fly));
   });
   read.disabled = box.control.disabled = !options.reads;
   return h("section", { class: "flock-card", "aria-label": "Say it in words" }, h("h2", { class: "flock-subtitle", text: "Say it in words" }),

@@ -100,15 +100,21 @@ export class Steer {
 
   /** A mission or an edit in words: what the model made of it is shown, and given once it is confirmed. */
   words() {
-    const box = field("In words", h("textarea", { rows: 2, maxlength: 2000 }), "a mission, or a change of the drawing: wider");
+    const box = field("In words", h("textarea", { rows: 2 }), "a mission, or a change of the drawing: wider");
     const offer = h("div", {});
+    let asking = false;
+    const ask = (now) => { asking = now; this.text = ""; this.draw(); };
     const read = (edit) => async () => {
+      ask(true);
       offer.replaceChildren(h("div", { class: "flock-hint", role: "status", text: "asking the model …" }));
       const said = await order({ order: "read", runs: this.keys, words: box.control.value, edit });
+      ask(false);
       offer.replaceChildren(h("div", { class: said.error ? "flock-error" : "flock-said", role: "status", text: said.error || said.in_words }));
       if (said.draft) offer.append(button("Give it", () => this.give({ order: "change", draft: said.draft })));
     };
-    return [box.box, offer, h("div", { class: "flock-row" }, button("Read the mission", read(false)), button("Read the change", read(true)))];
+    const reads = [button("Read the mission", read(false)), button("Read the change", read(true))];
+    this.buttons.push(...reads.map((one) => [one, (now) => now.run || (asking && "The model is asked already.")]));
+    return [box.box, offer, h("div", { class: "flock-row" }, ...reads)];
   }
 
   values() {
