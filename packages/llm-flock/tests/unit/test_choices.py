@@ -267,6 +267,7 @@ def test_a_robot_that_an_order_names_gets_a_rest() -> None:
         ({"changes": [{"round": 3, "robot": 0, "words": "hurry"}]}, "'models', who judge the orders"),
         (HURRY | {"changes": [{"round": 3, "robot": 0, "words": "h" * 129}]}, "words of at most 128 bytes"),
         (HURRY | {"changes": [{"round": 3, "robot": 0, "words": "now", "set": {"spacing": 9}}]}, "set, or words"),
+        ({"changes": [{"round": 3, "robot": 0}]}, "set, or words"),
         (HURRY | {"changes": [{"round": 3, "robot": 30, "words": "now"}]}, "a robot from 0 to 9"),
         (HURRY | {"changes": [{"round": 3, "robot": 0, "words": "now"}] * 17}, "at most 16 orders in words"),
         ({"judge": "models", "protocol": "paper"}, "'rule' unless places are given by the auction"),

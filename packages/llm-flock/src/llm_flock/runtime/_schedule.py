@@ -288,8 +288,8 @@ def _missions(
             raise InputError("changes", value, f"a round from 1 to {rounds}, the most that are flown")
         if not awake(robot, when):
             raise InputError("changes", value, f"a robot that is awake in round {when}")
-        if change.words:
-            if change.set or len(change.words.encode()) > MAX_ORDER_BYTES:
+        if change.words or "set" not in change.model_fields_set:
+            if change.set or not 0 < len(change.words.encode()) <= MAX_ORDER_BYTES:
                 raise InputError("changes", value, f"set, or words of at most {MAX_ORDER_BYTES} bytes")
             orders[when] = (*orders.get(when, ()), (robot, change.words))
             continue
