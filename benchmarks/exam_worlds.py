@@ -2,6 +2,7 @@
 
     python -m benchmarks.exam_worlds [--worlds 60] [--kinds death,battery] [--each N] [--first 0] > judgement.jsonl
     python -m benchmarks.exam_worlds --worlds 52 --kinds blocked --each 4 --first 23 >> judgement.jsonl
+    python -m benchmarks.exam_worlds --worlds 24 --kinds order --each 2 --first 33 >> judgement.jsonl
 
 In each world every option is flown from the same seed. A question is kept if exactly one option is the best as flown,
 and the same one by the figures in the question: it can be answered, and code knows that the answer is right. Half of
@@ -47,7 +48,7 @@ WISHES = {
 }
 
 
-SAYS = {"death": "has failed", "battery": "battery", "blocked": "An obstacle"}
+SAYS = {"death": "has failed", "battery": "battery", "blocked": "An obstacle", "order": "an order in words"}
 """What a question about each kind of event says."""
 
 
@@ -71,7 +72,9 @@ class Heard:
 def question_of(world: World, kind: str, seed: int) -> dict[str, Any] | None:
     """The question about a world, without an id; None where it has no answer that is clearly right."""
     Heard.asked.clear()
-    n, aim = int(world.mission["n_robots"]), str(world.options["wish"])
+    n, aim = int(world.mission["n_robots"]), world.counts
+    if aim not in AIMS:
+        return None
     fly(world, [Heard(seed, robot) for robot in range(n)])
     names = ("choice", "does", "rounds", "distance", "gaps", "lost")
     kinds = (str, str, int, float, int, int)

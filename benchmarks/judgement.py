@@ -1,18 +1,21 @@
 """Whether a team's models choose what is right after an event, by the share of models that judge wrongly.
 
-    python -m benchmarks.judgement [--worlds 24] [--jobs 2] [--write]
+    python -m benchmarks.judgement [--worlds 24] [--kinds death,...] [--jobs 2] [--write]
 
-A world is a team and one event: a robot that dies, a battery that gets weak, or an obstacle that comes to rest in a
-door or on a place. In each world every option is flown
-from the same seed. The right one loses no robot; after that it is the best by the world's wish: fewest empty places,
-fewest rounds or least flying, as flown and not as expected. Then models are asked: all are *simulated*; some, drawn by
-the seed, choose another option than the right one by its figures, each on its own or all alike. `one` is the share of
-worlds in which the vote that stands first in the order of plans would have been right: one robot that decides for all.
+A world is a team and one event: a robot that dies, a battery that gets weak, an obstacle that comes to rest in a
+door or on a place, or an order in words to one robot: on the way, with a spare robot, or with an empty place. Its words
+are a wish, or the name of an option and a colon, which is right then: stand-ins read no others. In each world every
+option is flown from the same seed. The right one loses no robot; after that it is the best by what counts: fewest empty
+places, fewest rounds or least flying, as flown and not as expected. Then models are asked: all are *simulated*; some,
+drawn by the seed, choose another option than the right one by its figures, each on its own or all alike. `one` is the
+share of worlds in which the vote that stands first in the order of plans would have been right: one robot that decides
+for all.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import os
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -36,13 +39,13 @@ SHARES = {"unlike": (0, 30, 50, 70), "alike": (30, 50, 70)}
 """Shares of models that judge wrongly [%], each on its own or all alike."""
 
 SHAPES = ("circle", "line", "wedge")
-USUAL = {"death": "leave", "battery": "continue", "blocked": "wait"}
+USUAL = {"death": "leave", "battery": "continue", "blocked": "wait", "order": "continue"}
 """What is done without a choice."""
 
-VOTED = {"death": 20, "battery": 9, "blocked": 16}
+VOTED = {"death": 20, "battery": 9, "blocked": 16, "order": 9}
 """Rounds after an event by which the team has chosen."""
 
-AFTER = {"death": 28, "battery": 28, "blocked": 45}
+AFTER = {"death": 28, "battery": 28, "blocked": 45, "order": 30}
 """Rounds that are flown after an event."""
 
 MOVED = 0.2
@@ -58,6 +61,11 @@ class World:
     options: dict[str, Any]
     event: int
     lost: int  #: Robots that are lost whatever is chosen.
+
+    @property
+    def counts(self) -> str:
+        """What counts: the order, or the wish."""
+        return str(self.options["changes"][0]["words"] if self.kind == "order" else self.options["wish"])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,6 +123,8 @@ def world_of(kind: str, seed: int) -> World:
     n = int(rng.integers(6, 9))
     if kind == "blocked":
         return door_world(seed, aim, n, rng) if seed % 2 else place_world(seed, aim, n, rng)
+    if kind == "order":
+        return order_world(seed, shape, aim, n, rng)
     robot, event = int(rng.integers(n)), int(rng.integers(4, 8)) if kind == "death" else int(rng.integers(4, 7))
     mission = {"shape": shape, "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
     options = {"seed": seed, "judge": "models", "wish": aim, "rounds": event + AFTER[kind], "stop_when_formed": False}
@@ -128,6 +138,23 @@ def world_of(kind: str, seed: int) -> World:
     way = np.linalg.norm(np.diff(whole.positions[event - 1 :, robot], axis=0), axis=1).sum()
     options["battery"] = f"{robot}@{event}:{max(0.5, rng.uniform(0.3, 1.4) * way):.1f}"
     return World(kind=kind, mission=mission, options=options, event=event, lost=0)
+
+
+def order_world(seed: int, shape: str, aim: str, n: int, rng: np.random.Generator) -> World:
+    """One robot gets an order: on the way to its place, beside a spare robot, or beside the place of a late one."""
+    robot, scene = int(rng.integers(n)), ("way", "spare", "gap")[seed % 3]
+    event = int(rng.integers(3, 7)) if scene == "way" else 25
+    mission = {"shape": shape, "n_robots": n, "comm_range": 60.0, "sense_range": 60.0}
+    options: dict[str, Any] = {"seed": seed, "judge": "models", "rounds": event + AFTER["order"]}
+    options |= {"stop_when_formed": False, "decide": "on-event", "time_out": 5}
+    if scene == "spare":
+        mission["places"] = n - 1
+    if scene == "gap":
+        options["join"] = f"{(robot + 1) % n}@{options['rounds']}"
+    named = {"way": "wait: all of you", "spare": f"spare: robot {robot}", "gap": "replan: now"}[scene]
+    words = str(rng.choice([aim, aim, named]))
+    options |= {"wish": aim, "changes": [{"round": event, "robot": robot, "words": words}]}
+    return World(kind="order", mission=mission, options=options, event=event, lost=int(scene == "gap"))
 
 
 def blocked_world(seed: int, aim: str, mission: dict[str, Any], rest: Sequence[float], far: Sequence[float]) -> World:
@@ -176,12 +203,15 @@ def place_world(seed: int, aim: str, n: int, rng: np.random.Generator) -> World:
 
 
 def fly(world: World, model: Any, **other: Any) -> Flown:
-    events = Events()
-    flown = llm_flock.run(llm_flock.Mission(**world.mission), model=model, sink=events, **{**world.options, **other})
-    positions, mission = flown.positions, flown.mission
+    events, options = Events(), {**world.options, **other}
+    late = [int(options["join"].partition("@")[0])] if "join" in options else []
+    if late:  # in the last round, which does not count
+        options["join"] = f"{late[0]}@{options['rounds']}"
+    flown = llm_flock.run(llm_flock.Mission(**world.mission), model=model, sink=events, **options)
+    positions, mission = flown.positions[: -1 if late else None], flown.mission
     steps = np.linalg.norm(np.diff(positions[world.event - 1 :], axis=0), axis=2)
     killed = {one.robot for one in events.seen if one.kind == "killed"}
-    placed = [j for j, slot in enumerate(flown.slots) if slot is not None and j not in killed]
+    placed = [j for j, slot in enumerate(flown.slots) if slot is not None and j not in {*killed, *late}]
     whole = mission.n_robots - world.lost if mission.places is None else mission.places
     here = positions[-1][placed]
     gaps = max(whole - len(placed), 0)
@@ -196,7 +226,7 @@ def fly(world: World, model: Any, **other: Any) -> Flown:
     agreed = [one.detail["choice"] for one in seen if one.kind == "agreed"]
     votes = [one for one in seen if one.kind == "judged"]
     return Flown(
-        lost=len(killed) - world.lost,
+        lost=max(len(killed) - world.lost, 0),
         gaps=gaps,
         rounds=int(max(np.flatnonzero(steps.max(axis=1) > MOVED), default=-1)) + 1,
         distance=float(steps.sum()),
@@ -233,15 +263,18 @@ def models(world: World, seed: int, share: int, *, alike: bool) -> list[Mixed]:
 def study(kind: str, seed: int) -> dict[tuple[str, int], Any] | None:
     """One world: by case and share, the flight of the option that was chosen, and what is to be counted."""
     world = world_of(kind, seed)
-    n, aim = world.mission["n_robots"], world.options["wish"]
+    n, aim = world.mission["n_robots"], world.counts
     asked = fly(world, "simulated:ideal")
     flown = {
         choice: asked if choice == asked.choice else fly(world, [Fixed(choice, seed, j) for j in range(n)])
         for choice in asked.offered
     }
-    right = {one for one in flown if not any(flown[other].beats(flown[one], aim) for other in flown)}
-    if len(flown) < 2 or right == {*flown}:
+    if len(flown) < 2:
         return None  # there is nothing to choose
+    right = {aim.partition(":")[0]} & flown.keys()
+    right = right or {one for one in flown if not any(flown[other].beats(flown[one], aim) for other in flown)}
+    if right == {*flown}:
+        return None
     usual = USUAL[kind]
     found: dict[tuple[str, int], Any] = {("rule", 0): (flown[usual], usual in right, usual in right, True, False)}
     for case, shares in SHARES.items():
@@ -262,13 +295,19 @@ def study(kind: str, seed: int) -> dict[tuple[str, int], Any] | None:
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--worlds", type=int, default=24, help="worlds of each kind, as seeds; some leave no choice")
+    parser.add_argument("--kinds", default=",".join(USUAL), help="kinds of events; the rows of others stay as they are")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--write", action="store_true", help="write docs/data/judgement.csv")
     given = parser.parse_args(arguments)
     titles = ["Event", "Wrong models", "Wrong ones", "Worlds", "Right %", "One robot: right %", "One choice %"]
     rows = [[*titles, "Robots lost per world", "Rounds", "Flights below the safe distance"]]
+    with (figures.TABLE.parent / "judgement.csv").open(encoding="utf-8", newline="") as file:
+        kept = [*csv.reader(file)]
     with ProcessPoolExecutor(given.jobs) as pool:
         for kind in USUAL:
+            if kind not in given.kinds.split(","):
+                rows += [row for row in kept if row[0] == kind]
+                continue
             worlds = [one for one in pool.map(partial(study, kind), range(given.worlds)) if one is not None]
             for case, share in worlds[0]:
                 seen = [one[case, share] for one in worlds]
@@ -285,8 +324,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
                 wrong = "" if case == "rule" else case
                 rows.append([kind, name, wrong, str(len(seen)), percent(1), one, percent(3), lost, rounds, str(near)])
                 print(*rows[-1], sep=" | ", flush=True)
-            if given.write:
-                figures.write("judgement.csv", rows)
+    if given.write:
+        figures.write("judgement.csv", rows)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ VALUES: dict[str, Any] = {
     "proposer": 2, "shape": "cross", "proposed": [1.0, 2.0], "flown": [1.5, 2.25], "nearest": 1.25, "makes_way": False,
     "goal_distance": 4.5, "after": "ab12", "rounds": 3, "to": 6, "count": 12, "robot": 4, "proof": "aGVsbG8=",
     "model": "simulated:collapse", "loss": None, "ahead_s": 3.5, "obstacle": 2,
-    "left": 12.5, "options": ["leave", "close"], "choice": "close",
+    "left": 12.5, "words": "hurry", "options": ["leave", "close"], "choice": "close",
     "votes": {"close": 5, "leave": 2},
 }  # fmt: skip
 

@@ -196,6 +196,8 @@ class Agent:
                 effects = self._give_mission(event)
             case events.BatteryWeak():
                 effects = self._weaken(event.left)
+            case events.OrderGiven():
+                effects = self._order(event)
             case events.Judged():
                 effects = [] if self._judgement is None else [*self._judgement.take(event.answer)]
             case events.RoundBegan():
@@ -303,6 +305,11 @@ class Agent:
         if self._judgement is not None:
             self._judgement.weaken(left)
         return [Note("battery", {"left": left})]
+
+    def _order(self, given: events.OrderGiven) -> list[Effect]:
+        if self._judgement is not None:
+            self._judgement.order(given.words, given.round)
+        return [Note("order", {"words": given.words})]
 
     def _receive(self, event: events.Received) -> list[Effect]:
         before = self.mission

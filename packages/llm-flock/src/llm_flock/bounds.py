@@ -22,6 +22,8 @@ MAX_DISTANCE = 1e12  #: Largest length and time of a record: no trouble for the 
 MAX_ROUND = 10**9  #: Largest number of a round.
 LATEST = 2**60  #: Above every time of an order: far enough in the future, and below the largest machine integer.
 MAX_WORD = 64  #: Longest name or digest in a report [characters].
+MAX_ORDER_BYTES = 128  #: Longest order in words that a team judges: votes about it carry it [bytes].
+MAX_ORDERS = 16  #: Most orders in words for one mission: any robot may make them up, and each asks all models.
 MAX_REASON = 2000  #: Longest reason in a report [characters].
 DEEPEST = 32  #: Deepest nesting of free values; those of this program have a quarter of it.
 

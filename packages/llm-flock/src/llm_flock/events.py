@@ -94,6 +94,13 @@ class BatteryWeak(msgspec.Struct, frozen=True):
     left: float
 
 
+class OrderGiven(msgspec.Struct, frozen=True):
+    """The operator gives this robot an order in words, at most `MAX_ORDER_BYTES`, in this round; the team judges it."""
+
+    words: str
+    round: int
+
+
 class Judged(msgspec.Struct, frozen=True):
     """The planner answered the question for a judgement."""
 
@@ -145,6 +152,7 @@ Event: TypeAlias = (
     | HeartbeatDue
     | MissionGiven
     | BatteryWeak
+    | OrderGiven
     | Judged
     | Planned
     | CommRoundBegan
@@ -221,6 +229,7 @@ NOTES: Mapping[str, frozenset[str]] = {
     "clock": frozenset({"ahead_s"}),
     "accused": frozenset({"robot", "reason", "proof"}),
     "battery": frozenset({"left"}),
+    "order": frozenset({"words"}),
     "killed": frozenset(),
     "joined": frozenset(),
     "injected": frozenset({"model", "loss"}),
@@ -249,7 +258,17 @@ class Note(msgspec.Struct, frozen=True):
 
 Effect: TypeAlias = AskPlan | AskStep | AskJudgement | Broadcast | MoveTo | Note
 
-AT_ANY_TIME = (Sensed, HeartbeatDue, MissionGiven, BatteryWeak, Judged, CommRoundBegan, Received, CommRoundEnded)
+AT_ANY_TIME = (
+    Sensed,
+    HeartbeatDue,
+    MissionGiven,
+    BatteryWeak,
+    OrderGiven,
+    Judged,
+    CommRoundBegan,
+    Received,
+    CommRoundEnded,
+)
 """Events that are legal in every phase: robots also communicate and sense while models think and bodies fly."""
 
 TRANSITIONS: Mapping[tuple[Phase, type[Event]], frozenset[Phase]] = {

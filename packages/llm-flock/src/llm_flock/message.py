@@ -20,7 +20,7 @@ import msgspec
 from msgspec.structs import astuple, force_setattr, replace
 
 from llm_flock.arrays import MAX_COORDINATE
-from llm_flock.bounds import LATEST, MAX_ROBOTS, max_payload_bytes, max_places
+from llm_flock.bounds import LATEST, MAX_ORDER_BYTES, MAX_ROBOTS, max_payload_bytes, max_places
 from llm_flock.errors import InputError, MessageError
 from llm_flock.mission import MISSION_FIELDS, OPTIONAL, Mission
 from llm_flock.plan import Coordinate, Plan
@@ -75,7 +75,7 @@ MAX_PROPOSALS = 4  #: Most proposals of others in one message.
 MAX_VOTES = 16  #: Most votes in one message.
 
 Choice: TypeAlias = Literal["leave", "close", "replan", "continue", "swap", "spare", "wait", "round"]
-"""What a team can do about a place that a dead robot leaves empty, about a weak battery and about a blocked way."""
+"""What a team can do about the empty place of a dead robot, a weak battery, a blocked way and an order in words."""
 
 Id = Annotated[int, msgspec.Meta(ge=0, lt=MAX_ROBOTS)]
 Owner = Annotated[int, msgspec.Meta(ge=BLOCKED, lt=MAX_ROBOTS)]
@@ -187,13 +187,14 @@ class Proposal(_OnWire, frozen=True, kw_only=True):
 
 
 class Incident(_OnWire, frozen=True, kw_only=True):
-    """What the robots' models judge: a place that a dead robot leaves empty, a weak battery, or a blocked way."""
+    """What the robots' models judge: the empty place of a dead robot, a weak battery, a blocked way, or an order."""
 
-    kind: Literal["death", "battery", "blocked"]
-    robot: Id  #: The robot that it has happened to.
-    #: How far that robot can still fly, or the radius of the obstacle in its way [units].
+    kind: Literal["death", "battery", "blocked", "order"]
+    robot: Id  #: The robot that it has happened to; that an order names by number, or else that got it.
+    #: How far that robot can still fly, or the radius of the obstacle in its way [units]; the round of an order.
     left: Annotated[float, msgspec.Meta(ge=0, le=MAX_BID)] = 0.0
-    at: Coordinates = ()  #: Where it said so, or where that obstacle is [units]; empty for a dead one.
+    at: Coordinates = ()  #: Where it said so, or where that obstacle is [units]; else empty.
+    words: str = ""  #: The order; empty for other kinds.
 
 
 class Vote(_OnWire, frozen=True, kw_only=True):
@@ -376,8 +377,11 @@ def _check_lengths(message: Message, n_robots: int, dim: int) -> None:
     reports = (message.positions or {}).values()
     if not all(len(x) == dim and len(mark) in (0, dim) for _, x, mark in reports):
         raise MessageError("wrong_length", f"a position has {dim} coordinates")
-    if any(len(vote.incident.at) not in (0, dim) for vote in message.votes or ()):
+    incidents = [vote.incident for vote in message.votes or ()]
+    if any(len(one.at) not in (0, dim) for one in incidents):
         raise MessageError("wrong_length", f"a robot's place has {dim} coordinates")
+    if any((one.kind == "order") != (0 < len(one.words.encode()) <= MAX_ORDER_BYTES) for one in incidents):
+        raise MessageError("wrong_length", f"an order has words, of at most {MAX_ORDER_BYTES} bytes")
     if message.course is not None and set(map(len, message.course.path)) != {dim}:
         raise MessageError("wrong_length", f"a course has points of {dim} coordinates")
     if (message.plan_digest is None) != (message.provenance is None):

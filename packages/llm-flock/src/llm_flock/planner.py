@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias, cast
 
 from llm_flock.arrays import Point
 from llm_flock.message import Choice
@@ -101,7 +101,12 @@ AIMS: Mapping[str, Aim] = {
 
 
 def best_option(options: Sequence[JudgementOption], aim: str = "") -> Choice:
-    """The right one of some options by their figures: no robot may be lost, then an aim of `AIMS` counts."""
+    """The right one of some options by their figures: no robot may be lost, then an aim of `AIMS` counts.
+
+    The name of an option, also with a colon and words behind it, asks for that one.
+    """
+    if (named := aim.partition(":")[0]) in [option.choice for option in options]:
+        return cast("Choice", named)
     order = AIMS[aim or next(iter(AIMS))]
     return min(options, key=lambda option: (option.lost, *(getattr(option, name) for name in order))).choice
 
@@ -116,6 +121,7 @@ class JudgementQuestion:
     event: str  #: What has come up, as a sentence.
     options: tuple[JudgementOption, ...]  #: At least two; the first is what happens without a choice.
     probe: bool = False
+    words: str = ""  #: The order that it is about, which then says what counts; empty for other events.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import llm_flock
@@ -103,8 +105,10 @@ class Scripted:
         return Reply(text=self.answers.pop(0), model=self.name)
 
 
-def judged(model: Any, prompts: PromptSet | None = None) -> JudgementAnswer | NoAnswer:
-    return asyncio.run(LanguagePlanner(1, model, prompts or PromptSet.load()).judge(QUESTION))
+def judged(
+    model: Any, prompts: PromptSet | None = None, asked: JudgementQuestion = QUESTION
+) -> JudgementAnswer | NoAnswer:
+    return asyncio.run(LanguagePlanner(1, model, prompts or PromptSet.load()).judge(asked))
 
 
 def test_an_unusable_answer_goes_back_with_the_reason() -> None:
@@ -149,6 +153,16 @@ def test_a_stand_in_reads_no_wish_in_free_words() -> None:
         simulated("ideal").answer([("user", PromptSet.load(wish="be gentle.").judgement(QUESTION))])
     with pytest.raises(InputError, match=r"judgement\.j2"):
         simulated("ideal").answer([("user", "Something has come up: rain.")])
+
+
+def test_an_order_says_what_counts() -> None:
+    least = [*AIMS][2]
+    for words, choice in ((least, "leave"), ("close: robot 3", "close"), ("close robot 3", None), ("spare", None)):
+        asked = replace(QUESTION, words=words)
+        text = PromptSet.load(wish="be gentle.").judgement(asked)
+        assert text.count(words) == 1 and "be gentle" not in text
+        answer = judged(simulated("ideal"), PromptSet.load(wish="be gentle."), asked)
+        assert getattr(answer, "choice", None) == choice
 
 
 def test_a_folder_may_replace_the_question(tmp_path: Any) -> None:
@@ -222,6 +236,26 @@ def test_an_empty_battery_stops_the_body_where_it_is() -> None:
     assert flown.summary.killed == ("2@3",)
 
 
+HURRY: dict[str, Any] = {"judge": "models"}
+
+
+def test_a_team_waits_and_goes_on_as_it_is_ordered() -> None:
+    words = ((3, "wait"), (12, "continue"))
+    changes = [{"round": when, "robot": 0, "words": said} for when, said in words]
+    flown, events = fly("circle", 6, seed=4, changes=changes, stop_when_formed=False, rounds=30)
+    ways = np.linalg.norm(np.diff(flown.positions, axis=0), axis=2).max(axis=1)
+    assert [one["words"] for _, kind, one in events.seen if kind == "order"] == ["wait", "continue"]
+    assert {one["choice"] for one in events.of("agreed", "order").values()} == {"continue"}
+    assert ways[5:12].max() < 1e-9 < 1.0 < ways[14:].max() and flown.formed
+
+
+def test_a_robot_that_an_order_names_gets_a_rest() -> None:
+    change = {"round": 12, "robot": 0, "words": "spare: robot 2"}
+    flown, events = fly("circle", 6, seed=4, changes=[change], mission={"places": 5})
+    assert {one["choice"] for one in events.of("agreed", "order").values()} == {"spare"}
+    assert flown.slots[2] is None and flown.formed
+
+
 @pytest.mark.parametrize(
     ("fields", "says"),
     [
@@ -230,6 +264,12 @@ def test_an_empty_battery_stops_the_body_where_it_is() -> None:
         ({"battery": "3@12:-4"}, "ID@ROUND:LENGTH"),
         ({"battery": "30@12:4"}, "there is no robot 30"),
         ({"battery": "3@12:4", "kill": "3@5"}, "a robot that is awake in round 12"),
+        ({"changes": [{"round": 3, "robot": 0, "words": "hurry"}]}, "'models', who judge the orders"),
+        (HURRY | {"changes": [{"round": 3, "robot": 0, "words": "h" * 129}]}, "words of at most 128 bytes"),
+        (HURRY | {"changes": [{"round": 3, "robot": 0, "words": "now", "set": {"spacing": 9}}]}, "set, or words"),
+        ({"changes": [{"round": 3, "robot": 0}]}, "set, or words"),
+        (HURRY | {"changes": [{"round": 3, "robot": 30, "words": "now"}]}, "a robot from 0 to 9"),
+        (HURRY | {"changes": [{"round": 3, "robot": 0, "words": "now"}] * 17}, "at most 16 orders in words"),
         ({"judge": "models", "protocol": "paper"}, "'rule' unless places are given by the auction"),
     ],
 )

@@ -25,7 +25,7 @@ def schedule(**fields: Any) -> Schedule:
 
 
 def test_nothing_happens_unless_it_is_asked_for() -> None:
-    assert schedule() == Schedule(asleep=frozenset(), kills={}, joins={}, missions={}, weak={})
+    assert schedule() == Schedule(asleep=frozenset(), kills={}, joins={}, missions={}, weak={}, orders={})
     assert schedule(kill="", join=" ").last == 0
 
 

@@ -28,7 +28,7 @@ SECTIONS: Mapping[str, str] = {
     "mission": "a mission in words as a typed answer: what is flown, a question back, or a refusal",
     "distraction": "a plan of a shape in words with irrelevant, contradictory or hostile text in it",
     "edit": "a formation program changed as words say",
-    "judgement": "what to do after a death, with a weak battery or a blocked way: one of some options, by a wish",
+    "judgement": "what to do after a death, a weak battery, a blocked way or an order: one of some options, by a wish",
 }
 """The sections, in the order in which they are asked, and what each asks for."""
 

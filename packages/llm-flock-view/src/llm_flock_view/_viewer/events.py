@@ -27,6 +27,7 @@ _TRACKS = {
     "joined": "faults",
     "accused": "faults",
     "battery": "faults",
+    "order": "missions",
     "agreed": "faults",
     "gap": "faults",
     "injected": "faults",
@@ -143,7 +144,12 @@ def _deadlock(detail: Detail) -> str:
 
 
 def _incident(detail: Detail) -> str:
-    whats = {"death": "has failed", "battery": "has a weak battery", "blocked": "has an obstacle in its way"}
+    whats = {
+        "death": "has failed",
+        "battery": "has a weak battery",
+        "blocked": "has an obstacle in its way",
+        "order": "is meant by an order",
+    }
     what = whats.get(str(detail.get("about")), "needs a choice")
     return (
         f"noticed that robot {detail.get('robot')} {what}; options: {', '.join(map(str, _list(detail.get('options'))))}"
@@ -210,6 +216,7 @@ _SENTENCES: Mapping[str, Callable[[Detail], str]] = {
         f"{str(detail.get('reason')).replace('_', ' ')}"
     ),
     "battery": lambda detail: f"has a weak battery: it can fly {_units(detail.get('left'))} at most",
+    "order": lambda detail: f"got an order in words: {detail.get('words')}",
     "incident": _incident,
     "judged": lambda detail: f"chose {detail.get('choice')} about robot {detail.get('robot')}{_because(detail)}",
     "agreed": _agreed,

@@ -171,7 +171,9 @@ class PromptSet:
         return self._question("step.j2", STEP, question)
 
     def judgement(self, question: JudgementQuestion) -> str:
-        """The question what to do about an event; the operator's wish says what counts."""
+        """The question what to do about an event; its order or the operator's wish says what counts."""
+        if question.words:
+            return replace(self, wish=question.words).judgement(replace(question, words=""))
         return self._question("judgement.j2", JUDGEMENT, question)
 
     def retry(self, reason: str, question: PlanQuestion | StepQuestion | JudgementQuestion) -> str:

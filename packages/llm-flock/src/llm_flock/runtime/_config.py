@@ -238,6 +238,8 @@ class RunConfig(ConfigSection):
                 if one.speed * rounds > reach + 1e-9:
                     allowed = f"a speed of at most {reach / rounds:.4g}: robots must see an obstacle before it is there"
                     raise InputError("moving_obstacles", one.model_dump(), allowed)
+        if self.protocol.judge == "rule" and any(change.words for change in self.trial.changes):
+            raise InputError("judge", "rule", "'models', who judge the orders in words among the changes")
         given = [mission for orders in self.schedule().missions.values() for _, mission in orders]
         self.check_missions(self.mission, *given)
         if self.trial.changes and any(mission.then for mission in (self.mission, *given)):

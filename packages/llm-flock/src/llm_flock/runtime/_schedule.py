@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from llm_flock.bounds import MAX_OBSTACLES, MAX_ROUNDS
+from llm_flock.bounds import MAX_OBSTACLES, MAX_ORDER_BYTES, MAX_ORDERS, MAX_ROUNDS
 from llm_flock.errors import InputError
 from llm_flock.mission import MISSION_FIELDS, Coordinate, Mission
 from llm_flock.obstacles import MovingObstacle
@@ -45,13 +45,14 @@ Turn: TypeAlias = tuple[int, int]  # a robot and a round
 
 
 class Change(BaseModel):
-    """A mission given to one robot at the start of a round; the others receive it from there."""
+    """A mission, or an order in words, given to one robot at the start of a round; the others receive it from there."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", defer_build=True)
 
     round: Annotated[int, Field(ge=1)]
     robot: Annotated[int, Field(ge=0)]
-    set: dict[str, Any]
+    set: dict[str, Any] = Field(default_factory=dict)
+    words: str = ""
 
 
 class TrialConfig(BaseModel):
@@ -91,7 +92,9 @@ class TrialConfig(BaseModel):
     kill_random: int = Field(default=0, ge=0, description="Kill this many more robots, drawn from the seed")
     join_random: int = Field(default=0, ge=0, description="Let this many more robots join late, drawn from the seed")
     changes: tuple[Change, ...] = Field(
-        default=(), description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}"
+        default=(),
+        description="Give one robot another mission in flight: {round, robot, set: {field: value, ...}}; or, "
+        "with --judge models, an order in words: {round, robot, words}",
     )
     noise: float = Field(default=0.0, ge=0, allow_inf_nan=False, description="Maximum localisation error [units]")
     drift: float = Field(
@@ -142,12 +145,13 @@ class Schedule:
     joins: Mapping[int, tuple[int, ...]]  # for the first time or again
     missions: Mapping[int, tuple[tuple[int, Mission], ...]]  # in the order in which they are given
     weak: Mapping[int, tuple[tuple[int, float], ...]]  # robots, and how far
+    orders: Mapping[int, tuple[tuple[int, str], ...]]  # in words
     crossed: int = 0  # the round in which the last moving obstacle comes to rest; 0 without any
 
     @property
     def last(self) -> int:
         """The round of the last event; 0 without any."""
-        return max((*self.kills, *self.joins, *self.missions, *self.weak, self.crossed), default=0)
+        return max((*self.kills, *self.joins, *self.missions, *self.weak, *self.orders, self.crossed), default=0)
 
 
 def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
@@ -178,11 +182,13 @@ def build_schedule(mission: Mission, trial: TrialConfig) -> Schedule:
         past = [field for number, field in events.get(robot, ()) if number <= when]
         return past[-1] == "join" if past else robot not in asleep
 
-    missions = _missions(mission, trial.changes, awake, rounds)
+    missions, orders = _missions(mission, trial.changes, awake, rounds)
     crossed = _crossed(mission, trial.moving_obstacles)
     kills, joins = _by_round(killed), _by_round(joined)
     weak = _weak(mission, trial.battery, awake, rounds)
-    return Schedule(asleep=asleep, kills=kills, joins=joins, missions=missions, weak=weak, crossed=crossed)
+    return Schedule(
+        asleep=asleep, kills=kills, joins=joins, missions=missions, weak=weak, orders=orders, crossed=crossed
+    )
 
 
 def _weak(
@@ -269,9 +275,10 @@ def _asleep(events: Mapping[int, Sequence[tuple[int, str]]]) -> frozenset[int]:
 
 def _missions(
     mission: Mission, changes: Sequence[Change], awake: Callable[[int, int], bool], rounds: int
-) -> dict[int, tuple[tuple[int, Mission], ...]]:
-    """The mission of each change, derived from the one in force in that round."""
+) -> tuple[dict[int, tuple[tuple[int, Mission], ...]], dict[int, tuple[tuple[int, str], ...]]]:
+    """The mission of each change, derived from the one in force in that round; and the orders in words."""
     missions: dict[int, tuple[tuple[int, Mission], ...]] = {}
+    orders: dict[int, tuple[tuple[int, str], ...]] = {}
     for change in sorted(changes, key=lambda change: change.round):
         when, robot = change.round, change.robot
         value = change.model_dump()
@@ -281,6 +288,11 @@ def _missions(
             raise InputError("changes", value, f"a round from 1 to {rounds}, the most that are flown")
         if not awake(robot, when):
             raise InputError("changes", value, f"a robot that is awake in round {when}")
+        if change.words or "set" not in change.model_fields_set:
+            if change.set or not 0 < len(change.words.encode()) <= MAX_ORDER_BYTES:
+                raise InputError("changes", value, f"set, or words of at most {MAX_ORDER_BYTES} bytes")
+            orders[when] = (*orders.get(when, ()), (robot, change.words))
+            continue
         fields = dict(change.set)
         try:
             if "since" in fields:
@@ -294,7 +306,9 @@ def _missions(
                 allowed = f"only fields that a robot accepts by radio ({', '.join(sorted(MISSION_FIELDS - {'since'}))})"
                 raise InputError("changes", value, f"{allowed}, not {field}")
         missions[when], mission = (*missions.get(when, ()), (robot, new)), new
-    return missions
+    if sum(map(len, orders.values())) > MAX_ORDERS:
+        raise InputError("changes", len(changes), f"at most {MAX_ORDERS} orders in words")
+    return missions, orders
 
 
 def read_points(change: Any) -> Any:

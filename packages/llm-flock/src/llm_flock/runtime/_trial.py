@@ -263,12 +263,14 @@ class Trial:
             if robot in roster.awake:
                 self._left[robot] = left
                 self._send(robot, events.BatteryWeak(left))
-        if killed or joined or number in schedule.weak or number == schedule.crossed:
+        if killed or joined or number in (*schedule.weak, *schedule.orders) or number == schedule.crossed:
             journal.episode.disturb(number - 1)
         for count, (robot, mission) in enumerate(schedule.missions.get(number, ())):
             journal.close_episode(roster)
             self._begin(mission, order_time(number, count))
             self._send(robot, events.MissionGiven(mission=mission, ordered_at=order_time(number, count)))
+        for robot, words in schedule.orders.get(number, ()):
+            self._send(robot, events.OrderGiven(words, number))
         if self.mission.then and journal.episode.formed_at is not None and journal.episode.bound is None:
             journal.close_episode(roster)  # robots may go on at any moment, and forget their plan
 

@@ -11,8 +11,9 @@ import pytest
 from msgspec.structs import replace
 
 import llm_flock
+from llm_flock.agent import Agent
 from llm_flock.arrays import Point
-from llm_flock.events import AskJudgement, Note
+from llm_flock.events import AskJudgement, Note, OrderGiven
 from llm_flock.message import BLOCKED, NO_OWNER, BidTable, Choice, Incident, Vote
 from llm_flock.mission import Mission
 from llm_flock.obstacles import Mover, Obstacle
@@ -27,6 +28,7 @@ from llm_flock.protocol._agreement.options import (
     blocked_options,
     closing,
     death_options,
+    order_options,
     way_past,
 )
 from llm_flock.protocol._membership.team import TeamMembership
@@ -522,6 +524,90 @@ def test_a_team_goes_round_an_obstacle_in_a_door() -> None:
     judged = llm_flock.run(mission, rounds=30, judge="models", **given)
     assert (usual.formed, judged.formed) == (False, True)
     assert (judged.summary.min_separation or 0.0) >= mission.safe_distance
+
+
+def ordered(now: Situation, named: int = 4, dead: int = -1) -> dict[str, JudgementOption]:
+    order = Incident(kind="order", robot=named, left=1.0, words="hurry")
+    found = order_options(order, now, 0, frozenset(range(now.mission.n_robots)) - {dead})
+    return {option.choice: option for option in found}
+
+
+def test_a_team_on_its_way_may_go_on_or_wait() -> None:
+    far = (SPOTS[4][0], SPOTS[4][1] - 20.0)
+    options = ordered(situation(0, 1, 2, 3, 4, sensed={4: far}))
+    go_on, wait = options.values()
+    assert (go_on.choice, go_on.rounds, go_on.gaps, go_on.distance) == ("continue", 4, 0, pytest.approx(20.0))
+    assert (wait.choice, wait.rounds, wait.gaps, wait.distance) == ("wait", 0, 1, 0.0)
+    assert [*ordered(situation(0, 1, 2, 3, 4))] == ["continue"]
+    travels = ordered(situation(0, 1, 2, 3, 4, mission=FIVE.change(velocity=(0.1, 0.0))))
+    assert travels["wait"].gaps == 5, "the formation leaves those behind who wait"
+
+
+def test_an_order_may_close_a_gap_or_give_a_robot_a_rest() -> None:
+    gap = ordered(situation(0, 1, NO_OWNER, 3, 4), dead=2)
+    assert [*gap] == ["continue", "close", "replan"] and (gap["continue"].gaps, gap["replan"].gaps) == (1, 0)
+    six = Mission(shape="line", n_robots=6, places=5, comm_range=60)
+    now = situation(0, 1, 2, 3, 4, sensed={5: (SPOTS[4][0], SPOTS[4][1] + 12.0)})
+    now.mission = six
+    spare = ordered(now)["spare"]
+    assert "Robot 4 gets out" in spare.does and "spare robot 5" in spare.does
+    assert spare.distance > 12.0 and (spare.gaps, spare.rounds) == (0, 2)
+    assert "spare" not in ordered(now, named=5)
+
+
+def test_a_place_without_a_way_counts_as_empty() -> None:
+    box = [[(x, 40.0), (x + 2.0, 40.0), (x + 2.0, 60.0), (x, 60.0)] for x in (58.0, 80.0)]
+    box += [[(58.0, y), (82.0, y), (82.0, y + 2.0), (58.0, y + 2.0)] for y in (38.0, 60.0)]
+    mission = Mission(
+        shape="line", n_robots=5, comm_range=60, obstacles=tuple(Obstacle(polygon=tuple(one)) for one in box)
+    )
+    now = situation(0, 1, 2, 3, 4, mission=mission, sensed={4: (20.0, 20.0)})
+    assert ordered(now)["continue"].gaps == 1
+
+
+def told(team: Judging, words: str, choice: Choice | None) -> list[AskJudgement | Note]:
+    """The robot gets an order, which the whole team answers alike."""
+    team.judgement.order(words, team.number + 1)
+    effects = team.round()
+    team.judgement.take(JudgementAnswer(choice=choice) if choice else NoAnswer(cause="answer", reason="none"))
+    incident = [*team.judgement.votes.incidents.values()][-1]
+    team.hear(incident, r1=choice, r2=choice, r3=choice, r4=choice)
+    return [*effects, *team.round()]
+
+
+def test_the_team_does_what_it_chose_about_the_last_order() -> None:
+    team = Judging()
+    team.here = (SPOTS[0][0], SPOTS[0][1] + 20.0)
+    noticed, asked, agreed = told(team, "2026: let robot 3 \n rest", "wait")
+    assert noticed == Note("incident", {"about": "order", "robot": 3, "options": ["continue", "wait"]})
+    assert isinstance(asked, AskJudgement) and asked.question.words == "2026: let robot 3 \\n rest"
+    assert agreed == Note("agreed", {"about": "order", "robot": 3, "choice": "wait", "votes": {"wait": 5}})
+    assert team.judgement.waits == "order"
+    told(team, "whatever", None)
+    assert team.judgement.waits == "order", "nobody knew what to do about that order"
+    told(team, "go", "continue")
+    assert team.judgement.waits is None
+    told(team, "go", "wait")
+    assert team.judgement.waits == "order" and team.judgement.votes.incidents["order 7 go", 0].left == 7
+    team.judgement.begin_mission()
+    assert team.round() == [] and team.judgement.waits is None
+
+
+def test_orders_reach_the_agents_of_a_run() -> None:
+    orders: Any = ({"round": 4, "robot": 1, "words": "wait"}, {"round": 10, "robot": 2, "words": "continue"})
+    flown = llm_flock.run(FIVE, judge="models", changes=orders, seed=1, rounds=40, trace=False)
+    still = np.abs(np.diff(flown.positions, axis=0)).max(axis=(1, 2)) < 1e-9
+    assert still[6:9].all() and not still[:3].any() and flown.formed
+    alone = Agent(0, FIVE, parts=Parts()).handle(OrderGiven(words="wait", round=1))
+    assert alone == [Note("order", {"words": "wait"})], "it judges nothing"
+
+
+def test_an_order_to_plan_again_is_followed() -> None:
+    team = Judging()
+    team.round()
+    team.holds(0, 1, NO_OWNER, 3, 4, slot=0)
+    told(team, "close the ranks", "replan")
+    assert team.membership.gaps == "replan"
 
 
 def test_no_search_begins_while_the_team_chooses() -> None:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from llm_flock.bounds import max_payload_bytes
+from llm_flock.bounds import MAX_ORDERS, max_payload_bytes
 from llm_flock.errors import MessageError
 from llm_flock.message import MAX_VOTES, Choice, Incident, Message, MissionStamp, Vote, decode, encode
 from llm_flock.mission import Mission
@@ -18,6 +18,8 @@ from llm_flock.protocol._messages.dissemination import Dissemination
 
 DEATH = Incident(kind="death", robot=1)
 WEAK = Incident(kind="battery", robot=2, left=12.5, at=(3.0, 4.0))
+
+ORDER = Incident(kind="order", robot=1, left=3.0, words="é" * 64)
 
 
 def vote(voter: int, choice: Choice | None, *, degree: int = 0, incident: Incident = DEATH) -> Vote:
@@ -50,6 +52,16 @@ def test_without_usable_votes_there_is_no_choice() -> None:
     assert votes.pass_on() is None and votes.choice(WEAK) is None
     votes.take(vote(0, None, incident=WEAK))
     assert votes.choice(WEAK) is None and votes.incidents == {("battery", 2): WEAK}
+
+
+def test_each_order_is_voted_on_and_made_up_ones_are_bounded() -> None:
+    votes = Votes()
+    for number in range(MAX_ORDERS + 2):
+        order = Incident(kind="order", robot=2, left=number, words="wait")
+        votes.take(vote(0, "wait", incident=order), vote(1, "wait", incident=order))
+    votes.take(vote(0, "continue", incident=WEAK))
+    assert len(votes.incidents) == MAX_ORDERS + 1 and votes.choice(WEAK) == "continue"
+    assert [votes.count(one)["wait"] for one in votes.incidents.values() if one.words] == [2] * MAX_ORDERS
 
 
 choices = st.sampled_from([None, "leave", "close", "replan"])
@@ -110,7 +122,9 @@ MESSAGE = Message(sender=0, sequence=0, degree=1, stamp=MissionStamp(0, "0" * 16
 
 
 def test_votes_come_through_the_wire() -> None:
-    sent = replace(MESSAGE, votes=(vote(2, "close", degree=1), vote(0, None, incident=WEAK)))
+    sent = replace(
+        MESSAGE, votes=(vote(2, "close", degree=1), vote(0, None, incident=WEAK), vote(1, "wait", incident=ORDER))
+    )
     assert decode(encode(sent), 4, 2).votes == sent.votes
     assert decode(encode(replace(MESSAGE, votes=None)), 4, 2).votes is None
 
@@ -123,6 +137,9 @@ def test_votes_come_through_the_wire() -> None:
         ((vote(1, "close", incident=Incident(kind="death", robot=7)),), "unknown_id"),
         ((vote(1, "swap", incident=replace(WEAK, at=(1.0, 2.0, 3.0))),), "wrong_length"),
         ((vote(1, "swap", incident=replace(WEAK, left=-1.0)),), "malformed"),
+        ((vote(1, "wait", incident=replace(ORDER, words="é" * 65)),), "wrong_length"),
+        ((vote(1, "wait", incident=replace(ORDER, words="")),), "wrong_length"),
+        ((vote(1, "wait", incident=replace(WEAK, words="wait")),), "wrong_length"),
         ((vote(1, "land"),), "malformed"),  # pyright: ignore[reportArgumentType]
         ((vote(1, "close"),) * (MAX_VOTES + 1), "malformed"),
     ],

@@ -195,7 +195,7 @@ def read_judgement(text: str) -> tuple[list[JudgementOption], str, bool]:
     found, aim = _OPTION.findall(text), _first_group(_AIM, text)
     if not found or not aim:
         raise _other_words("judgement.j2", text)
-    if aim not in AIMS:
+    if aim not in AIMS and aim.partition(":")[0] not in [name for name, *_ in found]:
         raise ModelError("refused", f"a simulated model cannot read the wish {aim[:80]!r}")
     options = [
         JudgementOption(choice=name, does="", rounds=int(a), distance=float(b), gaps=int(c), lost=int(d))

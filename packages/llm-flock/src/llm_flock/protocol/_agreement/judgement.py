@@ -6,6 +6,7 @@ Without a choice the team does what it is configured to do. No choice touches th
 from __future__ import annotations
 
 import math
+import re
 from typing import Literal
 
 from llm_flock.arrays import Point
@@ -14,6 +15,7 @@ from llm_flock.message import NO_OWNER, BidEntry, Incident, Vote
 from llm_flock.metrics import AT_GOAL
 from llm_flock.obstacles import Obstacle
 from llm_flock.planner import JudgementAnswer, JudgementQuestion, NoAnswer
+from llm_flock.printable import one_line
 from llm_flock.protocol._agreement.agreement import Agreement
 from llm_flock.protocol._agreement.assignment import Claim
 from llm_flock.protocol._agreement.auction import changed
@@ -22,6 +24,7 @@ from llm_flock.protocol._agreement.options import (
     blocked_options,
     closing,
     death_options,
+    order_options,
     resting_at,
     way_past,
 )
@@ -50,6 +53,8 @@ class Judgement:
         """Forget what was judged: another mission, another situation. A battery that is weak stays so."""
         self.votes = Votes()
         self._asking: Incident | None = None
+        self._orders = list[Incident]()  # that have come to this robot
+        self._obeyed: str | None = None  # what the team does about the last order
         self._known: dict[Key, tuple[Incident, int]] = {}  # and the round since when
         self._asked, self._closed, self._holders = set[Key](), set[Key](), set[int]()
 
@@ -57,11 +62,19 @@ class Judgement:
         """The own body can fly only this far from now on [units]: ways before this moment do not count."""
         self._left, self._here = left, ()
 
+    def order(self, words: str, number: int) -> None:
+        """The operator has given an order about the first robot that it names by number, or else about this one."""
+        n = self._agreement.mission.n_robots
+        about = next((int(x) for x in re.findall("[0-9]+", words) if int(x) < n), self._robot)
+        self._orders.append(Incident(kind="order", robot=about, left=number, words=words))
+
     @property
-    def waits(self) -> Literal["battery", "blocked"] | None:
-        """What this robot holds its place for: a choice about its weak battery, or an obstacle, as was chosen."""
+    def waits(self) -> Literal["battery", "blocked", "order"] | None:
+        """What this robot holds its place for: a choice about its weak battery, an obstacle or an order, as chosen."""
         if ("battery", self._robot) in self._known.keys() - self._closed:
             return "battery"
+        if self._obeyed == "wait":
+            return "order"
         if (key := ("blocked", self._robot)) not in self._closed:
             return None
         incident, _ = self._known[key]
@@ -79,7 +92,8 @@ class Judgement:
             self._left = max(0.0, self._left - math.dist(position, self._here))
         self._here = position
         self._resting = resting
-        for incident in (*self.votes.incidents.values(), *self._noticed(), *self._blocked(number)):
+        seen = (*self._noticed(), *self._blocked(number), *self._orders)
+        for incident in (*self.votes.incidents.values(), *seen):
             self._known.setdefault(key_of(incident), (incident, number))
         notes = list[AskJudgement | Note]()
         for key, (incident, since) in self._known.items():
@@ -146,6 +160,9 @@ class Judgement:
         elif incident.kind == "blocked":
             event = f"An obstacle has come to rest in the way of robot {incident.robot} to its place."
             options = blocked_options(incident, agreement, self._robot, self._membership.liveness.present)
+        elif incident.kind == "order":
+            event = "The operator has given the team an order in words. It says what counts."
+            options = order_options(incident, agreement, self._robot, self._membership.liveness.present)
         else:
             event = f"Robot {incident.robot} has failed, and nobody fills its place."
             options = death_options(agreement, first="replan" if self._usual == "replan" else "leave")
@@ -154,7 +171,8 @@ class Judgement:
             self.votes.take(Vote(incident=incident, voter=self._robot, degree=agreement.degree, choice=None))
             return [noticed]
         self._asking, mission = incident, agreement.mission.at(number)
-        asked = JudgementQuestion(mission=mission, robot=self._robot, round=number, event=event, options=options)
+        who, words = self._robot, one_line(incident.words)
+        asked = JudgementQuestion(mission=mission, robot=who, round=number, event=event, options=options, words=words)
         return [noticed, AskJudgement(asked)]
 
     def _close(self, incident: Incident) -> list[Note]:
@@ -186,7 +204,11 @@ class Judgement:
         chosen = [(one, key in self._closed, self.votes.choice(one)) for key, (one, _) in self._known.items()]
         deaths = [(choice or self._usual) if closed else None for one, closed, choice in chosen if one.kind == "death"]
         blocked = [(one, choice) for one, closed, choice in chosen if closed and one.kind == "blocked"]
-        plans = "replan" in (deaths or [self._usual]) or "replan" in [choice for _, choice in blocked]
+        orders = [
+            (one.left, one.robot, one.words, choice) for one, done, choice in chosen if done and one.words and choice
+        ]
+        self._obeyed = max(orders)[-1] if orders else None
+        plans = "replan" in (*(deaths or [self._usual]), *(choice for _, choice in blocked), self._obeyed)
         self._membership.gaps = "replan" if plans else "report"
         self._membership.deliberate(open_=None in deaths)
         weights = {one.robot: WEIGHT for one, closed, choice in chosen if closed and choice == "swap"}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -196,4 +196,38 @@ def blocked_options(
             flown = ways[scipy.optimize.linear_sum_assignment(ways**2)]
             does = "Make a new plan of as many places, clear of the obstacle."
             options.append(option("replan", does, flown.tolist(), wait=REPLAN_PATIENCE + 2))
+    return tuple(options)
+
+
+def order_options(
+    incident: Incident, now: Situation, robot: int, present: frozenset[int]
+) -> tuple[JudgementOption, ...]:
+    """What can be done about an order in words, as `robot` sees it; the first goes on."""
+    mission, plan, table, named = now.mission, now.plan, now.claim.table, incident.robot
+    assert plan is not None and table is not None, "an order is judged by robots with a plan"
+    places, slots = plan.points, {owner: a for a, (_, _, owner) in enumerate(table) if owner >= 0}
+    where = {**now.sensed, robot: now.position}
+    ways = {j: way_past((), where.get(j, places[a]), places[a], now) for j, a in slots.items()}
+    near, moves = AT_GOAL * mission.spacing, mission.velocity is not None
+
+    def option(choice: Choice, does: str, ways: Iterable[float], aside: float = 0.0) -> JudgementOption:
+        flown = [way for way in ways if math.isfinite(way)]
+        rounds = math.ceil(max([*flown, aside]) / mission.max_step - 1e-9)
+        gaps = len(plan) - len(flown)
+        return JudgementOption(choice=choice, does=does, rounds=rounds, distance=sum(flown) + aside, gaps=gaps)
+
+    options = [option("continue", "Go on as planned.", ways.values())]
+    there = [0.0 for way in ways.values() if way <= near and not moves]
+    if len(there) < len(ways):
+        options.append(option("wait", "All robots wait where they are, until another order.", there))
+    if len(slots) < len(plan):
+        options += [one for one in death_options(now) if one.choice != "leave"]
+    spares = present - slots.keys() if named in slots else ()
+    far = {j: way_past((), where.get(j, mission.center), places[slots[named]], now) for j in spares}
+    if far:
+        spare = min(far, key=lambda j: (round(far[j], 6), j))
+        does = f"Robot {named} gets out of the way, and spare robot {spare} takes its place."
+        here, others = where.get(named, places[slots[named]]), [x for j, x in where.items() if j != named]
+        aside = math.dist(here, waiting_place(mission, here, plan, others))
+        options.append(option("spare", does, [*(ways | {named: far[spare]}).values()], aside))
     return tuple(options)

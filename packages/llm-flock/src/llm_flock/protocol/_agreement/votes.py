@@ -10,14 +10,16 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TypeAlias
 
+from llm_flock.bounds import MAX_ORDERS
 from llm_flock.message import MAX_VOTES, Choice, Incident, Vote
 
 Key: TypeAlias = tuple[str, int]
 
 
 def key_of(incident: Incident) -> Key:
-    """What makes two incidents of a mission the same: kind and robot."""
-    return incident.kind, incident.robot
+    """What makes two incidents of a mission the same: kind and robot, and of an order its round and words."""
+    order = f" {incident.left:g} {incident.words}" if incident.words else ""
+    return incident.kind + order, incident.robot
 
 
 class Votes:
@@ -33,6 +35,9 @@ class Votes:
         """Take note of votes, the own one or those of a message."""
         for vote in votes:
             key = key_of(vote.incident)
+            orders = [one for one in self.incidents.values() if one.words]
+            if vote.incident.words and key not in self.incidents and len(orders) >= MAX_ORDERS:
+                continue
             self.incidents.setdefault(key, vote.incident)
             known = self._known.setdefault(key, {})
             if vote.voter not in known:
