@@ -1,11 +1,18 @@
 """Requests in words with their right answers: missions, questions back and refusals, and edits of programs.
 
-They are put together from the pieces in `curriculum.toml`, and an answer that cannot be flown is not taught.
+They are put together from the pieces in `curriculum.toml`, or are whole sentences of `written.jsonl`, whose writers saw
+neither the exam nor the pieces. An answer that cannot be flown is not taught.
+
+A line of `written.jsonl` has wordings of one request (`say`), the program that an edit changes, and the answer. Slots
+in braces vary all three: `{x}` a number, `{x:words}` the same in words, `{shape}` a shape, `=100-{x}` a sum.
 """
 
 from __future__ import annotations
 
 import json
+import re
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +29,70 @@ WORDS: dict[str, Any] = CURRICULUM["missions"]
 SIDES = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}
 UNASKED = 0.3
 """Share of requests that a reader has to refuse, or to ask about; half each."""
+WRITTEN = 0.6
+"""Share of whole sentences among requests, and among edits."""
+
+LENGTHS = {"s": (4, 14), "w": (18, 70), "n": (5, 20), "t": (10, 170), "k": (3, 60), "k2": (3, 60), "r": (3, 14)}
+"""Slots of whole numbers, with the least and the largest one; coordinates are 15 to 85."""
+
+TENS = ("", "", "twenty", "thirty", "forty", "fifty", "sixty", "seventy", "eighty", "ninety")
+UNITS = (
+    "zero one two three four five six seven eight nine ten eleven twelve thirteen fourteen fifteen sixteen seventeen "
+    "eighteen nineteen"
+)
+
+
+@cache
+def written(kind: Kind) -> tuple[dict[str, Any], ...]:
+    """The whole sentences for missions, or for edits."""
+    lines = Path(__file__).with_name("written.jsonl").read_text(encoding="utf-8").splitlines()
+    return tuple(given for given in map(json.loads, lines) if ("program" in given) == (kind == "edit"))
+
+
+def filled(rng: np.random.Generator, given: dict[str, Any]) -> tuple[str, dict[str, Any], dict[str, Any] | None]:
+    """One wording of a request, its answer and its program, with the slots filled."""
+    side, other = (str(one) for one in rng.choice(list(SIDES), 2, replace=False))
+    named = [name for name in WORDS["shapes"] if not name.startswith(("text:", "letters:"))]
+    shapes = [str(one) for one in rng.choice(named, 2, replace=False)]
+    pace, step = int(rng.integers(1, 7)) / 2, 5 if rng.random() < 0.6 else 1
+    real: dict[str, Any] = {k: step * int(rng.integers(15 // step, 85 // step + 1)) for k in ("x", "y", "x2", "y2")}
+    real |= {name: int(rng.integers(low, high + 1)) for name, (low, high) in LENGTHS.items()}
+    real |= dict(zip("ij", map(int, rng.choice(10, 2, replace=False)), strict=True))
+    real |= {"t": 5 * (real["t"] // 5), "v": _whole(pace), "side": side, "side2": other}
+    real |= {"velocity": [_whole(pace * k) if k else 0 for k in SIDES[side]], "shape": shapes[0], "shape2": shapes[1]}
+    said = real | {f"shape{k}": pick(rng, WORDS["shapes"][name]) for k, name in zip(("", "2"), shapes, strict=True)}
+
+    def say(found: re.Match[str]) -> str:
+        return _in_words(said[found[1]]) if found[2] else str(said[found[1]])
+
+    def fill(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {name: fill(one) for name, one in value.items()}
+        if isinstance(value, list):
+            return [fill(one) for one in value]
+        if not isinstance(value, str):
+            return value
+        if value[:1] == "{" and value[1:-1] in real:
+            return real[value[1:-1]]
+        text = re.sub(r"\{(\w+)\}", lambda found: str(real[found[1]]), value)
+        return _whole(round(eval(text[1:], {"__builtins__": {}}), 2)) if text[:1] == "=" else text
+
+    words = re.sub(r"\{(\w+)(:words)?\}", say, pick(rng, given["say"]))
+    return words, fill(given["answer"]), fill(given.get("program"))
+
+
+def _whole(value: float) -> float:
+    return int(value) if value == int(value) else value
+
+
+def _in_words(value: float) -> str:
+    if value != int(value):
+        return f"{_in_words(int(value))} and a half"
+    tens, units = divmod(int(value), 10)
+    small = UNITS.split()
+    if value < len(small):
+        return small[int(value)]
+    return "a hundred" if tens > 9 else TENS[tens] + (f"-{small[units]}" if units else "")
 
 
 def _example(kind: Kind, call: Call, answer: dict[str, Any], topic: str) -> Example:
@@ -31,19 +102,26 @@ def _example(kind: Kind, call: Call, answer: dict[str, Any], topic: str) -> Exam
 
 def draw_request(rng: np.random.Generator) -> Example | None:
     """A request for a mission, by a team that is set up or flies; its answer has the order of the schema."""
-    flying, base = bool(rng.random() < 0.3), Mission()
+    flying, base, given = bool(rng.random() < 0.3), Mission(), None
+    if rng.random() < WRITTEN:
+        given = pick(rng, written("mission"))
+        flying = given.get("flying", False)
     if flying:
-        base = build_mission(shape=pick(rng, ["circle", "line", "grid"]), n_robots=int(rng.choice([6, 8, 10])))
-    if rng.random() < UNASKED:
+        n = 10 if given else int(rng.choice([6, 8, 10]))
+        base = build_mission(shape=pick(rng, ["circle", "line", "grid"]), n_robots=n)
+    if given is not None:
+        words, answer, _ = filled(rng, given)
+    elif rng.random() < UNASKED:
         if rng.random() < 0.5:
             about = pick(rng, list(WORDS["ask"]))
             words, answer = pick(rng, WORDS["ask"][about]), {"answer": "ask", "about": about}
         else:
             words, answer = pick(rng, WORDS["refuse"]["train"]), {"answer": "refuse"}
-        return _example("mission", mission_call(_worn(rng, words), base, flying=flying, brief=True), answer, "words")
-    words, answer = _mission(rng, flying=flying)
+    else:
+        words, answer = _mission(rng, flying=flying)
     try:
-        draft_of(json.dumps(answer), base, flying=flying)
+        if answer["answer"] == "mission":
+            draft_of(json.dumps(answer), base, flying=flying)
     except (InputError, AnswerError):
         return None
     return _example("mission", mission_call(_worn(rng, words), base, flying=flying, brief=True), answer, "words")
@@ -165,6 +243,9 @@ def _element(rng: np.random.Generator) -> dict[str, Any]:
 
 def draw_edit(rng: np.random.Generator) -> Example | None:
     """A program, a wish, and the changed program in its canonical text, as programs are shown."""
+    if rng.random() < WRITTEN:
+        words, wanted, program = filled(rng, pick(rng, written("edit")))
+        return _edited(rng, words, program or {}, wanted, "written")
     kinds, says = list(CURRICULUM["edits"]), CURRICULUM["edits"]
     kind, v, first = pick(rng, kinds), pick(rng, [2, 3, 1.5, 0.5, 4]), _element(rng)
     values: dict[str, Any] = {"v": v}
@@ -228,14 +309,20 @@ def draw_edit(rng: np.random.Generator) -> Example | None:
             first = {"points": rng.integers(0, 9, (int(rng.integers(3, 6)), 2)).tolist()}
             changed = {**first, "closed": True}
         given, wanted = {"draw": [first]}, {"draw": [changed]}
+    return _edited(rng, pick(rng, says[kind]).format(**values), given, wanted, kind)
+
+
+def _edited(
+    rng: np.random.Generator, words: str, given: dict[str, Any], wanted: dict[str, Any], topic: str
+) -> Example | None:
+    """The example of an edit, or None if one of its programs cannot be drawn."""
     try:
         program = parse_program(given)
         right = wanted if "refuse" in wanted else json.loads(parse_program(wanted).text)
     except InputError:
         return None
-    words = _worn(rng, pick(rng, says[kind]).format(**values))
     n = sum(group["count"] for group in given["groups"]) if "groups" in given else 12
-    call = edit_call(words, program, n, brief=True)
+    call = edit_call(_worn(rng, words), program, n, brief=True)
     messages = tuple((message.role, message.text) for message in call.messages)
     answer = json.dumps(right, separators=(",", ":"))  # as programs are shown
-    return Example(kind="edit", messages=messages, answer=answer, topic=kind)
+    return Example(kind="edit", messages=messages, answer=answer, topic=topic)

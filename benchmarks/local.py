@@ -7,7 +7,8 @@ python -m benchmarks local-wishes   missions with the model that was taught lett
                                     wordings that it was not taught
 python -m benchmarks local-exam LOG    docs/data/on-board-exam.csv from a log of `exam local:smollm2 --out LOG`:
                                     each section, and apart what was never taught
-python -m benchmarks local-held SEEDS   docs/data/on-board-held.csv: six teams, `--fallback hold`, at other centres
+python -m benchmarks local-held SEEDS [FALLBACK,...]   docs/data/on-board-held.csv: six teams at other centres, and two
+                                    teams of ten that it shares with others
 python -m benchmarks local-letters FILE.gguf [TURNS]
                                     ten robots asked for a step: a waypoint of the packaged adapter, and a letter of
                                     this one, in turns: tokens and processor time of an answer
@@ -54,6 +55,12 @@ TRAINED, STOCK, IDEAL = "local:smollm2", "local:smollm2+none", "simulated:ideal"
 LETTERS_MODEL = "local:smollm2+letters"
 BARS = (("triangle", 3), ("circle", 5))
 HELD = (("triangle", 3), ("square", 4), ("star", 10), ("circle", 7), ("line", 5), ("wedge", 9))
+MIXED = (
+    ("0-8=local:smollm2,9=simulated:overshoot", "circle", 10),
+    ("0-4=local:smollm2,5-9=simulated:ideal", "circle", 10),
+)
+"""Teams that the model on board shares with a model that is always wrong, and with one that is always right."""
+
 TRIALS = 20
 TEN = 10
 """Robots that ask at once."""
@@ -249,38 +256,44 @@ def exam(arguments: Sequence[str]) -> None:
 
 
 def held(arguments: Sequence[str]) -> None:
-    """Fly six teams whose robots do nothing but what their model answers, at random centres and spacings."""
-    seeds, rows = range(int(arguments[0]) if arguments else 20), list[tuple[str, ...]]()
-    rows.append(
-        (
-            "Team",
-            "Plan taught",
-            "Missions",
-            "Formed",
-            "By models only",
-            "Waypoints by the model [%]",
-            "Calls",
-            "CPU [s a call]",
-        )
-    )
-    for shape, n in HELD:
+    """Fly teams at random centres and spacings, whose robots do what their model answers, or have the breaker too."""
+    seeds = range(int(arguments[0]) if arguments else 20)
+    fallbacks = arguments[1].split(",") if len(arguments) > 1 else ["hold", "breaker"]
+    rows: list[tuple[str, ...]] = [HELD_HEAD]
+    teams = [(TRAINED, shape, n) for shape, n in HELD]
+    for fallback, (model, shape, n) in itertools.product(fallbacks, (*teams, *MIXED)):
         rng, flown, spent = np.random.default_rng([n, 47]), list[Summary](), time.process_time()
         for seed in seeds:
-            center, spacing = (
-                tuple(rng.uniform(40.0, 60.0, 2).round(1).tolist()),
-                round(float(rng.uniform(5.0, 10.0)), 1),
-            )
-            found = fly(TRAINED, shape, n, range(seed, seed + 1), fallback="hold", center=center, spacing=spacing)
+            center = tuple(rng.uniform(40.0, 60.0, 2).round(1).tolist())
+            spacing = round(float(rng.uniform(5.0, 10.0)), 1)
+            found = fly(model, shape, n, range(seed, seed + 1), fallback=fallback, center=center, spacing=spacing)
             flown += found.summaries
         calls = sum(one.model_calls for one in flown)
-        model = sum(one.waypoint_shares.get("model", 0.0) for one in flown) / len(flown)
+        by_model = sum(one.waypoint_shares.get("model", 0.0) for one in flown) / len(flown)
         formed = [str(sum(x)) for x in ([one.formed for one in flown], [one.formed_by_models for one in flown])]
+        least = f"{min(one.min_separation or 0.0 for one in flown):.3f}"
+        rounds = f"{median(one.rounds_to_formed or one.rounds for one in flown):g}"
         told = {str(one.plan_taught) for one in flown if one.plan_taught is not None}
         cpu = f"{(time.process_time() - spent) / max(1, calls):.2f}"
-        rows.append(
-            (f"{shape} {n}", "/".join(sorted(told)), str(len(flown)), *formed, f"{100 * model:.0f}", str(calls), cpu)
-        )
+        team = (f"{shape} {n}", "" if model == TRAINED else model.partition(",")[2], fallback, "/".join(sorted(told)))
+        rows.append((*team, str(len(flown)), *formed, rounds, least, f"{100 * by_model:.0f}", str(calls), cpu))
         _write("on-board-held.csv", rows)
+
+
+HELD_HEAD = (
+    "Team",
+    "Models beside",
+    "Fallback",
+    "Plan taught",
+    "Missions",
+    "Formed",
+    "By models only",
+    "Rounds, median",
+    "Nearest two",
+    "Waypoints by the model [%]",
+    "Calls",
+    "CPU [s a call]",
+)
 
 
 def _write(name: str, rows: Sequence[Sequence[str]]) -> None:

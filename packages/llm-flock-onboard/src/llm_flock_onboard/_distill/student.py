@@ -67,6 +67,8 @@ class Student:
         device = "cuda" if torch.cuda.is_available() else "cpu"
         tokenizer = transformers.AutoTokenizer.from_pretrained(base.parent, gguf_file=base.name)
         model = transformers.AutoModelForCausalLM.from_pretrained(base.parent, gguf_file=base.name, dtype=torch.float32)
+        if device == "cpu":  # its kernel of attention is slow backwards
+            model.set_attn_implementation("eager")
         model.to(device, torch.bfloat16 if half else torch.float32).requires_grad_(False)
         student = cls(model, tokenizer, {}, rank, scale, device)
         count = len(model.model.layers)
