@@ -376,6 +376,14 @@ def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, bro
         assert box is not None
         page.mouse.move(box["x"] + 72 + (box["width"] - 86) / 15, box["y"] + 40)
         expect(page.locator(".flock-time .flock-tip")).to_contain_text("Round 1 · ")
+        page.set_viewport_size({"width": 390, "height": 844})  # a phone: the arena comes first
+        arena, time_line = page.locator(".flock-arena canvas"), page.locator(".flock-time")
+        show = page.get_by_role("button", name="Show robot 3")
+        expect(show).to_be_hidden()
+        boxes = [one.bounding_box() for one in (arena, time_line)]
+        assert boxes[0] and boxes[1] and boxes[0]["y"] + boxes[0]["height"] < boxes[1]["y"], "no part of it is hidden"
+        page.get_by_role("button", name="More").click()
+        expect(show).to_be_visible()
 
 
 def test_stacked_robots_fan_out_and_are_counted(tmp_path: Path, browser: Browser) -> None:
