@@ -216,6 +216,7 @@ def test_a_record_is_followed_while_it_is_written(tmp_path: Path, browser: Brows
             fake.write_round(writer, number)
         expect(page.locator(".flock-where")).to_have_text("round 14 of 14")
         until(lambda: shown_round(page) == 14, "the arena follows")
+        until(lambda: page.evaluate("flockClock().runs[0].frames.size") == 15, "no round is passed over")
         page.keyboard.press("ArrowLeft")
         expect(page.locator(".flock-state")).to_contain_text("still running")
         fake.write_round(writer, 15)
