@@ -211,7 +211,7 @@ def comparison(
             if column == 0:
                 axes.set_ylabel("y [units]")
             teams.append((panel, axes, panel.record.rounds))
-            axes.set_title(f"{fit_title(label, inches * FONT / font)}\n{outcome(panel.record)}", linespacing=1.4)
+            axes.set_title(f"{fit_title(label, inches * FONT / font)}\n{fit_title(outcome(panel.record), inches * FONT / font)}", linespacing=1.4)
         if known:
             below = figure.add_subplot(grid[1, :])
             _curves(below, _groups(records, labels))
