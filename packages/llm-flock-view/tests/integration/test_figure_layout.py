@@ -238,6 +238,16 @@ def test_titles_of_a_column_are_whole_and_apart(tmp_path: Path) -> None:
     assert figure.bbox.x0 <= one.x0 and one.x1 < other.x0 and other.x1 <= figure.bbox.x1
 
 
+def test_a_title_of_two_lines_is_above_the_panels(record: RunRecord) -> None:
+    config = {**record.run.config, "model": {"model": "simulated:distorted@0.3,overshoot@0.3,malformed@0.2"}}
+    run = record.run.model_copy(update={"config": config})
+    figure = figures.snapshots(replace(record, run=run, llm=()), [0, 10])
+    FigureCanvasAgg(figure).draw()
+    title = figure._suptitle  # pyright: ignore
+    assert title is not None and "\n" in title.get_text()
+    assert not [axes for axes in figure.axes if title.get_window_extent().overlaps(axes.title.get_window_extent())]
+
+
 def test_a_long_label_of_an_axis_ends_below_the_legend() -> None:
     line = np.arange(5.0)
     series = ["flock", "paper", "baseline"]
