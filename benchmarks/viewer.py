@@ -1,13 +1,15 @@
-"""What a viewer costs: first paint, scrubbing, playing, and the memory of a tab that watches a live run.
+"""What a viewer costs: first paint, scrubbing, playing, a class that watches, and the memory of a tab of a live run.
 
-    python benchmarks/viewer.py [paint] [scrub] [frames] [live --seconds 600]
+    python benchmarks/viewer.py [paint] [scrub] [frames] [class] [live --seconds 600]
 
-Needs the `view` and `dev` extras and a Chromium. Records are made up (`tests/sample_records.py`); no model is asked.
+Needs the `view` and `dev` extras and a Chromium. Records are made up (`tests/sample_records.py`), but for the class,
+which watches a run of *simulated* models.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import statistics
@@ -17,8 +19,11 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from http.client import HTTPConnection
 from pathlib import Path
-from typing import NamedTuple
+from threading import Thread
+from typing import Any, NamedTuple
+from urllib.parse import urlsplit
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -29,6 +34,10 @@ from llm_flock.record._writer import RecordWriter
 
 STARTS = 5
 JUMPS = 60
+PICTURES = 60
+CLASS, LESSON, PACE = 30, 60, 4
+"""Clients of a class, rounds of the run that it watches, and how many of them are flown a second, as in the form."""
+
 LOOKS = 20
 """At the heap of a tab, over the time of a live run."""
 
@@ -177,8 +186,8 @@ def scrub(browser: Browser, folder: Path) -> None:
     )
 
 
-def frames(browser: Browser, folder: Path, n: int) -> None:
-    record = make_record(folder / f"frames-{n}" / "run.mcap", n=n, rounds=60, llm=False)
+def frames(browser: Browser, folder: Path, n: int, dim: int) -> None:
+    record = make_record(folder / f"frames-{n}-{dim}" / "run.mcap", n=n, rounds=60, llm=False, dim=dim)
     with viewer(str(record)) as start:
         page = opened(browser, start.url)
         reached(page, 60)
@@ -193,8 +202,95 @@ def frames(browser: Browser, folder: Path, n: int) -> None:
                 return (after - before) / (performance.now() - began) * 1000;
             }"""
         )
+        tab = page.context.new_cdp_session(page)
+        tab.send("Performance.enable", {"timeDomain": "threadTicks"})
+        spent: list[float] = []
+        for _ in range(3):  # the first pictures are drawn by scripts that are not compiled yet
+            page.evaluate(
+                """async (pictures) => {
+                    const clock = flockClock();
+                    for (let k = 0; k < pictures; k += 1) {
+                        clock.seek(clock.last * k / pictures);
+                        await new Promise(requestAnimationFrame);
+                    }
+                }""",
+                PICTURES,
+            )
+            told = tab.send("Performance.getMetrics")["metrics"]
+            spent.append(next(one["value"] for one in told if one["name"] == "ScriptDuration"))
         page.close()
-    print(f"{n} robots: {drawn:.0f} pictures a second while it plays at 8 rounds a second")
+    where = "in space" if dim > 2 else "in the plane"
+    print(f"{n} robots {where}: {drawn:.0f} pictures a second while it plays at 8 rounds a second,")
+    print(f"  {1000 * (spent[2] - spent[1]) / PICTURES:.1f} ms of processor time in scripts each")
+
+
+class Client(Thread):
+    """Asks what a page asks for, and when it does; keeps when each round came, and its robots."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__()
+        parts = urlsplit(url)
+        self.host = parts.netloc
+        self.cookie = f"flock_token_{parts.port}={parts.query.partition('=')[2]}"
+        self.line = HTTPConnection(self.host, timeout=60)
+        self.data = ""
+        self.came: dict[int, float] = {}
+        self.robots: dict[int, object] = {}
+
+    def ask(self, path: str, order: object = None) -> Any:
+        heads = {"Cookie": self.cookie, "Content-Type": "application/json", "Origin": f"http://{self.host}"}
+        self.line.request("POST" if order else "GET", path, json.dumps(order) if order else None, heads)
+        answer = self.line.getresponse()
+        text = answer.read()
+        assert answer.status == 200, text
+        return json.loads(text)
+
+    def run(self) -> None:
+        plans, last, going = 0, -1, True
+        while going:
+            began = time.monotonic()
+            news = self.ask(f"{self.data}/news?rounds={last + 1}&plans={plans}&missions=0")
+            plans, going = plans + len(news["plans"]), news["open"]
+            if news["last"] > last:
+                last = news["last"]
+                first = max(0, last - 63, max(self.robots, default=-1) + 1)
+                for frame in self.ask(f"{self.data}/frames?first={first}&count=64"):
+                    self.came.setdefault(frame["r"], time.monotonic())
+                    self.robots.setdefault(frame["r"], frame)
+                self.ask(f"{self.data}/mind?robot=0&round={last}")
+            time.sleep(max(0.01, began + 0.1 - time.monotonic()))
+
+
+def lesson(browser: Browser, folder: Path) -> None:
+    """A class watches a run that the cockpit starts, two of it in browsers, as docs/how-to/classroom.md has it."""
+    fields = {"model": "simulated:distorted@0.3,overshoot@0.3", "rounds": LESSON, "stop_when_formed": False}
+    with viewer("--host", "0.0.0.0", "--runs", str(folder / "lesson")) as start:
+        clients = [Client(start.url) for _ in range(CLASS)]
+        began = start.processor_s()
+        run = clients[0].ask("/order", {"order": "start", "pace": PACE, "fields": fields})["address"].split("/")[-1]
+        for client in clients:
+            client.data = f"/data/{run}"
+            client.start()
+        pages = [opened(browser, start.url.replace("/?", f"/run/{run}?")) for _ in range(2)]
+        for client in clients:
+            client.join()
+        used = start.processor_s()
+        for page in pages:
+            reached(page, LESSON)
+            page.locator(f'main .flock-arena canvas[data-round="{LESSON}"]').wait_for()
+            page.close()
+    seen = [client.robots for client in clients]
+    same = all(one.get(k, frame) == frame for whole in seen for k, frame in whole.items() for one in seen)
+    missed = sum(k not in one for one in seen for k in range(LESSON + 1))
+    ended = all(LESSON in one for one in seen)
+    times = [[one.came[k] for one in clients if k in one.came] for k in range(1, LESSON + 1)]
+    late = sorted(max(came) - min(came) for came in times)
+    print(f"{CLASS} clients and 2 pages watch {LESSON} rounds, {PACE} a second: all see the end: {ended}; all see the")
+    print(f"  same: {same}; rounds passed over: {missed} of {CLASS * (LESSON + 1)}")
+    print(f"  the last client has a round {late[len(late) // 2]:.2f} s after the first, at worst {late[-1]:.2f} s")
+    print(f"  the run took {max(times[-1]) - min(times[0]):.1f} s")
+    if began is not None and used is not None:
+        print(f"  processor time of the viewer, which also flies the run: {used - began:.1f} s")
 
 
 def live(browser: Browser, folder: Path, seconds: float, rate: float) -> None:
@@ -235,7 +331,7 @@ def growth(sizes: list[tuple[float, float]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("what", nargs="*", default=["paint", "scrub", "frames", "live"])
+    parser.add_argument("what", nargs="*", default=["paint", "scrub", "frames", "class", "live"])
     parser.add_argument("--seconds", type=float, default=600.0)
     parser.add_argument("--rate", type=float, default=10.0)
     asked = parser.parse_args()
@@ -248,8 +344,10 @@ def main() -> None:
         if "scrub" in asked.what:
             scrub(browser, folder)
         if "frames" in asked.what:
-            for n in (100, 1000):
-                frames(browser, folder, n)
+            for n, dim in ((100, 2), (100, 3), (1000, 2)):
+                frames(browser, folder, n, dim)
+        if "class" in asked.what:
+            lesson(browser, folder)
         if "live" in asked.what:
             live(browser, folder, asked.seconds, asked.rate)
         browser.close()

@@ -2,7 +2,7 @@
 
 So it does with the figures of the README and of the first comparison. The commands are read from the pages, so that
 each of them is tried. Prints the rows of the gallery's table. `demo` is the animation of `make demo`, and `report` are
-the figures of a report of 120 trials, which takes some minutes.
+the figures of a report of 800 trials, which takes the longest.
 """
 
 from __future__ import annotations
@@ -75,11 +75,12 @@ def demo(folder: Path) -> None:
 
 def report(folder: Path) -> None:
     """The figures of docs/how-to/report.md."""
-    sweep = DOCS.parent / "experiments" / "simulated.toml"
-    for command in (["sweep", str(sweep), "--seeds", "10"], ["report", "runs/simulated", "--formats", "png"]):
+    sweep = DOCS.parent / "experiments" / "paper-figures.toml"
+    for command in (["sweep", str(sweep)], ["report", "runs/paper-figures", "--formats", "png"]):
         subprocess.run([sys.executable, "-m", "llm_flock", *command, "--quiet"], cwd=folder, check=True)
-    for name, figure in (("error", "error-by-protocol"), ("success", "success"), ("paired", "paired-error")):
-        reduced(folder / "runs" / "simulated" / "report" / "figures" / f"{figure}.png", f"report-{name}")
+    shown = {"report-success": "success", "report-paired": "paired-error"}
+    for name in ("paper-error", "paper-circle-10", *shown):
+        reduced(folder / "runs" / "paper-figures" / "report" / "figures" / f"{shown.get(name, name)}.png", name)
 
 
 OTHERS = {"demo": demo, "report": report}

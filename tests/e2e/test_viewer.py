@@ -215,6 +215,7 @@ def test_a_record_is_followed_while_it_is_written(tmp_path: Path, browser: Brows
             fake.write_round(writer, number)
         expect(page.locator(".flock-where")).to_have_text("round 14 of 14")
         until(lambda: shown_round(page) == 14, "the arena follows")
+        until(lambda: page.evaluate("flockClock().runs[0].frames.size") == 15, "no round is passed over")
         page.keyboard.press("ArrowLeft")
         expect(page.locator(".flock-state")).to_contain_text("still running")
         fake.write_round(writer, 15)
@@ -375,6 +376,14 @@ def test_first_screen_names_the_robot_that_prevented_forming(tmp_path: Path, bro
         assert box is not None
         page.mouse.move(box["x"] + 72 + (box["width"] - 86) / 15, box["y"] + 40)
         expect(page.locator(".flock-time .flock-tip")).to_contain_text("Round 1 · ")
+        page.set_viewport_size({"width": 390, "height": 844})  # a phone: the arena comes first
+        arena, time_line = page.locator(".flock-arena canvas"), page.locator(".flock-time")
+        show = page.get_by_role("button", name="Show robot 3")
+        expect(show).to_be_hidden()
+        boxes = [one.bounding_box() for one in (arena, time_line)]
+        assert boxes[0] and boxes[1] and boxes[0]["y"] + boxes[0]["height"] < boxes[1]["y"], "no part of it is hidden"
+        page.get_by_role("button", name="More").click()
+        expect(show).to_be_visible()
 
 
 def test_stacked_robots_fan_out_and_are_counted(tmp_path: Path, browser: Browser) -> None:

@@ -125,7 +125,8 @@ def test_compare_prints_a_table_or_markdown(monkeypatch: pytest.MonkeyPatch) -> 
     assert call(*argv, monkeypatch=monkeypatch).stdout.startswith("┏")
     assert call(*argv, "--markdown", monkeypatch=monkeypatch).stdout.startswith("| protocol |")
     tex = call(*argv, "--latex", monkeypatch=monkeypatch).stdout
-    assert tex.startswith("\\begin{tabular}{llrrr") and "formed \\% {[}95 \\%{]} &" in tex
+    assert tex.startswith("\\begin{tabular}{@{}llrrr") and "formed \\% {[}95 \\%{]} &" in tex
+    assert "waypoints" not in tex, "no room for it on a page"
     monkeypatch.setenv("COLUMNS", "80")
     narrow = call(*argv, monkeypatch=monkeypatch).stdout
     assert narrow.count("┏") == 2 and max(map(len, narrow.splitlines())) <= 80

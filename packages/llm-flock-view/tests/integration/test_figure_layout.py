@@ -18,7 +18,7 @@ from matplotlib.transforms import Bbox
 from sample_records import make_record
 
 from llm_flock.record._reader import RunRecord, read_record
-from llm_flock_view._figures import figures
+from llm_flock_view._figures import charts, figures
 from llm_flock_view._figures.crowd import spots, spread
 from llm_flock_view._figures.labels import Outlines, beside, box_at
 from llm_flock_view._figures.panel import view
@@ -227,6 +227,36 @@ def test_the_window_holds_arena_robots_and_goals(record: RunRecord) -> None:
     far[3, 2] = (150.0, 50.0)
     left, right, *_ = view(replace(record, positions=far), margin=0.0)
     assert (left, right) == (0.0, 150.0)
+
+
+def test_titles_of_a_column_are_whole_and_apart(tmp_path: Path) -> None:
+    run = read_record(make_record(tmp_path / "run.mcap", n=10, rounds=3, agree=False))
+    figure = figures.comparison([run, run], ["flock", "baseline"], width=3.5, font=8.0)
+    FigureCanvasAgg(figure).draw()
+    one, other = (axes.title.get_window_extent() for axes in figure.axes[:2])
+    assert "\n10 goals" in figure.axes[0].get_title()
+    assert figure.bbox.x0 <= one.x0 and one.x1 < other.x0 and other.x1 <= figure.bbox.x1
+
+
+def test_a_title_of_two_lines_is_above_the_panels(record: RunRecord) -> None:
+    config = {**record.run.config, "model": {"model": "simulated:distorted@0.3,overshoot@0.3,malformed@0.2"}}
+    run = record.run.model_copy(update={"config": config})
+    figure = figures.snapshots(replace(record, run=run, llm=()), [0, 10])
+    FigureCanvasAgg(figure).draw()
+    title = figure._suptitle  # pyright: ignore
+    assert title is not None and "\n" in title.get_text()
+    assert not [axes for axes in figure.axes if title.get_window_extent().overlaps(axes.title.get_window_extent())]
+
+
+def test_a_long_label_of_an_axis_ends_below_the_legend() -> None:
+    line = np.arange(5.0)
+    series = ["flock", "paper", "baseline"]
+    curves = [charts.Curve(series=name, x=line, mean=line, low=line, high=line) for name in series]
+    panels = [charts.Facet(title="circle 6", marks=curves)]
+    figure = charts.bands([("", panels)], series, "round", "mean distance to the ideal shape [units]")
+    FigureCanvasAgg(figure).draw()
+    label = figure._supylabel.get_window_extent()  # pyright: ignore
+    assert not label.overlaps(figure.legends[0].get_window_extent())
 
 
 @pytest.mark.filterwarnings("error")

@@ -230,9 +230,11 @@ def markdown(rows: Sequence[Comparison]) -> str:
 
 
 def latex(rows: Sequence[Comparison]) -> str:
-    """The rows as a table in LaTeX, as `tex_table` makes it, and the notes below it as comments."""
-    table = tex_table([name for name, _ in COLUMNS], [[text(row) for _, text in COLUMNS] for row in rows], 2)
-    return "\n".join([table, *(f"% {note}" for note in notes(rows) if note)])
+    """The rows as a table in LaTeX for a page of two columns, in footnotesize; what it has no room for is commented."""
+    *columns, (_, shares) = COLUMNS
+    table = tex_table([name for name, _ in columns], [[text(row) for _, text in columns] for row in rows], 2)
+    told = [f"waypoints of {row.protocol} {row.shape} {row.n_robots}: {shares(row)} %" for row in rows]
+    return "\n".join([table, *(f"% {note}" for note in [*told, *notes(rows)] if note)])
 
 
 def notes(rows: Sequence[Comparison]) -> list[str]:

@@ -22,6 +22,6 @@ def to_tex(text: object) -> str:
 def tex_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int) -> str:
     """A table of texts, whose first `words` columns are left-aligned; it needs the package booktabs."""
     lines = [" & ".join(map(to_tex, line)) + r" \\" for line in (header, *rows)]
-    kinds = "l" * words + "r" * (len(header) - words)
+    kinds = f"@{{}}{'l' * words}{'r' * (len(header) - words)}@{{}}"  # as wide as its rules
     parts = (rf"\begin{{tabular}}{{{kinds}}}", r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule")
     return "\n".join((*parts, r"\end{tabular}"))

@@ -27,7 +27,7 @@ DPI = 160
 COLUMN, PAGE = 3.5, 7.16
 """Widths of figures [inches]: a column, and a page of two columns. Their smallest letters have 6 points."""
 
-LETTER_INCHES = 0.062  # width of a letter of a tick label, about
+LETTER_INCHES = 0.062  # width of a letter of a label, about
 
 Numbers = NDArray[np.float64]
 
@@ -216,7 +216,8 @@ def _finish(
     solid: bool = False,
 ) -> None:
     figure.supxlabel(x, size=8)
-    figure.supylabel(y, size=8)
+    beside = figure.get_figheight() - 2 * legend_inches(series, figure.get_figwidth())
+    figure.supylabel(fold(y, max(24, int(beside / LETTER_INCHES))), size=8)
     handles: list[Line2D | Patch] = []
     for name in series:
         look = look_of(series, name)

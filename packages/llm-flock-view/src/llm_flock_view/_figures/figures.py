@@ -86,8 +86,8 @@ def snapshots(
         tall = [inches * _tallness(view(record, seen=seen)) for seen in sides]
         between = BETWEEN_INCHES * (rows * len(sides) - 1)
         title = heading(record, 0.8 * whole * FONT / font)
-        # In a narrow figure the title has more lines, and labels take a larger share.
-        more = 0.0 if width is None else 0.2 * (title.count("\n") + rows * len(sides)) * font / FONT
+        # In a narrow figure labels take a larger share.
+        more = 0.2 * (title.count("\n") + (0 if width is None else rows * len(sides))) * font / FONT
         figure = new_figure(whole, rows * sum(tall) + 0.85 + between + more)
         # Two columns a panel: a last row with fewer panels stands in the middle.
         grid = figure.add_gridspec(rows * len(sides), 2 * columns, height_ratios=tall * rows)
@@ -211,7 +211,8 @@ def comparison(
             if column == 0:
                 axes.set_ylabel("y [units]")
             teams.append((panel, axes, panel.record.rounds))
-            axes.set_title(f"{fit_title(label, inches * FONT / font)}\n{outcome(panel.record)}", linespacing=1.4)
+            lines = [fit_title(text, inches * FONT / font) for text in (label, outcome(panel.record))]
+            axes.set_title("\n".join(lines), linespacing=1.4)
         if known:
             below = figure.add_subplot(grid[1, :])
             _curves(below, _groups(records, labels))

@@ -45,8 +45,7 @@ export class Ends {
       key.style.borderTop = strokeOf(k);
       const found = run.outcome;
       const end = !found || run.open ? "goes on" : `${found.headline.toLowerCase()}; the run ends in round ${run.last}`;
-      const said = `${name}: ${end}`;
-      if (text.textContent !== said) text.textContent = said;
+      text.textContent = `${name}: ${end}`;
     });
   }
 }
@@ -63,9 +62,11 @@ export class Banner {
     this.protocol = h("span", { class: "flock-chip" });
     this.missions = h("ol", { class: "flock-missions" });
     this.why = h("div", { class: "flock-why" });
+    this.more = h("button", { type: "button", class: "flock-link flock-more", text: "More", "aria-expanded": "false",
+      onclick: () => { this.more.ariaExpanded = String(this.more.ariaExpanded !== "true"); } });
     this.key = pair ? h("span", { class: `flock-key flock-side-${k}`, "aria-hidden": "true" }) : null;
     this.element = h("div", { class: "flock-banner", role: "status" },
-      h("div", { class: "flock-said-first" }, this.key, h("span", {}, this.sign, " ", this.headline), this.protocol), this.missions, this.why);
+      h("div", { class: "flock-said-first" }, this.key, h("span", {}, this.sign, " ", this.headline), this.protocol, this.more), this.missions, this.why);
     clock.listen(() => this.draw());
   }
 
@@ -84,16 +85,13 @@ export class Banner {
     this.sign.textContent = found ? SIGNS[found.tone] : "";
     this.headline.textContent = found ? found.headline : run.failure || "Starting: waiting for the first round …";
     this.protocol.textContent = found && found.protocol ? [`protocol: ${found.protocol}`, found.missions.length === 1 ? found.missions[0].text : ""].filter(Boolean).join(" · ") : "";
-    this.protocol.hidden = !this.protocol.textContent;
     const parts = found ? found.missions : [];
     this.missions.replaceChildren(...(parts.length > 1 ? parts : []).map((part, k) => h("li", {
       class: k + 1 === now ? "flock-now" : "", "aria-current": k + 1 === now ? "step" : null,
       text: `${k + 1}. ${part.text}${part.first ? ` (from round ${part.first})` : ""}: ${
         part.formed === null ? (part.last === null && run.open ? "not formed yet" : "not formed") : `formed in round ${part.formed}`}`,
     })));
-    this.missions.hidden = parts.length < 2;
     this.why.replaceChildren(...this.words(found));
-    this.why.hidden = !this.why.childNodes.length;
   }
 
   words(found) {

@@ -113,10 +113,12 @@ export class Recording {
   /** Fetch the rounds around one, if they are not here or on their way. */
   async want(round) {
     if (!this.about || round < 0 || round > this.last) return;
-    // The end of a live run is fetched alone: a slow page gets the newest rounds, not those that it missed.
     const block = this.block;
-    const first = this.open && round >= this.last - 2 ? Math.max(0, round - 2) : Math.floor(round / block) * block;
-    const name = `${first}:${this.open && round >= this.last - 2}:${this.open ? this.last : ""}`;
+    const live = this.open && round >= this.last - 2;
+    let first = live ? round : Math.floor(round / block) * block;
+    // At the end of a live run a slow page fetches what it missed, but no more than a block: it is to keep up.
+    while (live && first > Math.max(0, round - block + 1) && !this.has(first - 1)) first -= 1;
+    const name = `${first}:${live}:${this.open ? this.last : ""}`;
     if (this.asked.has(name)) return;
     this.asked.add(name);
     try {
