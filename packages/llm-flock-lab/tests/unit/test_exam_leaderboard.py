@@ -34,7 +34,7 @@ def test_stand_ins_are_apart_and_labelled() -> None:
 
 def test_every_row_has_all_questions_of_its_sections() -> None:
     stand_ins = [row for row in ROWS if row.stand_in]
-    assert {row.questions for row in stand_ins} == {IDEAL.questions} and {row.count for row in stand_ins} == {711}
+    assert {row.questions for row in stand_ins} == {IDEAL.questions} and {row.count for row in stand_ins} == {726}
     for row in ROWS:
         assert row.count == sum(found.questions for found in row.sections.values())
         assert (row.total is None) == ({*row.sections} != {*SECTIONS}), "totals are over the same sections"
@@ -59,7 +59,7 @@ def test_rows_and_page_are_written_and_added_to(tmp_path: Path) -> None:
 def test_a_row_of_other_questions_or_models_is_not_replaced(tmp_path: Path) -> None:
     publish(tmp_path, [IDEAL])
     publish(tmp_path, [IDEAL])  # the same exam again
-    with pytest.raises(InputError, match="a row of 711 questions; one of 1 goes into another folder"):
+    with pytest.raises(InputError, match="a row of 726 questions; one of 1 goes into another folder"):
         publish(tmp_path, [IDEAL.model_copy(update={"count": 1})])
     with pytest.raises(InputError, match=r"simulated-ideal\.json is the row of simulated:ideal"):
         publish(tmp_path, [IDEAL.model_copy(update={"model": "simulated:ideal!"})])
