@@ -31,7 +31,7 @@ ROWS = {row.model: row for row in read_rows(FOLDER)}
 
 LEFT = "simulated:malformed@0.5 --sections step,place --limit 4 --repeats 2"
 ASKED = "--sections plan,step,retry,path --limit 3"
-RECORDED = [ROWS["local:smollm2"], ROWS["local:smollm2+none"]]
+RECORDED = [row for row in ROWS.values() if "replay:" in row.command]
 CANNOT = {
     "simulated:idael": "did you mean 'ideal'",
     "simulated:ideal simulated:ideal": "each model once",
