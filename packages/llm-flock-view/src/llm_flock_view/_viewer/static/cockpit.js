@@ -48,6 +48,7 @@ export function cockpit(options, place) {
     for (const one of starts) one.disabled = true;
     const answer = await order({ order: "start", protocols, draft, pace: paceOf(pace), fields: { ...values(fields, on), start_positions: ground.moved } });
     if (answer.address) {
+      clearTimeout(ground.due); // a page that is left asks nothing more
       location.href = answer.address;
       return;
     }
