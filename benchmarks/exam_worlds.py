@@ -7,7 +7,7 @@
 In each world every option is flown from the same seed. A question is kept if exactly one option is the best as flown,
 and the same one by the figures in the question: it can be answered, and code knows that the answer is right. Half of
 the wishes are the program's own; the others say the same in other words, where the first thing that counts decides.
-`--each` keeps at most so many questions of a kind with one right answer: after most blocked ways it is to wait.
+`--each N` keeps at most N questions of a kind that share a right answer, as waiting is right after most blocked ways.
 """
 
 from __future__ import annotations
