@@ -11,14 +11,16 @@ from __future__ import annotations
 import asyncio
 import json
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from llm_flock.arrays import Point, towards
+from llm_flock.arrays import Point, between, towards
 from llm_flock.llm import Call, LanguagePlanner, PromptSet, Reply, frame_step, place_text
 from llm_flock.mission import build_mission
 from llm_flock.obstacles import Obstacle, nearest_on_segment
@@ -45,16 +47,18 @@ SPARE = 1.15
 ASIDE = 75
 """Turn of a step round a robot that is near [degrees]."""
 
+HELD_OUT = CURRICULUM["plans"]["held_out_sizes"]
+
 TURNS = (0, 45, 90, 30, 60, 180, 20, 36, 15, 75, 120)
 """Turns of a drawing that are tried, in this order, where a robot stands on a place [degrees]."""
 
 SHARES: Mapping[Kind, float] = {
-    "plan": 0.18,
-    "step": 0.25,
+    "plan": 0.16,
+    "step": 0.2,
     "path": 0.02,
-    "judgement": 0.11,
+    "judgement": 0.17,
     "mission": 0.26,
-    "edit": 0.18,
+    "edit": 0.19,
 }
 """Kinds of examples."""
 
@@ -103,45 +107,33 @@ def taught(
     return Example(kind=kind, messages=messages, answer=texts[-1], topic=topic)
 
 
-def drawing(shape: str, n: int, points: Sequence[Point] = ()) -> list[dict[str, Any]]:
-    """The elements of a program that draws a shape of `n` places."""
-    name, _, argument = shape.partition(":")
-    if name == "points":
-        return [{"points": [[round(x, 2) + 0.0 for x in point]]} for point in points]
-    if name == "wedge" and n % 2 == 0:  # its first arm is longer by one robot
-        return [{"points": [[n // 2, -n // 2], [0, 0], [1 - n // 2, 1 - n // 2]]}]
-    if name == "grid":
-        columns = math.isqrt(n - 1) + 1
-        rows, left = divmod(n, columns)
-        whole: dict[str, Any] = _row(columns)
-        if rows > 1:
-            whole = {"union": [whole], "repeat": {"times": rows, "move": [0, 1]}}
-        return [whole] + ([{**_row(left), "move": [(columns - left) // 2, -1]}] if left else [])
-    return [{"shape": name, **({"sides": int(argument)} if argument else {})}]
-
-
-def _row(times: int) -> dict[str, Any]:
-    return {"points": [[0, 0]], **({"repeat": {"times": times, "move": [1, 0]}} if times > 1 else {})}
+def drawing(shape: str) -> list[dict[str, Any]]:
+    """The elements of a program that draws a shape with a name."""
+    name, _, sides = shape.partition(":")
+    return [{"shape": name, **({"sides": int(sides)} if sides else {})}]
 
 
 def draw_plan(rng: np.random.Generator) -> Example | None:
     """A plan: of a team with a name, of points, or of a shape in words; some with a robot that stands in the way."""
-    share, still, text = rng.random(), tuple[Point, ...](), ""
-    if share < 0.06:
-        dim, n = (2 if share < 0.04 else 3), int(rng.integers(4, 8))
-        rows = _lattice(rng, n, dim)
-        mission = plan_mission("points", n, points=[tuple(10 * x for x in row) for row in rows])
-        mean = [sum(column) / n for column in zip(*rows, strict=True)]
-        shape, draw = "points", drawing("points", n, [[x - m for x, m in zip(r, mean, strict=True)] for r in rows])  # type: ignore[arg-type]
-    elif share < 0.4:
+    share, still = rng.random(), tuple[Point, ...]()
+    draw: list[dict[str, Any]]
+    if share < 0.25:  # to be copied, digit by digit
+        dim = 2 if share < 0.19 else 3
+        n = pick(rng, [k for k in range(3, 24 if share < 0.03 else 12 if dim == 2 else 8) if k not in HELD_OUT])
+        rows = np.array(_lattice(rng, n, dim)) + rng.choice([0.0, 0.3]) * rng.random((n, dim))
+        apart = min(math.dist(a, b) for a, b in combinations(rows.tolist(), 2))
+        points = [tuple(10 * float(x) / apart for x in row) for row in rows]
+        mission = plan_mission("points", n, points=points, turn=0.0 if rng.random() < 0.3 else None)
+        draw = [{"points": [[round(x / mission.spacing, 6) + 0.0 for x in row]]} for row in mission.ideal or ()]
+    elif share < 0.55:
         given = pick(rng, CURRICULUM["texts"]["train"])
         n = int(rng.choice(given["sizes"]))
         text = pick(rng, given["say"]) + (pick(rng, CURRICULUM["beside"]["train"]) if rng.random() < 0.6 else "")
         mission, draw = plan_mission("text:" + text, n), given["draw"]
     else:
         shape, n = pick(rng, taught_teams())
-        mission, draw = plan_mission(shape, n), drawing(shape, n)
-        if share > 0.8 and n <= 15:
+        mission, draw = plan_mission(shape, n), drawing(shape)
+        if share > 0.85 and n <= 15:
             assert mission.ideal is not None, "a shape with a name has points"
             still = (tuple(round(x, 2) for x in pick(rng, mission.ideal)),)
     robot = int(rng.integers(n))
@@ -153,7 +145,10 @@ def draw_plan(rng: np.random.Generator) -> Example | None:
         turned = draw
         if turn:
             turned = [{**draw[0], "turn": turn}] if len(draw) == 1 else [{"union": draw, "turn": turn}]
-        right = json.dumps({"program": {"draw": turned}, "my_plan": robot})
+        said = json.dumps(turned)
+        if mission.points:  # as the prompt writes them
+            said = re.sub(r"-?\d+\.\d+", lambda found: f"{float(found[0]):.3f}", said)
+        right = f'{{"program": {{"draw": {said}}}, "my_plan": {robot}}}'
         found = taught("plan", asked, *wrong, right)
         if found is not None:
             return found
@@ -219,16 +214,17 @@ def draw_motion(rng: np.random.Generator, kind: Kind) -> Example | None:
 
 
 def way_round(asked: StepQuestion) -> Point | None:
-    """The straight step where it is clear with room to spare, else a quarter of it, straight or turned aside; or None.
+    """The straight step where it is clear with room to spare, else half of it, or a quarter, also turned aside; or None.
 
     Room to spare makes a model's errors harmless: a step that it takes for blocked, or for free, passes either way.
     """
     here, goal, mission = asked.position, asked.goal, asked.mission
-    straight = towards(here, goal, REACH * mission.max_step)
-    gaps = [math.dist(nearest_on_segment(other, here, straight), other) for other in asked.neighbors]
-    if min(gaps, default=math.inf) > SPARE * mission.safe_distance and not step_faults(asked, straight):
-        return straight
-    quarter, course = min(mission.max_step, math.dist(here, goal)) / 4, math.atan2(goal[1] - here[1], goal[0] - here[0])
+    full, course = towards(here, goal, REACH * mission.max_step), math.atan2(goal[1] - here[1], goal[0] - here[0])
+    for straight in (full, between(here, full, 0.5)):
+        gaps = [math.dist(nearest_on_segment(other, here, straight), other) for other in asked.neighbors]
+        if min(gaps, default=math.inf) > SPARE * mission.safe_distance and not step_faults(asked, straight):
+            return straight
+    quarter = min(mission.max_step, math.dist(here, goal)) / 4
     near = min(asked.neighbors, key=lambda other: math.dist(other, here), default=goal)
     left = (goal[0] - here[0]) * (near[1] - here[1]) - (goal[1] - here[1]) * (near[0] - here[0]) > 0
     for turn in (0, -ASIDE if left else ASIDE, ASIDE if left else -ASIDE):
@@ -243,14 +239,12 @@ def way_round(asked: StepQuestion) -> Point | None:
 def draw_judgement(rng: np.random.Generator) -> Example | None:
     """An event with options of random figures; the right one by an aim of the product, or by a wish in other words."""
     n, robot, spare, share = int(rng.integers(4, 21)), int(rng.integers(10)), int(rng.integers(21)), rng.random()
-    if share < 0.45:
+    replan = f"Make a new plan of {n} places for the robots that are left."
+    close = f"Close up: robot {(robot + 1) % 10} leaves its place at the edge and fills the gap."
+    if share < 0.4:
         event = f"Robot {robot} has failed, and nobody fills its place."
-        says = {
-            "leave": "Leave the place empty.",
-            "close": f"Close up: robot {(robot + 1) % 10} leaves its place at the edge and fills the gap.",
-            "replan": f"Make a new plan of {n} places for the robots that are left.",
-        }
-    elif share < 0.75:
+        says = {"leave": "Leave the place empty.", "close": close, "replan": replan}
+    elif share < 0.6:
         left = rng.choice([0.0, rng.uniform(1, 30)])
         event = f"The battery of robot {robot} is weak: it can fly {left:.1f} units at most."
         says = {
@@ -258,7 +252,7 @@ def draw_judgement(rng: np.random.Generator) -> Example | None:
             "swap": f"Robot {robot} exchanges its place with robot {(robot + 3) % 10}.",
             "spare": f"Robot {robot} gets out of the way, and spare robot {spare} takes its place.",
         }
-    else:
+    elif share < 0.8:
         event = f"An obstacle has come to rest in the way of robot {robot} to its place."
         says = {
             "wait": f"Robot {robot} waits where it is, and its place stays empty.",
@@ -266,21 +260,39 @@ def draw_judgement(rng: np.random.Generator) -> Example | None:
             "spare": f"Robot {robot} gives its place to spare robot {spare}.",
             "replan": "Make a new plan of as many places, clear of the obstacle.",
         }
-    options, still = list[JudgementOption](), rng.random() < 0.6  # who does nothing flies nothing
+    else:
+        event = "The operator has given the team an order in words. It says what counts."
+        says = {
+            "continue": "Go on as planned.",
+            "wait": "All robots wait where they are, until another order.",
+            "close": close,
+            "replan": replan,
+            "spare": f"Robot {robot} gets out of the way, and spare robot {spare} takes its place.",
+        }
+    options, size = list[JudgementOption](), float(rng.uniform(3, 100))
+    ordered, first = share >= 0.8, next(iter(says))  # who waits, or is in place, flies nothing
     for name, does in says.items():
-        moves = name != "wait" and not (name == "leave" and still) and rng.random() < 0.9
-        lost = int(name in ("continue", "swap") and rng.random() < 0.6)
-        rounds, flown = (int(rng.integers(1, 20)), round(float(rng.uniform(3, 150)), 1)) if moves else (0, 0.0)
-        gaps = 1 if name == "wait" else int(rng.random() < 0.8) if name == "leave" else lost
-        option = JudgementOption(choice=name, does=does, rounds=rounds, distance=flown, gaps=gaps, lost=lost)  # type: ignore[arg-type]
-        if name in ("leave", "continue", "wait") or rng.random() < 0.75:
-            options.append(option)
+        if name != first and rng.random() > (0.8 if len(says) < 4 else 0.55):
+            continue
+        moves = name != "wait" and rng.random() < (0.75 if name in ("leave", "continue") else 0.95)
+        lost = int(name in ("continue", "swap") and not ordered and rng.random() < 0.6)
+        rounds = int(rng.integers(1, 17)) if moves else 0
+        flown = round(size * float(rng.uniform(0.4, 2.0)), 1) if moves else 0.0
+        gaps = lost
+        if name in ("wait", "leave"):
+            gaps = int(rng.integers(1, 9)) if ordered else int(name == "wait" or rng.random() < 0.9)
+        elif name == "continue" and ordered:
+            gaps = int(rng.random() < 0.5)
+        options.append(JudgementOption(choice=name, does=does, rounds=rounds, distance=flown, gaps=gaps, lost=lost))  # type: ignore[arg-type]
     if len(options) < 2:
         return None
     aim = pick(rng, list(AIMS))
     right, key = best_option(options, aim), AIMS[aim][0]
     wish = aim
-    if rng.random() < 0.5:
+    if ordered and rng.random() < 0.3:
+        right = pick(rng, options).choice
+        wish = pick(rng, CURRICULUM["orders"][right]["train"]).format(i=robot)
+    elif rng.random() < 0.6:
         best = min((one.lost, getattr(one, key)) for one in options)
         if sum((one.lost, getattr(one, key)) == best for one in options) > 1:
             return None

@@ -242,7 +242,7 @@ def _element(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def draw_edit(rng: np.random.Generator) -> Example | None:
-    """A program, a wish, and the changed program in its canonical text, as programs are shown."""
+    """A program, a wish, and the changed program, as programs are shown."""
     if rng.random() < WRITTEN:
         words, wanted, program = filled(rng, pick(rng, written("edit")))
         return _edited(rng, words, program or {}, wanted, "written")
@@ -318,11 +318,10 @@ def _edited(
     """The example of an edit, or None if one of its programs cannot be drawn."""
     try:
         program = parse_program(given)
-        right = wanted if "refuse" in wanted else json.loads(parse_program(wanted).text)
+        right = json.dumps(wanted) if "refuse" in wanted else parse_program(wanted).spoken
     except InputError:
         return None
     n = sum(group["count"] for group in given["groups"]) if "groups" in given else 12
     call = edit_call(_worn(rng, words), program, n, brief=True)
     messages = tuple((message.role, message.text) for message in call.messages)
-    answer = json.dumps(right, separators=(",", ":"))  # as programs are shown
-    return Example(kind="edit", messages=messages, answer=answer, topic=topic)
+    return Example(kind="edit", messages=messages, answer=right, topic=topic)

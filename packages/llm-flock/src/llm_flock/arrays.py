@@ -56,6 +56,15 @@ def separation(one: Point, other: Point, downwash: float) -> float:
     return math.hypot(x, y, z / downwash)
 
 
+def grid_rows(n: int) -> Points:
+    """The places of a grid with ceil(sqrt(n)) columns and a spacing of 1, shape (n, 2), the last row at the bottom."""
+    columns = math.isqrt(n - 1) + 1
+    row, column = np.divmod(np.arange(n), columns)
+    left_over = columns - (n - row[-1] * columns)
+    column = np.where(row == row[-1], column + left_over // 2, column)
+    return np.column_stack([column, -row]).astype(np.float64)
+
+
 def spread(points: Iterable[Point], apart: float, near: Sequence[Point] = ()) -> Iterator[Point]:
     """Those points of which each is farther than `apart` from all before it, and from all of `near` [units]."""
     kept = list(near)

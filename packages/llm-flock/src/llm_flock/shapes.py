@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from llm_flock.arrays import Pairwise, Points
+from llm_flock.arrays import Pairwise, Points, grid_rows
 from llm_flock.errors import InputError, unknown
 from llm_flock.printable import shape_title
 
@@ -147,11 +147,7 @@ def grid(n: int, _: int = 0) -> Points:
 
     A shift by half a column would leave robots of the last row without a neighbour at exactly the spacing.
     """
-    columns = math.isqrt(n - 1) + 1
-    row, column = np.divmod(np.arange(n), columns)
-    left_over = columns - (n - row[-1] * columns)
-    column = np.where(row == row[-1], column + left_over // 2, column)
-    return np.column_stack([column, -row]).astype(np.float64)
+    return grid_rows(n)
 
 
 def star(n: int, _: int = 0) -> Points:

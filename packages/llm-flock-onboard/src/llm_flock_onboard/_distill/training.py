@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from llm_flock.errors import InputError
 from llm_flock_onboard._distill import need
 from llm_flock_onboard._distill.batches import Lesson, make_batch, plan_epoch
 from llm_flock_onboard._distill.student import Student
+from llm_flock_onboard._local.engine import cores
 
 logger = logging.getLogger(__name__)
 
@@ -76,6 +78,15 @@ def train(
     """
     torch = need("torch")
     folder.mkdir(parents=True, exist_ok=True)
+    threads = cores() if student.device == "cpu" else 1
+
+    def learn(batch: Sequence[int]) -> tuple[float, Sequence[Any]]:
+        """Loss and gradients of one batch."""
+        torch.set_num_threads(1)  # batches are small: one for each core is quicker than one shared by all
+        loss = student.loss(make_batch([lessons[i] for i in batch]))
+        return float(loss.detach()), torch.autograd.grad(loss, student.parameters)
+
+    pool = ThreadPoolExecutor(threads)
     optimizer = torch.optim.AdamW(student.parameters, lr=options.rate, betas=(0.9, 0.98), weight_decay=0.0)
     step = examples = 0
     losses: list[float] = []
@@ -95,11 +106,10 @@ def train(
         rate = options.rate_at(step, time.monotonic() - began)
         for group in optimizer.param_groups:
             group["lr"] = rate
-        loss = 0.0
-        for batch in chosen:
-            part = student.loss(make_batch([lessons[i] for i in batch])) / len(chosen)
-            part.backward()
-            loss += float(part.detach())
+        parts = list(pool.map(learn, chosen))
+        loss = sum(part for part, _ in parts) / len(parts)
+        for parameter, *gradients in zip(student.parameters, *(part for _, part in parts), strict=True):
+            parameter.grad = sum(gradients) / len(parts)
         torch.nn.utils.clip_grad_norm_(student.parameters, 1.0)
         optimizer.step()
         optimizer.zero_grad(set_to_none=True)

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from llm_flock.arrays import Points
+from llm_flock.arrays import Points, grid_rows
 from llm_flock.errors import InputError
 from llm_flock.formation._letters import GAP, GLYPHS
 from llm_flock.formation._paths import strokes_of
@@ -39,10 +39,10 @@ class Region:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lattice:
-    """A body of places in layers; its corners come first."""
+    """Places in rows or layers; its corners come first."""
 
     world: Affine
-    volume: float  #: In the drawing's coordinates.
+    room: Callable[[float], float]  #: About how many places it has at a spacing in the drawing's coordinates.
     least: int  #: Its corners, the fewest places that show it.
     places: Callable[[int], Points]  #: The places of the smallest such body with at least n, shape (m, 3), m >= n.
 
@@ -87,6 +87,10 @@ def _draw(element: Element, outer: Affine, into: Sketch) -> None:
         if element.union is not None:
             for part in element.union:
                 _draw(part.model_copy(update={"fill": part.fill or element.fill}), own, into)
+        elif element.shape == "grid":
+            area = 4 * float(np.linalg.norm(np.cross(own[:3, 0], own[:3, 1])))
+            _add_corners([mapped(_grid(4), own)], into)
+            into.lattices.append(Lattice(world=own, room=lambda s, area=area: area / s**2, least=1, places=_grid))
         elif element.shape in SPACE:
             _draw_in_space(element, own, into)
         else:
@@ -296,9 +300,9 @@ def _draw_in_space(element: Element, world: Affine, into: Sketch) -> None:
             into.strokes.append(mapped(np.column_stack([np.cos(angle), np.sin(angle), 2 * share - 1]), world))
             _add_corners(into.strokes[-1:], into)
         case "cube":
-            into.lattices.append(Lattice(world=world, volume=8 * grown, least=8, places=_cube))
+            into.lattices.append(Lattice(world=world, room=lambda s: 8 * grown / s**3, least=8, places=_cube))
         case "pyramid":
-            into.lattices.append(Lattice(world=world, volume=4 / 3 * math.sqrt(2) * grown, least=5, places=_pyramid))
+            into.lattices.append(Lattice(world=world, room=lambda s: 4 / 3 * math.sqrt(2) * grown / s**3, least=5, places=_pyramid))
         case _:
             area, sample, onto = _SURFACES[str(element.shape)]
             into.regions.append(Region(world=world, area=area * grown ** (2 / 3), sample=sample, onto=onto))
@@ -331,6 +335,11 @@ _SURFACES: dict[str, tuple[float, Callable[[int], Points], Callable[[Points], Po
     "cylinder": (4 * math.pi, lambda m: _spiral(m, -1.0, round_=False), _onto_cylinder),
 }
 """Area, points and projection of each surface of radius 1; a cylinder is 2 high and has no lids."""
+
+
+def _grid(n: int) -> Points:
+    rows = grid_rows(n)
+    return _in_space((rows - (rows.max(axis=0) + rows.min(axis=0)) / 2) * (2 / max(1.0, float(rows[:, 0].max()))))
 
 
 def _cube(n: int) -> Points:

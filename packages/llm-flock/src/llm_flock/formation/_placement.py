@@ -150,6 +150,9 @@ def _unit_or_refusal(elements: tuple[Element, ...], n: int) -> Points | InputErr
 
 
 def _unit_drawn(elements: tuple[Element, ...], n: int) -> Points:
+    if len(elements) == 1 and elements[0].shape == "wedge" and n > 2 and n % 2 == 0:  # its first arm is longer by one
+        arms = ((1.0, -1.0), (0.0, 0.0), (2 / n - 1, 2 / n - 1))
+        elements = (elements[0].model_copy(update={"shape": None, "points": arms}),)
     drawing = draw(elements)
     parts = _parts(drawing)
     rows = [_place(part, count) for part, count in zip(parts, _shared(parts, n), strict=True)]
@@ -206,7 +209,7 @@ def _least(part: Part) -> int:
 def _room(part: Part, spacing: float) -> float:
     """About how many places a part has at a spacing."""
     if isinstance(part, Lattice):
-        return part.volume / spacing**3
+        return part.room(spacing)
     if isinstance(part, Region):
         return part.area / (HEXAGON * spacing**2)
     return float(part.net.lengths.sum()) / spacing

@@ -44,7 +44,7 @@ Letters = Annotated[
 ]
 Name = Annotated[str, Field(max_length=40, pattern=r"^[\w .-]*$")]
 
-Flat: TypeAlias = Literal["line", "circle", "triangle", "square", "polygon", "star", "cross", "wedge"]
+Flat: TypeAlias = Literal["line", "circle", "triangle", "square", "polygon", "star", "cross", "wedge", "grid"]
 Spatial: TypeAlias = Literal["sphere", "dome", "cylinder", "helix", "cube", "pyramid"]
 SPACE: tuple[str, ...] = get_args(Spatial)  #: Figures in space; they are shapes of a mission, too.
 KINDS = ("shape", "text", "path", "points", "union")
@@ -157,6 +157,11 @@ class Program(_Table):
     def text(self) -> str:
         """The canonical form: JSON without defaults and spaces, keys in order. Equal programs have equal texts."""
         return json.dumps(_plain(self.model_dump(exclude_defaults=True)), separators=(",", ":"), sort_keys=True)
+
+    @property
+    def spoken(self) -> str:
+        """The same with spaces and in the order of the schema, as models write it."""
+        return json.dumps(_plain(self.model_dump(exclude_defaults=True)))
 
     @property
     def digest(self) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args
 
 from llm_flock.bounds import MAX_PROGRAM_BYTES
+from llm_flock.formation._program import SPACE, Flat
 from llm_flock.llm._port import AnswerForm, Kind
 
 WHOLE_DIGITS = 6  # most digits before the decimal point: no number is larger than `arrays.MAX_COORDINATE`
@@ -28,13 +29,32 @@ REASON_CHARS = 200
 
 CHARS_PER_TOKEN = 3  # only of prose: each digit and bracket is one token
 
-_ANY_OBJECT = r"""root ::= object
-value ::= object | array | string | number | "true" | "false"
-object ::= "{" (string ":" " "? value ("," " "? string ":" " "? value)*)? "}"
-array ::= "[" (value ("," " "? value)*)? "]"
-string ::= "\"" [^"\\\x00-\x1F]* "\""
-number ::= "-"? [0-9]{1,6} ("." [0-9]{1,4})?
-"""
+_PROGRAM = r"""drawing ::= "{" ("\"name\": " text ", ")? (draw size? | "\"groups\": [" group (", " group)* "]") "}"
+draw ::= "\"draw\": [" element (", " element)* "]"
+group ::= "{\"role\": " text (", \"count\": " count)? (", \"share\": " number)? (", \"at\": " vector)? size? ", " draw "}"
+size ::= ", \"size\": " number
+element ::= "{" figure closed? fill? sides? arc? turns? scale? mirror? turn? north? tilt? move? repeat? "}"
+figure ::= shape | "\"text\": " text | path | "\"points\": [" vector (", " vector)* "]" | union
+shape ::= "\"shape\": \"" (SHAPES) "\""
+path ::= "\"path\": \"" [MLHVCSQTAZmlhvcsqtaz0-9 .,-]+ "\""
+union ::= "\"union\": [" element (", " element)* "]"
+closed ::= ", \"closed\": true"
+fill ::= ", \"fill\": true"
+sides ::= ", \"sides\": " count
+arc ::= ", \"arc\": " vector
+turns ::= ", \"turns\": " number
+scale ::= ", \"scale\": " (number | vector)
+mirror ::= ", \"mirror\": \"" [xyz] "\""
+turn ::= ", \"turn\": " number
+north ::= ", \"point\": \"" ("north" | "east" | "south" | "west") "\""
+tilt ::= ", \"tilt\": " number
+move ::= ", \"move\": " vector
+repeat ::= ", \"repeat\": {\"times\": " count move? turn? scale? "}"
+vector ::= "[" number (", " number){1,2} "]"
+count ::= [1-9] [0-9]{0,2}
+text ::= "\"" [^"\\\x00-\x1F]{1,40} "\""
+""".replace("SHAPES", " | ".join(f'"{name}"' for name in (*get_args(Flat), *SPACE)))
+"""A formation program in JSON, its fields in the order of the schema; no more is fixed than what is written how."""
 
 _PROSE = re.compile(r"[A-Za-z\s]")
 
@@ -63,21 +83,23 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
     """The grammar of an answer in this form; it begins at `root`."""
     if form.letters:
         return "root ::= " + " | ".join(f'"{letter}"' for letter in form.letters) + "\n"
-    if form.program:
-        return _ANY_OBJECT
     rules = {
         "root": "answer" if form.json or not form.reasons else f"reason{{0,{REASON_LINES}}} answer",
         "answer": _answer(kind, form),
         "point": f'"[" number (", " number){{{form.dim - 1}}} "]"',
         "number": f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?',
     }
+    if form.program:
+        reason = "reason? " * form.reasons
+        whole = f'"{{" {reason}"\\"program\\": " drawing ", \\"my_plan\\": " index "}}"'
+        rules["root"] = 'drawing | "{\\"refuse\\": " text "}"' if form.edit else whole
     if kind == "plan":
         rules["index"] = " | ".join(f'"{place}"' for place in range(form.n))
-    if form.reasons and form.json:
+    if form.reasons and (form.json or form.program):
         rules["reason"] = f'"\\"{REASONING}\\": \\"" [^"\\\\\\x00-\\x1F]{{0,{REASON_CHARS}}} "\\", "'
     elif form.reasons:
         rules["reason"] = f'[^\\n]{{1,{REASON_CHARS}}} "\\n"'
-    return "\n".join(f"{name} ::= {rule}" for name, rule in rules.items()) + "\n"
+    return "\n".join(f"{name} ::= {rule}" for name, rule in rules.items()) + "\n" + _PROGRAM * form.program
 
 
 def longest_answer(kind: Kind, form: AnswerForm) -> int:

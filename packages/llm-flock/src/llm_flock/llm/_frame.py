@@ -2,13 +2,15 @@
 
 A small model cannot add 57.31 and 3.18 reliably. Its own frame avoids that: it plans around the origin with the spacing
 as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is rendered,
-and the answer is moved and scaled back before it is checked. Directions stay.
+and the answer is moved and scaled back before it is checked. Of a plan, directions stay; for a step, the frame is turned
+so that the goal lies ahead, on the first axis: it need not find a direction, only whether the way is free.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any, Generic, TypeVar
 
 from llm_flock.arrays import Point
@@ -33,11 +35,15 @@ _Located = TypeVar("_Located", PlanQuestion, StepQuestion)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PromptFrame:
-    """Moved and scaled coordinates: `(point - origin) / unit`. Observed and planned points have `decimals`."""
+    """Moved, scaled and turned coordinates: `(point - origin) / unit`, with `ahead` as the first axis.
+
+    Observed and planned points have `decimals`.
+    """
 
     origin: Point
     unit: float
     decimals: int
+    ahead: Point = (1.0, 0.0)  #: A direction of the plane, of length 1.
 
     def rounded(self, point: Point) -> Point:
         """A point of the world in this frame, rounded."""
@@ -46,22 +52,28 @@ class PromptFrame:
 
     def exact(self, point: Point) -> Point:
         """A point of the world in this frame, not rounded."""
-        return tuple((x - o) / self.unit for x, o in zip(point, self.origin, strict=True))
+        return self._turned(tuple((x - o) / self.unit for x, o in zip(point, self.origin, strict=True)), -1)
 
     def world(self, point: Point) -> Point:
         """A point of this frame in the world [units]."""
-        return tuple(o + x * self.unit for x, o in zip(point, self.origin, strict=True))
+        return tuple(o + x * self.unit for x, o in zip(self._turned(point), self.origin, strict=True))
+
+    def _turned(self, point: Point, sense: int = 1) -> Point:
+        (x, y), (cos, sin) = point[:2], self.ahead
+        return (cos * x - sense * sin * y, sense * sin * x + cos * y, *point[2:]) if sin or cos < 0 else point
 
     def mission(self, mission: Mission) -> Mission:
         """The mission in this frame; it is valid in the world, so it is not validated again."""
         fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
         for name in ("spacing", "safe_distance", "max_step", "comm_range", "sense_range"):
             fields[name] = None if fields[name] is None else fields[name] / self.unit
-        low, high = mission.arena
-        fields["center"], fields["arena"] = self.exact(mission.center), (self.exact(low), self.exact(high))
+        coarse = 10**self.decimals  # a digit more would be one more to read, and a smaller distance would be refused
+        fields["safe_distance"] = math.ceil(round(fields["safe_distance"] * coarse, 6)) / coarse
+        corners = [self.exact(corner) for corner in product(*zip(*mission.arena, strict=True))]
+        fields["center"], fields["arena"] = self.exact(mission.center), tuple(tuple(map(f, *corners)) for f in (min, max))
         fields["obstacles"] = tuple(map(self._obstacle, mission.obstacles))
         if mission.velocity is not None:
-            fields["velocity"] = tuple(v / self.unit for v in mission.velocity)
+            fields["velocity"] = self._turned(tuple(v / self.unit for v in mission.velocity), -1)
         if mission.points is not None:
             fields["points"] = tuple(tuple(x / self.unit for x in row) for row in mission.points)
         if (is_drawn(mission.shape) or mission.turn) and mission.ideal:  # a program may have lengths in units
@@ -111,7 +123,10 @@ def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQu
     """Frame a question for a step: from the origin, in step limits."""
     if name == "world":
         return FramedQuestion(question=question, framed=question)
+    x, y = (goal - here for goal, here in zip(question.goal[:2], question.position, strict=False))
+    far = math.hypot(x, y)
     frame = _frame(question.position, question.mission.max_step, question.mission)
+    frame = replace(frame, ahead=(x / far, y / far)) if far else frame
     return _framed(
         question,
         frame,

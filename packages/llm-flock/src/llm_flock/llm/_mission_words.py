@@ -172,8 +172,8 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
 def edit_call(text: str, program: Program, n: int, *, brief: bool = False) -> Call:
     """The question to a model for a changed program of `n` places; InputError if the text is too long."""
     rules = BRIEF_EDITING if brief else EDITING.format(schema=json.dumps(program_schema()), n=n)
-    form = AnswerForm(n=n, dim=2, program=True) if brief else None
-    return _call(rules, f"{GIVEN}{program.text}", text, form=form)
+    form = AnswerForm(n=n, dim=2, program=True, edit=True) if brief else None
+    return _call(rules, f"{GIVEN}{program.spoken if brief else program.text}", text, form=form)
 
 
 def drawn_program(shape: str) -> Program:
