@@ -1,17 +1,21 @@
-"""Grammars of answers, translated to regular expressions: they hold no recursion."""
+"""Grammars of answers, translated to regular expressions; a union in a union ends the recursion."""
 
 import json
 import re
 from dataclasses import replace
+from typing import get_args
 
 import pytest
 from answer_readers import parse_path_json, parse_plan, parse_plan_json, parse_step_json
 
 from llm_flock.arrays import MAX_COORDINATE
+from llm_flock.formation import parse_program
+from llm_flock.formation._program import SPACE, Element, Flat, Group, Program, Repeat
 from llm_flock.llm._answer_forms import (
     REASON_CHARS,
     REASON_LINES,
     answer_grammar,
+    answer_lead,
     answer_schema,
     longest_answer,
     tokens_of,
@@ -25,8 +29,8 @@ def regex(grammar: str) -> str:
     """The language of a grammar as one regular expression."""
     rules = dict(line.split(" ::= ", 1) for line in grammar.splitlines())
 
-    def expand(rule: str) -> str:
-        out = ""
+    def expand(rule: str, unions: int = 0) -> str:
+        out = "" if unions < 3 else "(?!)"
         for token in _TOKEN.finditer(rule):
             if token["literal"] is not None:
                 text = token["literal"].replace("\\n", "\n").replace('\\"', '"')
@@ -34,7 +38,8 @@ def regex(grammar: str) -> str:
             elif token["set"] is not None:
                 out += token["set"]
             elif token["name"] is not None:
-                out += f"(?:{expand(rules[token['name']])})"
+                deeper = unions + (token["name"] == "union")
+                out += f"(?:{expand(rules[token['name']], deeper)})" if unions < 3 else ""
             else:
                 out += token["rest"].strip()
         return out
@@ -44,6 +49,55 @@ def regex(grammar: str) -> str:
 
 def accepts(kind, form: AnswerForm, text: str) -> bool:
     return re.fullmatch(regex(answer_grammar(kind, form)), text) is not None
+
+
+PROGRAMS = (
+    {"draw": [{"shape": "square", "turn": 45}]},
+    {"draw": [{"points": [[0, 0], [2, 3.25], [-1, 4]], "closed": True}, {"text": "HI", "scale": [2, 1]}], "size": 40},
+    {"draw": [{"union": [{"shape": "grid"}, {"path": "M0,0 L4,4"}], "mirror": "x", "tilt": 90, "move": [1, 2, 3]}]},
+    {"draw": [{"shape": "circle", "arc": [0, 90], "repeat": {"times": 4, "move": [3, 0], "turn": 90, "scale": 0.5}}]},
+    {"name": "two", "groups": [{"role": "a", "count": 3, "at": [5, 5], "draw": [{"shape": "polygon", "sides": 7}]}]},
+    {"draw": [{"shape": "square", "fill": True}, {"shape": "helix", "turns": 3}, {"shape": "wedge", "point": "east"}]},
+)
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_programs_are_held_to_their_form(program) -> None:
+    form = AnswerForm(n=12, dim=2, program=True, reasons=False)
+    said = parse_program(program).spoken
+    whole = f'{{"program": {said}, "my_plan": 11}}'
+    assert json.loads(said) == program
+    assert accepts("plan", form, whole) and accepts("plan", replace(form, edit=True), said)
+    assert accepts("plan", replace(form, edit=True), '{"refuse": "It cannot be drawn."}')
+    for wrong in (whole.replace("11", "12"), said, whole[:-1] + "}}", whole.replace('"draw"', '"paint"')):
+        assert not accepts("plan", form, wrong)
+
+
+@pytest.mark.parametrize(("kind", "form", "text"), [
+    ("step", AnswerForm(n=3, dim=2, reasons=False), "Position: [-0.5, 1]"),
+    ("step", AnswerForm(n=3, dim=2, reasons=False, horizon=4), "Path: [[0, 1], [2, 3.5]]"),
+    ("plan", AnswerForm(n=2, dim=2, reasons=False), "Plan: [[1, 2.5], [-3.25, 4]]\nmy plan: 1"),
+    ("judgement", AnswerForm(n=3, dim=2, reasons=False, choices=("leave", "close")), "Choice: close"),
+    ("plan", AnswerForm(n=2, dim=2, reasons=False, program=True), '{"program": {"draw": [{"shape": "line"}]}, "my_plan": 1}'),
+    ("step", AnswerForm(n=3, dim=2, reasons=False, letters="SL"), "L"),
+    ("step", AnswerForm(n=3, dim=2, reasons=False, json=True), '{"position": [1, 2]}'),
+    ("plan", AnswerForm(n=2, dim=2, program=True, edit=True), '{"refuse": "No."}'),
+])  # fmt: skip
+def test_what_every_answer_begins_with_need_not_be_written(kind, form: AnswerForm, text: str) -> None:
+    lead = answer_lead(kind, form)
+    assert accepts(kind, form, text) and text.startswith(lead)
+    after = regex(answer_grammar(kind, form, lead))
+    assert re.fullmatch(after, text.removeprefix(lead)) and not (lead and re.fullmatch(after, text))
+
+
+def test_an_element_draws_one_thing_and_every_field_can_be_said() -> None:
+    form = AnswerForm(n=4, dim=2, program=True, reasons=False)
+    for wrong in ('{"turn": 45}', '{"shape": "blob"}', '{"points": []}', '{"shape": "line", "text": "A"}', '{"points": [1]}'):
+        assert not accepts("plan", form, f'{{"program": {{"draw": [{wrong}]}}, "my_plan": 0}}')
+    grammar = answer_grammar("plan", form)
+    for table in (Element, Repeat, Group, Program):
+        assert not [name for name in table.model_fields if f'\\"{name}\\"' not in grammar]
+    assert not [name for name in (*get_args(Flat), *SPACE) if f'"{name}"' not in grammar]
 
 
 PLAN = "Plan: [[1, 2.5], [-3.25, 4], [0.1234, 999999]]\nmy plan: 2"

@@ -43,6 +43,9 @@ def same_set(one: np.ndarray, other: np.ndarray, tolerance: float = 2e-3) -> boo
         ("cross", 13, {"shape": "cross"}),
         ("line", 6, {"shape": "line", "scale": 3}),
         ("wedge", 9, {"shape": "wedge"}),
+        ("wedge", 12, {"shape": "wedge"}),
+        ("grid", 11, {"shape": "grid"}),
+        ("grid", 16, {"shape": "grid", "scale": 2}),
     ],
 )
 def test_outlines_are_placed_as_the_named_shapes(spec: str, n: int, element: dict[str, Any]) -> None:

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from llm_flock.errors import InputError
-from llm_flock.llm import Call, CallSettings, Reply, answer_grammar, longest_answer, tokens_of
+from llm_flock.llm import Call, CallSettings, Reply, answer_grammar, answer_lead, longest_answer, tokens_of
 from llm_flock_onboard._local.engine import ENGINES, Engine, Engines
 from llm_flock_onboard._local.gguf import read_header
 from llm_flock_onboard._local.weights import Weights, find_weights
@@ -88,7 +88,9 @@ class LocalModel:
         finally:
             stop.set()  # a caller that gives up frees the slot
         latency_s = time.perf_counter() - started
-        return replace(answer, model=self.name, settings=self._settings, cost_usd=0.0, latency_s=latency_s)
+        lead = "" if call.form is None else answer_lead(call.kind, call.form)
+        told = {"text": lead + answer.text, "model": self.name, "settings": self._settings}
+        return replace(answer, **told, cost_usd=0.0, latency_s=latency_s)
 
     def _body(self, call: Call) -> dict[str, Any]:
         longest = _longest(call)
@@ -99,7 +101,9 @@ class LocalModel:
             "max_tokens": min(longest, self._settings.get("max_tokens", longest)),
         }
         if call.form is not None:
-            body["grammar"] = answer_grammar(call.kind, call.form)
+            if lead := answer_lead(call.kind, call.form):
+                body["messages"].append({"role": "assistant", "content": lead})
+            body["grammar"] = answer_grammar(call.kind, call.form, lead)
         elif call.schema is not None:
             body["json_schema"] = dict(call.schema)
         return body

@@ -1,6 +1,7 @@
 from ._answer_forms import LETTER_TOKENS as LETTER_TOKENS
 from ._answer_forms import REASONING as REASONING
 from ._answer_forms import answer_grammar as answer_grammar
+from ._answer_forms import answer_lead as answer_lead
 from ._answer_forms import longest_answer as longest_answer
 from ._answer_forms import tokens_of as tokens_of
 from ._frame import FramedQuestion as FramedQuestion

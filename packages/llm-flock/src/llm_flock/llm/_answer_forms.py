@@ -78,9 +78,19 @@ def answer_schema(kind: Kind, form: AnswerForm) -> dict[str, Any]:
     return {"type": "object", "properties": properties, "required": list(properties), "additionalProperties": False}
 
 
+def answer_lead(kind: Kind, form: AnswerForm) -> str:
+    """How every answer in this form begins, whole tokens of it: a model on board need not write that."""
+    if form.letters or form.reasons or form.edit:
+        return ""
+    if form.program:
+        return '{"program":'
+    lead = {"plan": "Plan:", "judgement": "Choice:"}.get(kind, "Position:" if form.horizon == 1 else "Path:")
+    return "" if form.json else lead
+
+
 @lru_cache(maxsize=256)
-def answer_grammar(kind: Kind, form: AnswerForm) -> str:
-    """The grammar of an answer in this form; it begins at `root`."""
+def answer_grammar(kind: Kind, form: AnswerForm, lead: str = "") -> str:
+    """The grammar of an answer in this form, of what follows its `lead`; it begins at `root`."""
     if form.letters:
         return "root ::= " + " | ".join(f'"{letter}"' for letter in form.letters) + "\n"
     rules = {
@@ -90,8 +100,8 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
         "number": f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?',
     }
     if form.program:
-        reason = "reason? " * form.reasons
-        whole = f'"{{" {reason}"\\"program\\": " drawing ", \\"my_plan\\": " index "}}"'
+        reason = '" reason? "' * form.reasons
+        whole = f'"{{{reason}\\"program\\": " drawing ", \\"my_plan\\": " index "}}"'
         rules["root"] = 'drawing | "{\\"refuse\\": " text "}"' if form.edit else whole
     if kind == "plan":
         rules["index"] = " | ".join(f'"{place}"' for place in range(form.n))
@@ -99,7 +109,8 @@ def answer_grammar(kind: Kind, form: AnswerForm) -> str:
         rules["reason"] = f'"\\"{REASONING}\\": \\"" [^"\\\\\\x00-\\x1F]{{0,{REASON_CHARS}}} "\\", "'
     elif form.reasons:
         rules["reason"] = f'[^\\n]{{1,{REASON_CHARS}}} "\\n"'
-    return "\n".join(f"{name} ::= {rule}" for name, rule in rules.items()) + "\n" + _PROGRAM * form.program
+    grammar = "\n".join(f"{name} ::= {rule}" for name, rule in rules.items()) + "\n" + _PROGRAM * form.program
+    return grammar.replace('"' + lead.replace('"', '\\"'), '"', 1)
 
 
 def longest_answer(kind: Kind, form: AnswerForm) -> int:
