@@ -96,6 +96,21 @@ def test_a_call_is_asked_in_its_form_and_costs_nothing(file):
     assert leased.closed == 1 and engines.running == 0
 
 
+def test_what_every_answer_begins_with_is_put_into_its_mouth(file):
+    async def go():
+        engines = Engines()
+        leases = EngineLeases(engines)
+        reply = await LocalModel(f"local:{file}", leases).ask(question(AnswerForm(n=3, dim=2, reasons=False)))
+        leased = the_engine(engines)
+        await leases.aclose()
+        return reply, leased.bodies[0]
+
+    reply, body = asyncio.run(go())
+    assert reply.text == "Position:Position: [1, 2]", "what the engine says, which is only the rest"
+    assert body["messages"][-1] == {"role": "assistant", "content": "Position:"}
+    assert "Position" not in body["grammar"]
+
+
 def test_without_a_form_a_schema_holds_the_answer(file):
     async def go(call):
         engines = Engines()

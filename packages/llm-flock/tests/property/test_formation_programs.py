@@ -27,7 +27,7 @@ modifiers: dict[str, st.SearchStrategy[Any]] = {
     "repeat": st.fixed_dictionaries({"times": st.integers(2, 3)}, optional={"move": vectors, "turn": numbers}),
 }
 lines: list[dict[str, st.SearchStrategy[Any]]] = [
-    {"shape": st.sampled_from(["line", "circle", "triangle", "square", "star", "cross", "wedge"])},
+    {"shape": st.sampled_from(["line", "circle", "triangle", "square", "star", "cross", "wedge", "grid"])},
     {"text": st.text("AEOX18", min_size=1, max_size=3)},
     {"points": st.lists(vectors, min_size=2, max_size=5)},
     {"path": st.sampled_from(["M0 0L3 1L1 4Z", "M0 0A2 1 20 1 0 3 1", "M0 0C1 3 4-2 5 1M2 2h1"])},

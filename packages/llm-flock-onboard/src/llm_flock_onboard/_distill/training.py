@@ -78,11 +78,12 @@ def train(
     """
     torch = need("torch")
     folder.mkdir(parents=True, exist_ok=True)
-    threads = cores() if student.device == "cpu" else 1
+    threads = min(cores(), options.together) if student.device == "cpu" else 1
 
     def learn(batch: Sequence[int]) -> tuple[float, Sequence[Any]]:
-        """Loss and gradients of one batch."""
-        torch.set_num_threads(1)  # batches are small: one for each core is quicker than one shared by all
+        """Loss and gradients of one batch; a batch is small, so that each core is quicker with one of its own."""
+        if threads > 1:
+            torch.set_num_threads(cores() // threads)
         loss = student.loss(make_batch([lessons[i] for i in batch]))
         return float(loss.detach()), torch.autograd.grad(loss, student.parameters)
 
@@ -129,6 +130,7 @@ def train(
         if now - kept > options.keep_s:
             _save_checkpoint(torch, student, optimizer, folder, step, examples)
             kept = now
+    pool.shutdown()
     _save_checkpoint(torch, student, optimizer, folder, step, examples)
     return progress
 

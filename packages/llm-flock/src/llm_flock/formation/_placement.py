@@ -150,9 +150,10 @@ def _unit_or_refusal(elements: tuple[Element, ...], n: int) -> Points | InputErr
 
 
 def _unit_drawn(elements: tuple[Element, ...], n: int) -> Points:
-    if len(elements) == 1 and elements[0].shape == "wedge" and n > 2 and n % 2 == 0:  # its first arm is longer by one
-        arms = ((1.0, -1.0), (0.0, 0.0), (2 / n - 1, 2 / n - 1))
-        elements = (elements[0].model_copy(update={"shape": None, "points": arms}),)
+    alone = elements[0]
+    if elements == (alone,) and alone.shape == "wedge" and not (alone.fill or alone.repeat) and n > 2 and n % 2 == 0:
+        arms = ((1.0, -1.0), (0.0, 0.0), (2 / n - 1, 2 / n - 1))  # the first is longer by one
+        elements = (alone.model_copy(update={"shape": None, "points": arms}),)
     drawing = draw(elements)
     parts = _parts(drawing)
     rows = [_place(part, count) for part, count in zip(parts, _shared(parts, n), strict=True)]

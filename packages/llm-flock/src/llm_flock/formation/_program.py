@@ -161,7 +161,7 @@ class Program(_Table):
     @property
     def spoken(self) -> str:
         """The same with spaces and in the order of the schema, as models write it."""
-        return json.dumps(_plain(self.model_dump(exclude_defaults=True)))
+        return json.dumps(_plain(self.model_dump(exclude_defaults=True)), ensure_ascii=False)
 
     @property
     def digest(self) -> str:

@@ -36,12 +36,12 @@ size ::= ", \"size\": " number
 element ::= "{" figure closed? fill? sides? arc? turns? scale? mirror? turn? north? tilt? move? repeat? "}"
 figure ::= shape | "\"text\": " text | path | "\"points\": [" vector (", " vector)* "]" | union
 shape ::= "\"shape\": \"" (SHAPES) "\""
-path ::= "\"path\": \"" [MLHVCSQTAZmlhvcsqtaz0-9 .,-]+ "\""
+path ::= "\"path\": \"" [MLHVCSQTAZmlhvcsqtaz0-9 .,eE+-]+ "\""
 union ::= "\"union\": [" element (", " element)* "]"
 closed ::= ", \"closed\": true"
 fill ::= ", \"fill\": true"
 sides ::= ", \"sides\": " count
-arc ::= ", \"arc\": " vector
+arc ::= ", \"arc\": [" number ", " number "]"
 turns ::= ", \"turns\": " number
 scale ::= ", \"scale\": " (number | vector)
 mirror ::= ", \"mirror\": \"" [xyz] "\""
@@ -49,10 +49,10 @@ turn ::= ", \"turn\": " number
 north ::= ", \"point\": \"" ("north" | "east" | "south" | "west") "\""
 tilt ::= ", \"tilt\": " number
 move ::= ", \"move\": " vector
-repeat ::= ", \"repeat\": {\"times\": " count move? turn? scale? "}"
+repeat ::= ", \"repeat\": {\"times\": " count move? turn? (", \"scale\": " number)? "}"
 vector ::= "[" number (", " number){1,2} "]"
 count ::= [1-9] [0-9]{0,2}
-text ::= "\"" [^"\\\x00-\x1F]{1,40} "\""
+text ::= "\"" [^"\\\x00-\x1F]{0,40} "\""
 """.replace("SHAPES", " | ".join(f'"{name}"' for name in (*get_args(Flat), *SPACE)))
 """A formation program in JSON, its fields in the order of the schema; no more is fixed than what is written how."""
 
@@ -97,7 +97,7 @@ def answer_grammar(kind: Kind, form: AnswerForm, lead: str = "") -> str:
         "root": "answer" if form.json or not form.reasons else f"reason{{0,{REASON_LINES}}} answer",
         "answer": _answer(kind, form),
         "point": f'"[" number (", " number){{{form.dim - 1}}} "]"',
-        "number": f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS}}})?',
+        "number": f'"-"? [0-9]{{1,{WHOLE_DIGITS}}} ("." [0-9]{{1,{DECIMALS + 2 * form.edit}}})?',
     }
     if form.program:
         reason = '" reason? "' * form.reasons

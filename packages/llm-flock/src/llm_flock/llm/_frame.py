@@ -67,8 +67,8 @@ class PromptFrame:
         fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
         for name in ("spacing", "safe_distance", "max_step", "comm_range", "sense_range"):
             fields[name] = None if fields[name] is None else fields[name] / self.unit
-        coarse = 10**self.decimals  # a digit more would be one more to read, and a smaller distance would be refused
-        fields["safe_distance"] = math.ceil(round(fields["safe_distance"] * coarse, 6)) / coarse
+        safe, coarse = fields["safe_distance"], 10**self.decimals  # fewer digits to read; less would be refused
+        fields["safe_distance"] = max(safe, min(math.ceil(round(safe * coarse, 6)) / coarse, fields["spacing"]))
         corners = [self.exact(corner) for corner in product(*zip(*mission.arena, strict=True))]
         fields["center"], fields["arena"] = self.exact(mission.center), tuple(tuple(map(f, *corners)) for f in (min, max))
         fields["obstacles"] = tuple(map(self._obstacle, mission.obstacles))
@@ -76,7 +76,8 @@ class PromptFrame:
             fields["velocity"] = self._turned(tuple(v / self.unit for v in mission.velocity), -1)
         if mission.points is not None:
             fields["points"] = tuple(tuple(x / self.unit for x in row) for row in mission.points)
-        if (is_drawn(mission.shape) or mission.turn) and mission.ideal:  # a program may have lengths in units
+        oriented = mission.turn or (mission.turn is not None and self.ahead != (1.0, 0.0))
+        if (is_drawn(mission.shape) or oriented) and mission.ideal:  # a program may have lengths in units
             fields["shape"], fields["points"] = "points", tuple(map(self.exact, mission.ideal))
             fields["turn"] = None if mission.turn is None else 0.0
         return Mission.model_construct(**fields)

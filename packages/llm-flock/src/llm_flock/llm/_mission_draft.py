@@ -228,13 +228,6 @@ def _element(part: Part, n: int) -> dict[str, Any]:
     more = {"turn": _turn(part) or 0.0, "fill": part.fill}
     if name == "letters":
         return {"text": argument, **more}
-    if name == "grid":
-        rows = max(k for k in range(1, n + 1) if n % k == 0 and k * k <= n)
-        columns = {"repeat": {"times": n // rows, "move": [1, 0]}} if n > rows else {}
-        row = {"union": [{"points": [[0, 0]], **columns}]}
-        return {**row, "turn": more["turn"], **({"repeat": {"times": rows, "move": [0, 1]}} if rows > 1 else {})}
     if name not in get_args(Flat):
-        raise InputError(
-            "shape", part.shape, f"one of {', '.join(get_args(Flat))}, grid and letters:TEXT for a sub-team"
-        )
+        raise InputError("shape", part.shape, f"one of {', '.join(get_args(Flat))} and letters:TEXT for a sub-team")
     return {"shape": name, **({"sides": int(argument)} if argument.isdecimal() else {}), **more}

@@ -297,10 +297,10 @@ def named_figure(task: Task) -> dict[str, object]:
 
 
 def other_figures(figure: Mapping[str, object]) -> list[dict[str, object]]:
-    """The named figures of the plane that are not this one, from the one that follows it in the list."""
+    """The named outlines of the plane that are not this one, from the one that follows it in the list."""
     from llm_flock.formation._program import Flat
 
-    names = [name for name in get_args(Flat) if name != "polygon"]
+    names = [name for name in get_args(Flat) if name not in ("polygon", "grid")]
     at = names.index(str(figure.get("shape"))) if figure.get("shape") in names else -1
     return [{"shape": name} for name in (*names[at + 1 :], *names[: max(at, 0)])]
 
