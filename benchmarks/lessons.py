@@ -214,7 +214,7 @@ def draw_motion(rng: np.random.Generator, kind: Kind) -> Example | None:
 
 
 def way_round(asked: StepQuestion) -> Point | None:
-    """The straight step where it is clear with room to spare, else half of it, or a quarter, also turned aside; or None.
+    """The straight step if it is clear with room to spare, else half or a quarter of it, or a turned one; or None.
 
     Room to spare makes a model's errors harmless: a step that it takes for blocked, or for free, passes either way.
     """
@@ -283,7 +283,8 @@ def draw_judgement(rng: np.random.Generator) -> Example | None:
             gaps = int(rng.integers(1, 9)) if ordered else int(name == "wait" or rng.random() < 0.9)
         elif name == "continue" and ordered:
             gaps = int(rng.random() < 0.5)
-        options.append(JudgementOption(choice=name, does=does, rounds=rounds, distance=flown, gaps=gaps, lost=lost))  # type: ignore[arg-type]
+        fields: Any = {"choice": name, "rounds": rounds, "distance": flown, "gaps": gaps, "lost": lost}
+        options.append(JudgementOption(does=does, **fields))
     if len(options) < 2:
         return None
     aim = pick(rng, list(AIMS))

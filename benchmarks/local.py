@@ -42,6 +42,7 @@ from llm_flock.llm._port import AnswerForm, Attempt
 from llm_flock.llm._prompting import PromptSet
 from llm_flock.runtime._api import run_async
 from llm_flock.runtime._result import Summary
+from llm_flock.shapes import shape_name
 from llm_flock_lab._exam.questions import SECTIONS
 from llm_flock_lab._experiments.statistics import wilson
 from llm_flock_onboard._distill.choices import draw_choices
@@ -241,6 +242,8 @@ def exam(arguments: Sequence[str]) -> None:
             given = CURRICULUM["plans"]
             shape = mission.shape in given["held_out_shapes"] or mission.shape not in given["shapes"]
             kinds.append("taught" if taught else "shape never taught" if shape else "size or place never taught")
+            named = shape_name(mission.shape) != "points"
+            kinds.append("its name copied" if named else "places copied")
         for kind in kinds:
             right.setdefault((question.section, kind), []).append(score.value == 1)
         found: dict[str, Any] = score.metadata or {}

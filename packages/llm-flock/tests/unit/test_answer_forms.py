@@ -73,12 +73,15 @@ def test_programs_are_held_to_their_form(program) -> None:
         assert not accepts("plan", form, wrong)
 
 
+AS_TEXT = AnswerForm(n=2, dim=2, reasons=False)
+
+
 @pytest.mark.parametrize(("kind", "form", "text"), [
-    ("step", AnswerForm(n=3, dim=2, reasons=False), "Position: [-0.5, 1]"),
+    ("step", AS_TEXT, "Position: [-0.5, 1]"),
     ("step", AnswerForm(n=3, dim=2, reasons=False, horizon=4), "Path: [[0, 1], [2, 3.5]]"),
     ("plan", AnswerForm(n=2, dim=2, reasons=False), "Plan: [[1, 2.5], [-3.25, 4]]\nmy plan: 1"),
     ("judgement", AnswerForm(n=3, dim=2, reasons=False, choices=("leave", "close")), "Choice: close"),
-    ("plan", AnswerForm(n=2, dim=2, reasons=False, program=True), '{"program": {"draw": [{"shape": "line"}]}, "my_plan": 1}'),
+    ("plan", replace(AS_TEXT, program=True), '{"program": {"draw": [{"shape": "line"}]}, "my_plan": 1}'),
     ("step", AnswerForm(n=3, dim=2, reasons=False, letters="SL"), "L"),
     ("step", AnswerForm(n=3, dim=2, reasons=False, json=True), '{"position": [1, 2]}'),
     ("plan", AnswerForm(n=2, dim=2, program=True, edit=True), '{"refuse": "No."}'),
@@ -92,7 +95,13 @@ def test_what_every_answer_begins_with_need_not_be_written(kind, form: AnswerFor
 
 def test_an_element_draws_one_thing_and_every_field_can_be_said() -> None:
     form = AnswerForm(n=4, dim=2, program=True, reasons=False)
-    for wrong in ('{"turn": 45}', '{"shape": "blob"}', '{"points": []}', '{"shape": "line", "text": "A"}', '{"points": [1]}'):
+    for wrong in (
+        '{"turn": 45}',
+        '{"shape": "blob"}',
+        '{"points": []}',
+        '{"shape": "line", "text": "A"}',
+        '{"points": [1]}',
+    ):
         assert not accepts("plan", form, f'{{"program": {{"draw": [{wrong}]}}, "my_plan": 0}}')
     grammar = answer_grammar("plan", form)
     for table in (Element, Repeat, Group, Program):

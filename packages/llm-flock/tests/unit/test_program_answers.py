@@ -135,6 +135,6 @@ def test_own_frames_keep_the_program() -> None:
     assert flown.formed and all(plan is not None and plan.program for plan in flown.plans)
 
 
-def test_the_length_of_a_program_on_board_does_not_grow_with_the_team() -> None:
+def test_no_team_makes_a_program_on_board_longer() -> None:
     form = AnswerForm(n=10, dim=2, json=True, program=True)
     assert longest_answer("plan", form) == longest_answer("plan", AnswerForm(n=300, dim=2, json=True, program=True))

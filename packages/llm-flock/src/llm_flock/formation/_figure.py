@@ -302,7 +302,9 @@ def _draw_in_space(element: Element, world: Affine, into: Sketch) -> None:
         case "cube":
             into.lattices.append(Lattice(world=world, room=lambda s: 8 * grown / s**3, least=8, places=_cube))
         case "pyramid":
-            into.lattices.append(Lattice(world=world, room=lambda s: 4 / 3 * math.sqrt(2) * grown / s**3, least=5, places=_pyramid))
+            into.lattices.append(
+                Lattice(world=world, room=lambda s: 4 / 3 * math.sqrt(2) * grown / s**3, least=5, places=_pyramid)
+            )
         case _:
             area, sample, onto = _SURFACES[str(element.shape)]
             into.regions.append(Region(world=world, area=area * grown ** (2 / 3), sample=sample, onto=onto))

@@ -31,7 +31,8 @@ CHARS_PER_TOKEN = 3  # only of prose: each digit and bracket is one token
 
 _PROGRAM = r"""drawing ::= "{" ("\"name\": " text ", ")? (draw size? | "\"groups\": [" group (", " group)* "]") "}"
 draw ::= "\"draw\": [" element (", " element)* "]"
-group ::= "{\"role\": " text (", \"count\": " count)? (", \"share\": " number)? (", \"at\": " vector)? size? ", " draw "}"
+group ::= "{\"role\": " text (", \"count\": " count)? (", \"share\": " number)? at? size? ", " draw "}"
+at ::= ", \"at\": " vector
 size ::= ", \"size\": " number
 element ::= "{" figure closed? fill? sides? arc? turns? scale? mirror? turn? north? tilt? move? repeat? "}"
 figure ::= shape | "\"text\": " text | path | "\"points\": [" vector (", " vector)* "]" | union

@@ -2,8 +2,8 @@
 
 A small model cannot add 57.31 and 3.18 reliably. Its own frame avoids that: it plans around the origin with the spacing
 as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is rendered,
-and the answer is moved and scaled back before it is checked. Of a plan, directions stay; for a step, the frame is turned
-so that the goal lies ahead, on the first axis: it need not find a direction, only whether the way is free.
+and the answer is moved and scaled back before it is checked. Of a plan, directions stay; for a step, the frame is
+turned so that the goal lies ahead, on the first axis: it need not find a direction, only whether the way is free.
 """
 
 from __future__ import annotations
@@ -70,7 +70,10 @@ class PromptFrame:
         safe, coarse = fields["safe_distance"], 10**self.decimals  # fewer digits to read; less would be refused
         fields["safe_distance"] = max(safe, min(math.ceil(round(safe * coarse, 6)) / coarse, fields["spacing"]))
         corners = [self.exact(corner) for corner in product(*zip(*mission.arena, strict=True))]
-        fields["center"], fields["arena"] = self.exact(mission.center), tuple(tuple(map(f, *corners)) for f in (min, max))
+        fields["center"], fields["arena"] = (
+            self.exact(mission.center),
+            tuple(tuple(map(f, *corners)) for f in (min, max)),
+        )
         fields["obstacles"] = tuple(map(self._obstacle, mission.obstacles))
         if mission.velocity is not None:
             fields["velocity"] = self._turned(tuple(v / self.unit for v in mission.velocity), -1)
