@@ -345,7 +345,7 @@ def _lattice(rng: np.random.Generator, n: int, dim: int) -> list[tuple[float, ..
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write a file of examples for `llm-flock distill train`; the adapter in the package had 6,000 of seed 1."""
+    """Write a file of examples for `llm-flock distill train`; the adapter in the package had 24,000 of seed 1."""
     if not arguments:
         raise SystemExit("lessons FILE [COUNT] [SEED]: the new file is missing")
     out, count, seed = (
