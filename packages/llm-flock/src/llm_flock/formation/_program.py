@@ -79,7 +79,8 @@ class Element(_Table):
     scale: Factor | Factors = 1.0
     mirror: Literal["x", "y", "z"] | None = Field(default=None, description="coordinate that changes its sign")
     turn: Number = Field(default=0.0, description="degrees, anticlockwise")
-    point: Literal["north", "east", "south", "west"] | None = Field(
+    # As in `mission.Preference`: Python keeps one of two equal unions, in the order of the first one that is imported.
+    point: Literal["west", "east", "north", "south"] | None = Field(
         default=None, description="where it points if it pointed north (+y)"
     )
     tilt: Number = Field(default=0.0, description="degrees about x; 90 stands upright in space")

@@ -47,7 +47,7 @@ class Part(_Form):
     size: Finite | None = Field(
         default=None, gt=0, description="largest width, only if said; of a circle, the diameter"
     )
-    point: Literal["north", "east", "south", "west"] | None = Field(default=None, description="only if said")
+    point: Literal["west", "east", "north", "south"] | None = Field(default=None, description="only if said")
     turn: Finite | None = Field(default=None, description="or: degrees anticlockwise, only if said", ge=-360, le=360)
     velocity: Pair | None = Field(default=None, description="units a round, only if it travels")
 
