@@ -47,7 +47,8 @@ SPARE = 1.15
 ASIDE = 75
 """Turn of a step round a robot that is near [degrees]."""
 
-HELD_OUT = CURRICULUM["plans"]["held_out_sizes"]
+HELD_OUT: Sequence[int] = CURRICULUM["plans"]["held_out_sizes"]
+"""Numbers of places that no plan has."""
 
 TURNS = (0, 45, 90, 30, 60, 180, 20, 36, 15, 75, 120)
 """Turns of a drawing that are tried, in this order, where a robot stands on a place [degrees]."""

@@ -81,18 +81,18 @@ class LocalModel:
     async def ask(self, call: Call) -> Reply:
         """Answer one call, in the form that it asks for; InputError if the engine cannot be loaded, else ModelError."""
         engine = await self._leases.engine(self.weights, call)
+        lead = "" if call.form is None else answer_lead(call.kind, call.form)
         started = time.perf_counter()
         stop = threading.Event()
         try:
-            answer = await asyncio.wrap_future(engine.submit(self._body(call), stop))
+            answer = await asyncio.wrap_future(engine.submit(self._body(call, lead), stop))
         finally:
             stop.set()  # a caller that gives up frees the slot
         latency_s = time.perf_counter() - started
-        lead = "" if call.form is None else answer_lead(call.kind, call.form)
         told = {"text": lead + answer.text, "model": self.name, "settings": self._settings}
         return replace(answer, **told, cost_usd=0.0, latency_s=latency_s)
 
-    def _body(self, call: Call) -> dict[str, Any]:
+    def _body(self, call: Call, lead: str) -> dict[str, Any]:
         longest = _longest(call)
         body: dict[str, Any] = {
             "messages": [{"role": message.role, "content": message.text} for message in call.messages],
@@ -101,8 +101,7 @@ class LocalModel:
             "max_tokens": min(longest, self._settings.get("max_tokens", longest)),
         }
         if call.form is not None:
-            if lead := answer_lead(call.kind, call.form):
-                body["messages"].append({"role": "assistant", "content": lead})
+            body["messages"] += [{"role": "assistant", "content": lead}] if lead else []
             body["grammar"] = answer_grammar(call.kind, call.form, lead)
         elif call.schema is not None:
             body["json_schema"] = dict(call.schema)
