@@ -54,12 +54,12 @@ TURNS = (0, 45, 90, 30, 60, 180, 20, 36, 15, 75, 120)
 """Turns of a drawing that are tried, in this order, where a robot stands on a place [degrees]."""
 
 SHARES: Mapping[Kind, float] = {
-    "plan": 0.16,
-    "step": 0.2,
+    "plan": 0.15,
+    "step": 0.14,
     "path": 0.02,
-    "judgement": 0.17,
-    "mission": 0.26,
-    "edit": 0.19,
+    "judgement": 0.14,
+    "mission": 0.32,
+    "edit": 0.23,
 }
 """Kinds of examples."""
 
@@ -126,11 +126,15 @@ def draw_plan(rng: np.random.Generator) -> Example | None:
         points = [tuple(10 * float(x) / apart for x in row) for row in rows]
         mission = plan_mission("points", n, points=points, turn=0.0 if rng.random() < 0.3 else None)
         draw = [{"points": [[round(x / mission.spacing, 6) + 0.0 for x in row]]} for row in mission.ideal or ()]
-    elif share < 0.55:
-        given = pick(rng, CURRICULUM["texts"]["train"])
-        n = int(rng.choice(given["sizes"]))
-        text = pick(rng, given["say"]) + (pick(rng, CURRICULUM["beside"]["train"]) if rng.random() < 0.6 else "")
-        mission, draw = plan_mission("text:" + text, n), given["draw"]
+    elif share < 0.6:
+        if rng.random() < 0.5:
+            text, draw = described(rng)
+            n = pick(rng, [k for k in range(4, 31) if k not in HELD_OUT])
+        else:
+            given = pick(rng, CURRICULUM["texts"]["train"])
+            text, draw, n = pick(rng, given["say"]), given["draw"], int(rng.choice(given["sizes"]))
+        text += pick(rng, CURRICULUM["beside"]["train"]) if rng.random() < 0.6 else ""
+        mission = plan_mission("text:" + text, n)
     else:
         shape, n = pick(rng, taught_teams())
         mission, draw = plan_mission(shape, n), drawing(shape)
@@ -154,6 +158,31 @@ def draw_plan(rng: np.random.Generator) -> Example | None:
         if found is not None:
             return found
     return None
+
+
+def described(rng: np.random.Generator) -> tuple[str, list[dict[str, Any]]]:
+    """Words for a drawing put together at random, and its elements."""
+    names, words = ["circle", "square", "triangle", "polygon:5", "polygon:8", "cross"], CURRICULUM["missions"]["shapes"]
+    (one, first), (two, second) = ((name, pick(rng, words[name])) for name in rng.choice(names, 2).tolist())
+    (a,), (b,), v = drawing(one), drawing(two), int(rng.integers(2, 5))
+    number, size = pick(rng, [("two", 2), ("three", 3), ("four", 4)]), pick(rng, [("twice", 2), ("three times", 3)])
+    return pick(
+        rng,
+        [
+            (f"a {first} inside a {second}", [b, {**a, "scale": 0.5}]),
+            (f"a {first} around a {second}", [a, {**b, "scale": 0.5}]),
+            (f"a {first} above a {second}", [{**a, "move": [0, 1.5]}, {**b, "move": [0, -1.5]}]),
+            (f"a {first} below a {second}", [{**a, "move": [0, -1.5]}, {**b, "move": [0, 1.5]}]),
+            (f"a {first} on the left, a {second} on the right", [{**a, "move": [-1.5, 0]}, {**b, "move": [1.5, 0]}]),
+            (f"a {first} {size[0]} as wide as high", [{**a, "scale": [size[1], 1]}]),
+            (f"a {first}, {size[0]} as high as wide", [{**a, "scale": [1, size[1]]}]),
+            (f"a {first} turned by {15 * v} degrees", [{**a, "turn": 15 * v}]),
+            (f"a {first} filled with robots", [{**a, "fill": True}]),
+            (f"{number[0]} of these in a row: a {first}", [{**a, "repeat": {"times": number[1], "move": [3, 0]}}]),
+            (f"{number[0]} of these in a column: a {first}", [{**a, "repeat": {"times": number[1], "move": [0, 3]}}]),
+            (f"a polygon of {2 * v + 5} sides", [{"shape": "polygon", "sides": 2 * v + 5}]),
+        ],
+    )
 
 
 def _refused_plan(rng: np.random.Generator, draw: list[dict[str, Any]], n: int) -> tuple[str]:
@@ -201,14 +230,14 @@ def draw_motion(rng: np.random.Generator, kind: Kind) -> Example | None:
     waypoint = way_round(asked)
     if waypoint is None:
         return None
-    text = place_text(_rounded(framed.frame.exact(waypoint)))
+    text = place_text(framed.frame.rounded(waypoint))
     wrong = tuple[str, ...]()
     if rng.random() < RETRIED:
-        far = [float(rng.choice([-0.8, 1.4, 2.0, 2.5, 3.0])) * x for x in framed.frame.exact(end)]
+        far = tuple(float(rng.choice([-0.8, 1.4, 2.0, 2.5, 3.0])) * (e - h) + h for h, e in zip(here, end, strict=True))
         said = (
             pick(rng, CURRICULUM["unreadable"]["train"])
             if rng.random() < 0.3
-            else f"Position: {place_text(_rounded(far))}"
+            else f"Position: {place_text(framed.frame.rounded(far))}"
         )
         wrong = (said,)
     return taught(kind, asked, *wrong, f"Position: {text}" if horizon == 1 else f"Path: [{text}]")
@@ -328,10 +357,6 @@ def lessons(seed: int, count: int) -> Iterator[Example]:
 def pick(rng: np.random.Generator, values: Sequence[Any]) -> Any:
     """One of some values."""
     return values[int(rng.integers(len(values)))]
-
-
-def _rounded(point: Sequence[float]) -> Point:
-    return tuple(round(float(x), 2) + 0.0 for x in point)
 
 
 def _lattice(rng: np.random.Generator, n: int, dim: int) -> list[tuple[float, ...]]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,9 @@ WORDS: dict[str, Any] = CURRICULUM["missions"]
 SIDES = {"north": (0, 1), "east": (1, 0), "south": (0, -1), "west": (-1, 0)}
 UNASKED = 0.3
 """Share of requests that a reader has to refuse, or to ask about; half each."""
-WRITTEN = 0.6
+ASIDES, SLIPS = 0.25, 0.1
+"""Shares of requests with a sentence beside that asks for nothing, and with a slip of the keys."""
+WRITTEN = 0.7
 """Share of whole sentences among requests, and among edits."""
 
 LENGTHS = {"s": (4, 14), "w": (18, 70), "n": (5, 20), "t": (10, 170), "k": (3, 60), "k2": (3, 60), "r": (3, 14)}
@@ -128,9 +131,16 @@ def draw_request(rng: np.random.Generator) -> Example | None:
 
 
 def _worn(rng: np.random.Generator, words: str) -> str:
-    """Words as people write them: with a phrase around them, or all in small letters."""
+    """Words as people write them: with a phrase or a sentence beside them, slips of the keys, or in small letters."""
     words = words[0].upper() + words[1:] if rng.random() < 0.5 else words
     words += pick(rng, WORDS["close"]["train"]) if words[-1] not in ".!?" else ""
+    if rng.random() < ASIDES:
+        aside, last = pick(rng, WORDS["aside"]["train"]).format(v=int(rng.integers(2, 90))), rng.random() < 0.5
+        words = f"{words}{'' if words[-1] in '.!?' else '.'} {aside}" if last else f"{aside} {words}"
+    if rng.random() < SLIPS:
+        at = pick(rng, [found.end() - 2 for found in re.finditer("[a-z]{6,}", words)] or [0])
+        swapped = "" if rng.random() < 0.5 else words[at : at + 1]
+        words = f"{words[:at]}{words[at + 1 : at + 2]}{swapped}{words[at + 2 :]}"
     return words.lower() if rng.random() < 0.25 else words
 
 
@@ -318,10 +328,35 @@ def _edited(
     """The example of an edit, or None if one of its programs cannot be drawn."""
     try:
         program = parse_program(given)
-        right = json.dumps(wanted) if "refuse" in wanted else parse_program(wanted).spoken
+        said = "refuse" in wanted or parse_program(wanted)
+        right = wanted if said is True else dict(changes("", json.loads(program.spoken), json.loads(said.spoken)))
     except InputError:
+        return None
+    if not right:  # as it was
         return None
     n = sum(group["count"] for group in given["groups"]) if "groups" in given else 12
     call = edit_call(_worn(rng, words), program, n, brief=True)
     messages = tuple((message.role, message.text) for message in call.messages)
-    return Example(kind="edit", messages=messages, answer=right, topic=topic)
+    return Example(kind="edit", messages=messages, answer=json.dumps(right, ensure_ascii=False), topic=topic)
+
+
+def changes(path: str, old: Any, new: Any) -> Iterator[tuple[str, Any]]:
+    """What makes one JSON value another: paths and new values, None for what goes; a list that changes all over, whole."""
+    if old == new:
+        return
+    if isinstance(old, dict) and isinstance(new, dict) and (not path or next(iter(old)) == next(iter(new))):
+        for key in [*(key for key in new if key in old), *(key for key in new if key not in old)]:
+            yield from changes(f"{path}/{key}", old.get(key), new[key])
+        yield from ((f"{path}/{key}", None) for key in old if key not in new)
+    elif isinstance(old, list) and isinstance(new, list) and any(isinstance(one, (dict, list)) for one in new):
+        gone = [i for i, one in enumerate(old) if one not in new]
+        if len(old) == len(new) and len(gone) < max(2, len(old)):
+            yield from (pair for i, one in enumerate(new) for pair in changes(f"{path}/{i}", old[i], one))
+        elif new[: len(old)] == old:
+            yield from ((f"{path}/-", one) for one in new[len(old) :])
+        elif [one for i, one in enumerate(old) if i not in gone] == new:
+            yield from ((f"{path}/{i}", None) for i in reversed(gone))
+        else:
+            yield path, new
+    else:
+        yield path, new

@@ -48,8 +48,8 @@ def plan_prompts(teams: tuple[tuple[str, int], ...]) -> set[str]:
 
 
 def test_examples_are_repeatable_and_of_all_kinds() -> None:
-    found = list(lessons(3, 60))
-    assert found == list(lessons(3, 60)) != list(lessons(4, 40))
+    found = list(lessons(3, 200))
+    assert found == list(lessons(3, 200)) != list(lessons(4, 200))
     assert {example.kind for example in found} == {"plan", "step", "path", "judgement", "mission", "edit"}
     assert {len(example.messages) for example in found} == {2, 4}, "some are asked again"
 

@@ -116,9 +116,9 @@ def test_own_frame_prompt_has_few_digits_for_a_far_goal() -> None:
         mission=mission, robot=0, round=1, position=(20.0, 20.0), neighbors=(), plan=plan, slot=0, target=(320.0, 220.0)
     )
     brief = PromptSet.load("brief")
-    assert "Goal: [10.0, 0.0]" in brief.step(frame_step(question, "own").framed)
+    assert "Goal: [1000, 0]" in brief.step(frame_step(question, "own").framed)
     near = replace(question, target=(26.0, 29.0))
-    assert "Goal: [1.8, 0.0]" in brief.step(frame_step(near, "own").framed)
+    assert "Goal: [180, 0]" in brief.step(frame_step(near, "own").framed)
     assert "[320.0, 220.0]" in PromptSet.load("full").step(question)
 
 

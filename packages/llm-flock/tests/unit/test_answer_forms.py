@@ -30,7 +30,7 @@ def regex(grammar: str) -> str:
     rules = dict(line.split(" ::= ", 1) for line in grammar.splitlines())
 
     def expand(rule: str, unions: int = 0) -> str:
-        out = "" if unions < 3 else "(?!)"
+        out = "" if unions < 4 else "(?!)"
         for token in _TOKEN.finditer(rule):
             if token["literal"] is not None:
                 text = token["literal"].replace("\\n", "\n").replace('\\"', '"')
@@ -38,8 +38,8 @@ def regex(grammar: str) -> str:
             elif token["set"] is not None:
                 out += token["set"]
             elif token["name"] is not None:
-                deeper = unions + (token["name"] == "union")
-                out += f"(?:{expand(rules[token['name']], deeper)})" if unions < 3 else ""
+                deeper = unions + (token["name"] in ("union", "value"))
+                out += f"(?:{expand(rules[token['name']], deeper)})" if unions < 4 else ""
             else:
                 out += token["rest"].strip()
         return out
@@ -67,9 +67,16 @@ def test_programs_are_held_to_their_form(program) -> None:
     said = parse_program(program).spoken
     whole = f'{{"program": {said}, "my_plan": 11}}'
     assert json.loads(said) == program
-    assert accepts("plan", form, whole) and accepts("plan", replace(form, edit=True), said)
-    assert accepts("plan", replace(form, edit=True), '{"refuse": "It cannot be drawn."}')
+    assert accepts("plan", form, whole)
     for wrong in (whole.replace("11", "12"), said, whole[:-1] + "}}", whole.replace('"draw"', '"paint"')):
+        assert not accepts("plan", form, wrong)
+
+
+def test_edits_are_changes_by_path_or_a_refusal() -> None:
+    form = AnswerForm(n=12, dim=2, program=True, edit=True)
+    changed = '{"/draw/0/scale": [1.5, 2], "/draw/-": {"shape": "star", "move": [0, 3]}, "/size": null}'
+    assert accepts("plan", form, changed) and accepts("plan", form, '{"refuse": "It cannot be drawn."}')
+    for wrong in ('{"draw": [{"shape": "line"}]}', "{}", '{"/size": }', changed + "}", '{"/size": 1, "refuse": "No."}'):
         assert not accepts("plan", form, wrong)
 
 

@@ -88,23 +88,25 @@ def test_custom_points_and_the_sensor_range_are_scaled() -> None:
 
 def test_a_step_is_asked_for_from_the_origin_with_the_goal_ahead() -> None:
     told, goal = frame_step(STEP, "own").framed, STEP.goal
-    assert told.position == (0.0, 0.0) and told.mission.max_step == 1.0
-    assert told.goal == (round(math.dist(goal, STEP.position) / 6, 2), 0.0)
+    assert told.position == (0.0, 0.0) and told.mission.max_step == pytest.approx(100)
+    assert told.goal == (round(math.dist(goal, STEP.position) / 0.06), 0)
     away = replace(STEP, target=(1.0, 2.0), slot=None)
-    assert frame_step(away, "own").framed.goal == (round(math.dist((1.0, 2.0), STEP.position) / 6, 2), 0.0)
+    assert frame_step(away, "own").framed.goal == (round(math.dist((1.0, 2.0), STEP.position) / 0.06), 0)
     prompts = PromptSet.load("brief")
     told = frame_step(replace(STEP, mission=build_mission(shape="circle", n_robots=5)), "own").framed
     near = ", ".join(f"{x:g}" for x in told.neighbors[0])
-    assert prompts.step(told).endswith(f"1 a step from [0, 0].\nKeep 0.5 from [{near}].\nGoal: {list(told.goal)}")
+    assert prompts.step(told).endswith(
+        f"100 a step from [0, 0].\nKeep 50 from [{near}].\nGoal: {list(map(int, told.goal))}"
+    )
 
 
 @pytest.mark.parametrize("to", [(31.237, 90.0), (1.0, 60.018), (31.237, 2.0), (55.0, 60.018), (31.237, 60.018)])
 def test_a_turned_frame_keeps_distances_and_turns_back(to: tuple[float, float]) -> None:
     asked = frame_step(replace(STEP, target=to, slot=None), "own")
-    assert asked.frame is not None and asked.framed.goal == (round(math.dist(to, STEP.position) / 6, 2), 0.0)
+    assert asked.frame is not None and asked.framed.goal == (round(math.dist(to, STEP.position) / 0.06), 0)
     for point in ((33.0, 61.0), (10.0, 10.0), (90.0, 95.0)):
         mine = asked.frame.exact(point)
-        assert math.hypot(*mine) == pytest.approx(math.dist(point, STEP.position) / 6)
+        assert math.hypot(*mine) == pytest.approx(math.dist(point, STEP.position) / 0.06)
         assert close(asked.frame.world(mine), point)
     moved = asked.framed.mission.velocity or ()
     back = asked.frame.world(moved)
@@ -117,12 +119,12 @@ def test_a_turned_frame_keeps_distances_and_turns_back(to: tuple[float, float]) 
 def test_coarse_numbers_near_safe_distance_get_more_decimals() -> None:
     fine = build_mission(shape="circle", n_robots=5, spacing=10.0, safe_distance=0.1, max_step=6.0)
     near = replace(STEP, mission=fine, target=(99.0, 60.018), slot=None)
-    assert frame_step(near, "own").framed.neighbors == ((0.294, 0.164),)
+    assert frame_step(near, "own").framed.neighbors == ((29.4, 16.4),)
 
 
 def test_a_told_safe_distance_is_never_too_short() -> None:
     odd = build_mission(shape="circle", n_robots=5, safe_distance=5.164, max_step=6.0)
-    assert frame_step(replace(STEP, mission=odd), "own").framed.mission.safe_distance == 0.87
+    assert frame_step(replace(STEP, mission=odd), "own").framed.mission.safe_distance == 87
 
 
 def test_the_worlds_frame_changes_nothing() -> None:
@@ -151,11 +153,11 @@ def test_answers_are_judged_in_world_and_recorded_as_given() -> None:
     far = replace(STEP, position=(23.456, 63.21), neighbors=())
     g = frame_step(far, "own").framed.goal
     assert g[1] == 0.0
-    way = [0.96, 0.2]
+    way = [96, 20]
     made, _ = planner(f"Path: [{way}, {list(g)}]", heard=heard)
     answer = asyncio.run(made.step(replace(far, horizon=2)))
     (dx, dy), (ahead, aside) = ((b - a for a, b in zip(far.position, far.goal, strict=True)), way)
-    unit = 6 / math.hypot(dx, dy)
+    unit = 0.06 / math.hypot(dx, dy)
     expected = [23.456 + unit * (ahead * dx - aside * dy), 63.21 + unit * (ahead * dy + aside * dx)]
     assert isinstance(answer, StepAnswer), answer
     assert close(answer.waypoint, expected) and answer.path == (far.goal,)
@@ -164,10 +166,10 @@ def test_answers_are_judged_in_world_and_recorded_as_given() -> None:
 
 
 def test_reasons_use_the_coordinates_of_the_prompt() -> None:
-    made, model = planner("Position: [2, 0]", "Position: [2, 0]", "Position: [2, 0]")
+    made, model = planner("Position: [200, 0]", "Position: [200, 0]", "Position: [200, 0]")
     answer = asyncio.run(made.step(replace(STEP, neighbors=(), target=(71.237, 60.018), slot=None)))
     said = model.asked[1].messages[-1].text
-    assert "the position is 2 from yours, 1 is the step limit" in said
+    assert "the position is 200 from yours, 100 is the step limit" in said
     assert isinstance(answer, NoAnswer) and answer.waypoint is not None
     assert close(answer.waypoint, (31.237 + 12, 60.018)), "what could not be used is told in the world"
     rows = [[round((x - 40) / 5, 3), round((y - 55) / 5, 3)] for x, y in PLAN.points]
@@ -178,7 +180,7 @@ def test_reasons_use_the_coordinates_of_the_prompt() -> None:
 
 def test_a_reason_that_only_the_world_has_says_so() -> None:
     verdicts = iter(Verdict(reason=reason, fit=None) for reason in ("the world objects.", None, None))
-    model = Scripted("Position: [0.1, 0]", "Position: [0.1, 0]")
+    model = Scripted("Position: [10, 0]", "Position: [10, 0]")
     made = LanguagePlanner(
         1,
         model,

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 import llm_flock
 from llm_flock.cli import app
 from llm_flock.errors import AnswerError, FlockError, InputError, ModelError
-from llm_flock.llm import Call, MissionReader, ModelPool, Reply, draft_of
+from llm_flock.formation import parse_program
+from llm_flock.llm import Call, MissionReader, ModelPool, Reply, draft_of, edited
 from llm_flock.llm._mission_phrases import mission_words
 from llm_flock.message import Message, MissionStamp, received_mission
 from llm_flock.mission import OPTIONAL, Mission, build_mission, mission_text
@@ -283,13 +284,53 @@ def test_a_simulated_reader_knows_its_sentences_alone(table: str) -> None:
 
 
 def test_an_edit_shows_what_changes(table: str) -> None:
-    edited = asyncio.run(MissionReader(table).edit("wider", Mission(shape="square", n_robots=8, hold=3, then=STAGES)))
-    assert "square scale [1.5, 1.0]" in edited.in_words and "instead of (1) a square" in edited.in_words
-    ideal = np.array(edited.mission.ideal)
+    draft = asyncio.run(MissionReader(table).edit("wider", Mission(shape="square", n_robots=8, hold=3, then=STAGES)))
+    assert "square scale [1.5, 1.0]" in draft.in_words and "instead of (1) a square" in draft.in_words
+    ideal = np.array(draft.mission.ideal)
     assert np.ptp(ideal[:, 0]) == pytest.approx(1.5 * np.ptp(ideal[:, 1]), rel=0.05)
-    assert (edited.mission.turn, edited.mission.hold, len(edited.mission.then)) == (0.0, 3, 2)
+    assert (draft.mission.turn, draft.mission.hold, len(draft.mission.then)) == (0.0, 3, 2)
     with pytest.raises(InputError, match="to be edited"):
         asyncio.run(MissionReader(table).edit("wider", Mission(shape="text:a cat")))
+
+
+@pytest.mark.parametrize(
+    ("said", "drawn"),
+    [
+        (
+            '{"/draw/0/turn": 45}',
+            {"draw": [{"shape": "circle", "scale": 2, "turn": 45}, {"shape": "star"}], "size": 50},
+        ),
+        ('{"/draw/0/scale": null, "/size": null}', {"draw": [{"shape": "circle"}, {"shape": "star"}]}),
+        ('{"/draw/0": null}', {"draw": [{"shape": "star"}], "size": 50}),
+        ('{"/draw/0": null, "/draw/-": {"text": "A"}}', {"draw": [{"shape": "star"}, {"text": "A"}], "size": 50}),
+        ('{"draw": [{"shape": "line"}]}', {"draw": [{"shape": "line"}]}),
+    ],
+)
+def test_an_edit_is_a_program_or_changes_by_path(said: str, drawn: dict[str, Any]) -> None:
+    program = parse_program({"draw": [{"shape": "circle", "scale": 2}, {"shape": "star"}], "size": 50})
+    assert edited(said, program) == parse_program(drawn)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        '{"/draw/7/turn": 45}',
+        '{"/draw/x": null}',
+        '{"/turn/0": 1}',
+        '{"/size/-": 1}',
+        '{"/name": null}',
+        '{"/draw/0/turn": 45, "size": 1}',
+        '{"/draw/0": null, "/draw/1": null}',
+        '{"/": 1}',
+        '{"/draw": []}',
+        '{"/size": NaN}',
+        "[]",
+        "{",
+    ],
+)
+def test_an_edit_that_leads_nowhere_is_refused(said: str) -> None:
+    with pytest.raises(InputError):
+        edited(said, parse_program({"draw": [{"shape": "circle"}, {"shape": "star"}], "size": 50}))
 
 
 def test_a_rejected_answer_goes_back_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from llm_flock import metrics
 from llm_flock.arrays import Point
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import Program, parse_program
-from llm_flock.llm import answer_of, draft_of, refusal
+from llm_flock.llm import answer_of, draft_of, drawn_program, edited, refusal
 from llm_flock.mission import Mission
 from llm_flock.planner import JudgementAnswer, PlanAnswer, PlanQuestion, StepAnswer
 from llm_flock.protocol import ROUNDING, check_plan, check_proposal, judge, straight_path
@@ -113,7 +113,9 @@ def word_marks(question: Question, text: str) -> WordMarks:
     """Compare a mission or an edited program with the right answers to the words, by what would be flown."""
     if question.section == "edit":
         try:
-            drawn = None if refusal(text) is not None else parse_program(text[text.find("{") : text.rfind("}") + 1])
+            assert question.mission is not None
+            before = drawn_program(question.mission["shape"])
+            drawn = None if refusal(text) is not None else edited(text, before)
             wrong = [_edit_differs(wanted, drawn) for wanted in question.wanted]
         except InputError as error:  # no program, or one for another number of robots
             return WordMarks(reason=str(error), read=False, safe=True)

@@ -76,7 +76,7 @@ def train(
     scale = 2.0 if alpha is None else alpha / rank
     student = Student.load(base_weights(base), rank=rank, scale=scale, seed=seed, blocks=blocks, half=half)
     student.begin_from(start or [])
-    lessons = [student.lesson(example) for example in found]
+    lessons = student.lessons(found)
     console = Screen(stderr=True)
     console.print(f"{len(lessons)} examples of {sum(map(len, lessons))} tokens, on {student.device}")
 

@@ -82,11 +82,15 @@ def plan_epoch(
 def _cut_batches(lessons: Sequence[Lesson], order: Sequence[int], budget: int) -> list[list[int]]:
     """Cut a sorted list into batches, each as large as the budget allows."""
     out: list[list[int]] = []
+    shared = longest = 0
     for number in order:
-        together = [lessons[i] for i in (*out[-1], number)] if out else []
-        shared = shared_prefix(together) if together else 0
-        if together and shared + len(together) * (max(map(len, together)) - shared) <= budget:
+        lesson = lessons[number]
+        pair = [lessons[out[-1][0]], lesson] if out else [lesson]
+        same, most = min(shared, shared_prefix(pair)), max(longest, len(lesson))
+        if out and same + (len(out[-1]) + 1) * (most - same) <= budget:
             out[-1].append(number)
+            shared, longest = same, most
         else:
             out.append([number])
+            shared, longest = len(lesson.prompt) - 1, len(lesson)
     return out

@@ -119,13 +119,16 @@ class Student:
                     if part == "b":
                         mine.mul_(about[1] / about[0] / self.scale)
 
-    def lesson(self, example: Example) -> Lesson:
-        """An example as tokens, in the model's chat template."""
-        messages = [{"role": role, "content": text} for role, text in example.messages]
-        prompt = self.tokenizer.apply_chat_template(messages, add_generation_prompt=True, tokenize=False)
-        encode = self.tokenizer.encode
-        answer = encode(example.answer, add_special_tokens=False)
-        return Lesson(tuple(encode(prompt, add_special_tokens=False)), (*answer, self.tokenizer.eos_token_id))
+    def lessons(self, examples: Sequence[Example]) -> list[Lesson]:
+        """Examples as tokens, in the model's chat template."""
+        talks = [[{"role": role, "content": text} for role, text in example.messages] for example in examples]
+        prompts = self.tokenizer.apply_chat_template(talks, add_generation_prompt=True, tokenize=False)
+        asked, said = (
+            self.tokenizer(texts, add_special_tokens=False)["input_ids"]
+            for texts in (prompts, [example.answer for example in examples])
+        )
+        end = self.tokenizer.eos_token_id
+        return [Lesson(tuple(prompt), (*answer, end)) for prompt, answer in zip(asked, said, strict=True)]
 
     def loss(self, batch: Batch) -> Any:
         """Mean cross-entropy of the answers' tokens [nats]; the common prefix is computed once."""

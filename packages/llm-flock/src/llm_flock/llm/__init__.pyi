@@ -25,6 +25,7 @@ from ._mission_words import answer_of as answer_of
 from ._mission_words import draft_of as draft_of
 from ._mission_words import drawn_program as drawn_program
 from ._mission_words import edit_call as edit_call
+from ._mission_words import edited as edited
 from ._mission_words import mission_call as mission_call
 from ._mission_words import refusal as refusal
 from ._models import ModelPool as ModelPool

@@ -54,6 +54,10 @@ repeat ::= ", \"repeat\": {\"times\": " count move? turn? (", \"scale\": " numbe
 vector ::= "[" number (", " number){1,2} "]"
 count ::= [1-9] [0-9]{0,2}
 text ::= "\"" [^"\\\x00-\x1F]{0,40} "\""
+edit ::= "{" (change (", " change)* | "\"refuse\": " text) "}"
+change ::= "\"/" [a-z0-9/-]{1,40} "\": " value
+value ::= "null" | "true" | number | text | "[" value (", " value)* "]" | "{" member (", " member)* "}"
+member ::= text ": " value
 """.replace("SHAPES", " | ".join(f'"{name}"' for name in (*get_args(Flat), *SPACE)))
 """A formation program in JSON, its fields in the order of the schema; no more is fixed than what is written how."""
 
@@ -103,7 +107,7 @@ def answer_grammar(kind: Kind, form: AnswerForm, lead: str = "") -> str:
     if form.program:
         reason = '" reason? "' * form.reasons
         whole = f'"{{{reason}\\"program\\": " drawing ", \\"my_plan\\": " index "}}"'
-        rules["root"] = 'drawing | "{\\"refuse\\": " text "}"' if form.edit else whole
+        rules["root"] = "edit" if form.edit else whole
     if kind == "plan":
         rules["index"] = " | ".join(f'"{place}"' for place in range(form.n))
     if form.reasons and (form.json or form.program):

@@ -1,9 +1,10 @@
 """The coordinates of a prompt: those of the world, or a frame in which the numbers are small and near zero.
 
 A small model cannot add 57.31 and 3.18 reliably. Its own frame avoids that: it plans around the origin with the spacing
-as unit, and steps from the origin with the step limit as unit. The question is moved and scaled before it is rendered,
-and the answer is moved and scaled back before it is checked. Of a plan, directions stay; for a step, the frame is
-turned so that the goal lies ahead, on the first axis: it need not find a direction, only whether the way is free.
+as unit, and steps from the origin with a hundredth of the step limit as unit. The question is moved and scaled before
+it is rendered, and the answer is moved and scaled back before it is checked. Of a plan, directions stay; for a step,
+the frame is turned so that the goal lies ahead, on the first axis: it need not find a direction, only whether the way
+is free.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ class PromptFrame:
     ahead: Point = (1.0, 0.0)  #: A direction of the plane, of length 1.
 
     def rounded(self, point: Point) -> Point:
-        """A point of the world in this frame, rounded."""
+        """A point of the world in this frame, rounded: to whole numbers where there are no decimals."""
         # Adding zero turns -0.0 into 0.0.
-        return tuple(round(x, self.decimals) + 0.0 for x in self.exact(point))
+        return tuple(round(x, self.decimals) + 0.0 if self.decimals else round(x) for x in self.exact(point))
 
     def exact(self, point: Point) -> Point:
         """A point of the world in this frame, not rounded."""
@@ -67,8 +68,8 @@ class PromptFrame:
         fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
         for name in ("spacing", "safe_distance", "max_step", "comm_range", "sense_range"):
             fields[name] = None if fields[name] is None else fields[name] / self.unit
-        safe, coarse = fields["safe_distance"], 10**self.decimals  # fewer digits to read; less would be refused
-        fields["safe_distance"] = max(safe, min(math.ceil(round(safe * coarse, 6)) / coarse, fields["spacing"]))
+        safe = fields["safe_distance"]
+        fields["safe_distance"] = max(safe, min(self._above(safe), fields["spacing"]))
         corners = [self.exact(corner) for corner in product(*zip(*mission.arena, strict=True))]
         fields["center"], fields["arena"] = (
             self.exact(mission.center),
@@ -87,9 +88,15 @@ class PromptFrame:
 
     def _obstacle(self, obstacle: Obstacle) -> Obstacle:
         if obstacle.polygon is not None:
-            return Obstacle.model_construct(polygon=tuple(map(self.exact, obstacle.polygon)))
+            return Obstacle.model_construct(polygon=tuple(map(self.rounded, obstacle.polygon)))
         assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a polygon or a disc"
-        return Obstacle.model_construct(center=self.exact(obstacle.center), radius=obstacle.radius / self.unit)
+        radius = self._above(obstacle.radius / self.unit)
+        return Obstacle.model_construct(center=self.rounded(obstacle.center), radius=radius)
+
+    def _above(self, length: float) -> float:
+        """A length rounded up: fewer digits to read, and never too short."""
+        coarse = 10**self.decimals
+        return math.ceil(round(length * coarse, 6)) / coarse
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,13 +131,15 @@ def frame_plan(question: PlanQuestion, name: FrameName) -> FramedQuestion[PlanQu
 
 
 def frame_step(question: StepQuestion, name: FrameName) -> FramedQuestion[StepQuestion]:
-    """Frame a question for a step: from the origin, in step limits."""
+    """Frame a question for a step: from the origin, in hundredths of the step limit, which need no decimals."""
     if name == "world":
         return FramedQuestion(question=question, framed=question)
     x, y = (goal - here for goal, here in zip(question.goal[:2], question.position, strict=False))
     far = math.hypot(x, y)
     frame = _frame(question.position, question.mission.max_step, question.mission)
-    frame = replace(frame, ahead=(x / far, y / far)) if far else frame
+    frame = replace(
+        frame, unit=frame.unit / 100, decimals=frame.decimals - 2, ahead=(x / far, y / far) if far else frame.ahead
+    )
     return _framed(
         question,
         frame,

@@ -6,6 +6,7 @@ import asyncio
 import json
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_args
 
@@ -82,8 +83,7 @@ class MissionReader:
         def take(said: str) -> MissionDraft:
             if (why := refusal(said)) is not None:
                 raise InputError("words", None, says=f"the reader refuses: {why}")
-            new = parse_program(_object(said))
-            if new == program:
+            if (new := edited(said, program)) == program:
                 raise InputError("program", None, says="it is the same as before, so nothing would change")
             fields: dict[str, Any] = {"shape": new.spec, "turn": base.turn or 0.0, "hold": base.hold, "then": base.then}
             fields["prefer"] = base.prefer if len(new.groups or ()) == len(program.groups or ()) else ()
@@ -153,7 +153,7 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
 
     A `brief` one is for a model that was taught the rules: it holds the facts, and neither rules nor schema.
     """
-    base, schema = base or Mission(), MissionAnswer.model_json_schema()
+    base, schema = base or Mission(), _mission_schema()
     if brief:
         now = f"Now: {mission_words(base)}" if flying else "Nothing is flown yet."
         return _call(BRIEF_INSTRUCTION.format(mission=base, now=now), "", text, schema)
@@ -167,6 +167,11 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
         mission=base,
     )
     return _call(rules, "", text, schema)
+
+
+@cache
+def _mission_schema() -> dict[str, Any]:
+    return MissionAnswer.model_json_schema()
 
 
 def edit_call(text: str, program: Program, n: int, *, brief: bool = False) -> Call:
@@ -192,6 +197,38 @@ def refusal(said: str) -> str | None:
         return None
     why = cast("dict[str, object]", given).get("refuse") if isinstance(given, dict) else None
     return None if why is None else one_line(why if isinstance(why, str) else "it gives no reason in words", 200)
+
+
+def edited(said: str, program: Program) -> Program:
+    """The program that an answer makes of one: a whole one, or changes by path, `{"/draw/0/turn": 45}`.
+
+    Paths are JSON pointers (RFC 6901) into `Program.spoken`; null takes a field or an element away, `-` appends one.
+
+    Raises:
+        InputError: the answer is neither, a path leads nowhere, or the result is no program.
+    """
+    try:
+        given: object = json.loads(_object(said))
+    except (ValueError, RecursionError):
+        given = None
+    if not isinstance(given, dict) or not all(key.startswith("/") for key in cast("dict[str, object]", given)):
+        return parse_program(_object(said))
+    whole: Any = json.loads(program.spoken)
+    for path, value in cast("dict[str, Any]", given).items():
+        *way, last = path.split("/")[1:]
+        try:
+            at: Any = whole
+            for key in way:
+                at = at[int(key) if isinstance(at, list) else key]
+            if last == "-":
+                at.append(value)
+            elif value is None:
+                del at[int(last) if isinstance(at, list) else last]
+            else:
+                at[int(last) if isinstance(at, list) else last] = value
+        except (AttributeError, LookupError, TypeError, ValueError):
+            raise InputError("program", path, f"the path of a field of {program.spoken[:200]}") from None
+    return parse_program(json.dumps(whole))
 
 
 def _object(said: str) -> str:
@@ -232,7 +269,7 @@ Turn the request to a team of robots into a mission in JSON, or ask, or refuse. 
 {mission.n_robots}
 robots, {mission.spacing:g} apart, never less than {mission.safe_distance:g}, {mission.max_step:g} a round. {now}"""
 
-BRIEF_EDITING = "Change the program as wished, and answer it whole in JSON, or refuse."
+BRIEF_EDITING = 'Change the program as wished: {"/PATH": new value} in JSON, null to take away. Or refuse.'
 
 EDITING = """\
 You change the drawing that a team of {n} robots flies. You get a formation program in JSON and a wish. Answer with the

@@ -83,8 +83,8 @@ class AnswerForm:
     """The form of an answer, for reading it and for constraining a model that writes it.
 
     A `horizon` of 1 means a single position, `letters` one letter of these, `reasons` a reason before the answer,
-    `program` a formation program in JSON instead of the places of a plan, `edit` only that program, or why it cannot be
-    drawn, `choices` the names of options.
+    `program` a formation program in JSON instead of the places of a plan, `edit` changes of one by path, or why it
+    cannot be drawn, `choices` the names of options.
     """
 
     n: int

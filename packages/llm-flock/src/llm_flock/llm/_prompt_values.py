@@ -28,9 +28,9 @@ def number_text(value: float) -> str:
 
 
 def place_text(place: Point) -> str:
-    """A place of a plan, with six decimals at most: `[45.0, 65.388418]`."""
+    """A place of a plan, with six decimals at most: `[45.0, 65.388418]`, or of whole numbers."""
     # Adding zero turns -0.0 into 0.0.
-    return repr([round(x, DECIMALS) + 0.0 for x in place])
+    return repr([x if isinstance(x, int) else round(x, DECIMALS) + 0.0 for x in place])
 
 
 def position_text(position: Point, decimals: int) -> str:

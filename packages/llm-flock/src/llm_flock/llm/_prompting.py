@@ -34,7 +34,7 @@ from llm_flock.llm._prompt_values import (
     short_text,
 )
 from llm_flock.mission import Mission, build_mission
-from llm_flock.plan import Plan
+from llm_flock.plan import DECIMALS, Plan
 from llm_flock.planner import AIMS, JudgementOption, JudgementQuestion, PlanQuestion, StepQuestion
 
 logger = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ STEP: Mapping[str, Callable[[StepQuestion], Any]] = {
     "searching": lambda asked: asked.target is not None and asked.slot is not None,
     "waiting": lambda asked: asked.slot is None,
     "goal": lambda asked: place_text(asked.goal),
-    "toward": lambda asked: place_text(nearer_goal(asked.position, asked.goal, asked.mission.max_step)),
+    "toward": lambda asked: short_text(nearer_goal(asked.position, asked.goal, asked.mission.max_step), DECIMALS),
     "horizon": lambda asked: asked.horizon,
     "ways": lambda asked: ways_text(ways_of(asked)),
 }
