@@ -1,6 +1,6 @@
 """What the model on board is taught: plans as formation programs, steps, paths, ways round others, retries, judgements.
 
-python -m benchmarks lessons FILE [COUNT] [SEED]
+python -m benchmarks lessons FILE [COUNT] [SEED] [KIND,KIND,...]
 
 Every question goes through the planner of a run, with its prompts, frame, parsers and checks, and only answers that
 these accept at once are taught. What is held out stands in `curriculum.toml`.
@@ -13,8 +13,10 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from itertools import combinations
+from functools import partial
+from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +64,9 @@ SHARES: Mapping[Kind, float] = {
     "edit": 0.23,
 }
 """Kinds of examples."""
+
+PART = 5000
+"""Examples that one process draws at a time."""
 
 RETRIED = 0.15
 """Share of questions for plans and steps that are asked after an answer that was refused."""
@@ -332,11 +337,11 @@ def draw_judgement(rng: np.random.Generator) -> Example | None:
     return taught("judgement", asked, f"Choice: {right}", wish=wish)
 
 
-def lessons(seed: int, count: int) -> Iterator[Example]:
-    """Draw `count` examples of all kinds; those of missions and edits are in `lessons_in_words`."""
+def lessons(seed: int, count: int, kinds: Sequence[Kind] = tuple(SHARES), part: int = 0) -> Iterator[Example]:
+    """Draw `count` examples of some kinds; those of missions and edits are in `lessons_in_words`."""
     from benchmarks.lessons_in_words import draw_edit, draw_request
 
-    rng, kinds, made = np.random.default_rng([seed, 7]), list(SHARES), 0
+    rng, made, shares = np.random.default_rng([seed, 7, part]), 0, np.array([SHARES[kind] for kind in kinds])
     draws: Mapping[Kind, Callable[[np.random.Generator], Example | None]] = {
         "plan": draw_plan,
         "step": lambda rng: draw_motion(rng, "step"),
@@ -346,7 +351,7 @@ def lessons(seed: int, count: int) -> Iterator[Example]:
         "edit": draw_edit,
     }
     while made < count:
-        kind = kinds[int(rng.choice(len(kinds), p=[SHARES[name] for name in kinds]))]
+        kind = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
         found: Example | None = None
         while found is None:
             found = draws[kind](rng)
@@ -370,17 +375,21 @@ def _lattice(rng: np.random.Generator, n: int, dim: int) -> list[tuple[float, ..
     return found
 
 
+def _part(seed: int, count: int, kinds: Sequence[Kind], part: int) -> list[Example]:
+    return list(lessons(seed, min(PART, count - part * PART), kinds, part))
+
+
 def main(arguments: Sequence[str]) -> None:
-    """Write a file of examples for `llm-flock distill train`; the adapter in the package had 24,000 of seed 1."""
+    """Write a file of examples for `llm-flock distill train`, drawn on all cores; the same on any number of them."""
     if not arguments:
-        raise SystemExit("lessons FILE [COUNT] [SEED]: the new file is missing")
-    out, count, seed = (
-        Path(arguments[0]),
-        *(int(word) for word in (*arguments[1:], *("6000", "1")[len(arguments) - 1 :])),
-    )
+        raise SystemExit("lessons FILE [COUNT] [SEED] [KIND,KIND,...]: the new file is missing")
+    count, seed, kinds = (*arguments[1:], *("6000", "1", ",".join(SHARES))[len(arguments) - 1 :])
+    chosen: list[Kind] = [kind for kind in SHARES if kind in kinds.split(",")]
+    out, draw = Path(arguments[0]), partial(_part, int(seed), int(count), chosen)
     check_new(out)
-    examples = list(lessons(seed, count))
+    with ProcessPoolExecutor() as pool:
+        examples = list(chain(*pool.map(draw, range(-(-int(count) // PART)))))
     write_examples(out, examples)
-    for kind in SHARES:
+    for kind in chosen:
         prompts = [example.prompt for example in examples if example.kind == kind]
         print(f"{kind}: {len(prompts)} examples, {len(set(prompts))} prompts")

@@ -32,7 +32,7 @@ UNASKED = 0.3
 """Share of requests that a reader has to refuse, or to ask about; half each."""
 ASIDES, SLIPS = 0.25, 0.1
 """Shares of requests with a sentence beside that asks for nothing, and with a slip of the keys."""
-WRITTEN = 0.7
+WRITTEN = 0.8
 """Share of whole sentences among requests, and among edits."""
 
 LENGTHS = {"s": (4, 14), "w": (18, 70), "n": (5, 20), "t": (10, 170), "k": (3, 60), "k2": (3, 60), "r": (3, 14)}
@@ -334,14 +334,14 @@ def _edited(
         return None
     if not right:  # as it was
         return None
-    n = sum(group["count"] for group in given["groups"]) if "groups" in given else 12
+    n = sum(group.get("count", 0) for group in given.get("groups", ())) or 12
     call = edit_call(_worn(rng, words), program, n, brief=True)
     messages = tuple((message.role, message.text) for message in call.messages)
     return Example(kind="edit", messages=messages, answer=json.dumps(right, ensure_ascii=False), topic=topic)
 
 
 def changes(path: str, old: Any, new: Any) -> Iterator[tuple[str, Any]]:
-    """What makes one JSON value another: paths and new values, None for what goes; a list that changes all over, whole."""
+    """What makes one JSON value another: paths and new values, None for what goes; a list changed all over, whole."""
     if old == new:
         return
     if isinstance(old, dict) and isinstance(new, dict) and (not path or next(iter(old)) == next(iter(new))):
