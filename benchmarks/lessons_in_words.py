@@ -332,7 +332,7 @@ def _edited(
         right = wanted if said is True else dict(changes("", json.loads(program.spoken), json.loads(said.spoken)))
     except InputError:
         return None
-    if not right:  # as it was
+    if not 0 < len(right) < 9:  # as it was, or more changes than the grammar allows
         return None
     n = sum(group.get("count", 0) for group in given.get("groups", ())) or 12
     call = edit_call(_worn(rng, words), program, n, brief=True)

@@ -76,7 +76,15 @@ def test_edits_are_changes_by_path_or_a_refusal() -> None:
     form = AnswerForm(n=12, dim=2, program=True, edit=True)
     changed = '{"/draw/0/scale": [1.5, 2], "/draw/-": {"shape": "star", "move": [0, 3]}, "/size": null}'
     assert accepts("plan", form, changed) and accepts("plan", form, '{"refuse": "It cannot be drawn."}')
-    for wrong in ('{"draw": [{"shape": "line"}]}', "{}", '{"/size": }', changed + "}", '{"/size": 1, "refuse": "No."}'):
+    endless = "{" + ", ".join(['"/size": 1'] * 9) + "}"
+    for wrong in (
+        endless,
+        '{"draw": [{"shape": "line"}]}',
+        "{}",
+        '{"/size": }',
+        changed + "}",
+        '{"/size": 1, "refuse": "No."}',
+    ):
         assert not accepts("plan", form, wrong)
 
 

@@ -88,7 +88,8 @@ def train(
             )
             console.print(line, end="\r" if console.is_terminal else "\n")
 
-    options = TrainingOptions(steps=steps, minutes=minutes, rate=rate, tokens=tokens, seed=seed)
+    together = 4 if student.device == "cpu" else 2
+    options = TrainingOptions(steps=steps, minutes=minutes, rate=rate, tokens=tokens, together=together, seed=seed)
     end = teach(student, lessons, options, out, resume=resume, on_progress=tell)
     sys.stdout.write(f"trained {end.step} steps on {end.examples} examples: loss {end.loss:.4f}, saved in {out}\n")
 

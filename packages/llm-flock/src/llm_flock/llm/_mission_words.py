@@ -214,9 +214,10 @@ def edited(said: str, program: Program) -> Program:
     if not isinstance(given, dict) or not all(key.startswith("/") for key in cast("dict[str, object]", given)):
         return parse_program(_object(said))
     whole: Any = json.loads(program.spoken)
-    for path, value in cast("dict[str, Any]", given).items():
-        *way, last = path.split("/")[1:]
-        try:
+    path = ""
+    try:
+        for path, value in cast("dict[str, Any]", given).items():
+            *way, last = path.split("/")[1:]
             at: Any = whole
             for key in way:
                 at = at[int(key) if isinstance(at, list) else key]
@@ -226,9 +227,10 @@ def edited(said: str, program: Program) -> Program:
                 del at[int(last) if isinstance(at, list) else last]
             else:
                 at[int(last) if isinstance(at, list) else last] = value
-        except (AttributeError, LookupError, TypeError, ValueError):
-            raise InputError("program", path, f"the path of a field of {program.spoken[:200]}") from None
-    return parse_program(json.dumps(whole))
+        changed = json.dumps(whole)
+    except (AttributeError, LookupError, RecursionError, TypeError, ValueError):
+        raise InputError("program", path, f"the path of a field of {program.spoken[:200]}") from None
+    return parse_program(changed)
 
 
 def _object(said: str) -> str:
