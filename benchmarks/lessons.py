@@ -238,7 +238,7 @@ def draw_motion(rng: np.random.Generator, kind: Kind) -> Example | None:
     text = place_text(framed.frame.rounded(waypoint))
     wrong = tuple[str, ...]()
     if rng.random() < RETRIED:
-        far = tuple(float(rng.choice([-0.8, 1.4, 2.0, 2.5, 3.0])) * (e - h) + h for h, e in zip(here, end, strict=True))
+        far = between(here, end, float(rng.choice([-0.8, 1.4, 2.0, 2.5, 3.0])))
         said = (
             pick(rng, CURRICULUM["unreadable"]["train"])
             if rng.random() < 0.3
@@ -385,6 +385,8 @@ def main(arguments: Sequence[str]) -> None:
         raise SystemExit("lessons FILE [COUNT] [SEED] [KIND,KIND,...]: the new file is missing")
     count, seed, kinds = (*arguments[1:], *("6000", "1", ",".join(SHARES))[len(arguments) - 1 :])
     chosen: list[Kind] = [kind for kind in SHARES if kind in kinds.split(",")]
+    if wrong := {*kinds.split(",")} - {*SHARES}:
+        raise SystemExit(f"lessons: {', '.join(sorted(wrong))}: expected some of {', '.join(SHARES)}")
     out, draw = Path(arguments[0]), partial(_part, int(seed), int(count), chosen)
     check_new(out)
     with ProcessPoolExecutor() as pool:

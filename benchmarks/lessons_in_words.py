@@ -21,7 +21,7 @@ from benchmarks.lessons import pick
 
 from llm_flock.errors import AnswerError, InputError
 from llm_flock.formation import parse_program
-from llm_flock.llm import Call, draft_of, edit_call, mission_call
+from llm_flock.llm import Call, draft_of, edit_call, edited, mission_call
 from llm_flock.mission import Mission, build_mission
 from llm_flock_onboard._distill.curriculum import CURRICULUM
 from llm_flock_onboard._distill.examples import Example, Kind
@@ -127,18 +127,22 @@ def draw_request(rng: np.random.Generator) -> Example | None:
             draft_of(json.dumps(answer), base, flying=flying)
     except (InputError, AnswerError):
         return None
-    return _example("mission", mission_call(_worn(rng, words), base, flying=flying, brief=True), answer, "words")
+    return _example(
+        "mission", mission_call(_worn(rng, words, answer), base, flying=flying, brief=True), answer, "words"
+    )
 
 
-def _worn(rng: np.random.Generator, words: str) -> str:
+def _worn(rng: np.random.Generator, words: str, answer: dict[str, Any]) -> str:
     """Words as people write them: with a phrase or a sentence beside them, slips of the keys, or in small letters."""
     words = words[0].upper() + words[1:] if rng.random() < 0.5 else words
     words += pick(rng, WORDS["close"]["train"]) if words[-1] not in ".!?" else ""
     if rng.random() < ASIDES:
         aside, last = pick(rng, WORDS["aside"]["train"]).format(v=int(rng.integers(2, 90))), rng.random() < 0.5
         words = f"{words}{'' if words[-1] in '.!?' else '.'} {aside}" if last else f"{aside} {words}"
-    if rng.random() < SLIPS:
-        at = pick(rng, [found.end() - 2 for found in re.finditer("[a-z]{6,}", words)] or [0])
+    kept = json.dumps(answer).lower()
+    long = [found for found in re.finditer("[a-z]{6,}", words) if found[0] not in kept]
+    if long and rng.random() < SLIPS:
+        at = pick(rng, long).end() - 2
         swapped = "" if rng.random() < 0.5 else words[at : at + 1]
         words = f"{words[:at]}{words[at + 1 : at + 2]}{swapped}{words[at + 2 :]}"
     return words.lower() if rng.random() < 0.25 else words
@@ -334,8 +338,9 @@ def _edited(
         return None
     if not 0 < len(right) < 9:  # as it was, or more changes than the grammar allows
         return None
+    assert said is True or edited(json.dumps(right), program) == said, right
     n = sum(group.get("count", 0) for group in given.get("groups", ())) or 12
-    call = edit_call(_worn(rng, words), program, n, brief=True)
+    call = edit_call(_worn(rng, words, right), program, n, brief=True)
     messages = tuple((message.role, message.text) for message in call.messages)
     return Example(kind="edit", messages=messages, answer=json.dumps(right, ensure_ascii=False), topic=topic)
 
@@ -352,8 +357,8 @@ def changes(path: str, old: Any, new: Any) -> Iterator[tuple[str, Any]]:
         gone = [i for i, one in enumerate(old) if one not in new]
         if len(old) == len(new) and len(gone) < max(2, len(old)):
             yield from (pair for i, one in enumerate(new) for pair in changes(f"{path}/{i}", old[i], one))
-        elif new[: len(old)] == old:
-            yield from ((f"{path}/-", one) for one in new[len(old) :])
+        elif new[:-1] == old:
+            yield f"{path}/-", new[-1]
         elif [one for i, one in enumerate(old) if i not in gone] == new:
             yield from ((f"{path}/{i}", None) for i in reversed(gone))
         else:

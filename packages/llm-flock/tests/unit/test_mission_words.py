@@ -303,6 +303,10 @@ def test_an_edit_shows_what_changes(table: str) -> None:
         ('{"/draw/0/scale": null, "/size": null}', {"draw": [{"shape": "circle"}, {"shape": "star"}]}),
         ('{"/draw/0": null}', {"draw": [{"shape": "star"}], "size": 50}),
         ('{"/draw/0": null, "/draw/-": {"text": "A"}}', {"draw": [{"shape": "star"}, {"text": "A"}], "size": 50}),
+        (
+            '{"/draw/-": {"text": "A"}, "/draw/-": {"text": "B"}, "/draw/0": null, "/draw/0": null, "/size": null}',
+            {"draw": [{"text": "A"}, {"text": "B"}]},
+        ),
         ('{"draw": [{"shape": "line"}]}', {"draw": [{"shape": "line"}]}),
     ],
 )
@@ -316,6 +320,8 @@ def test_an_edit_is_a_program_or_changes_by_path(said: str, drawn: dict[str, Any
     [
         '{"/draw/7/turn": 45}',
         '{"/draw/x": null}',
+        '{"/draw/-1": null}',
+        "{}",
         '{"/turn/0": 1}',
         '{"/size/-": 1}',
         '{"/name": null}',

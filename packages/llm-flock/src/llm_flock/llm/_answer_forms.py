@@ -37,7 +37,8 @@ size ::= ", \"size\": " number
 element ::= "{" figure closed? fill? sides? arc? turns? scale? mirror? turn? north? tilt? move? repeat? "}"
 figure ::= shape | "\"text\": " text | path | "\"points\": [" vector (", " vector)* "]" | union
 shape ::= "\"shape\": \"" (SHAPES) "\""
-path ::= "\"path\": \"" [MLHVCSQTAZmlhvcsqtaz0-9 .,eE+-]+ "\""
+path ::= "\"path\": " line
+line ::= "\"" [MLHVCSQTAZmlhvcsqtaz0-9 .,eE+-]+ "\""
 union ::= "\"union\": [" element (", " element)* "]"
 closed ::= ", \"closed\": true"
 fill ::= ", \"fill\": true"
@@ -56,7 +57,7 @@ count ::= [1-9] [0-9]{0,2}
 text ::= "\"" [^"\\\x00-\x1F]{0,40} "\""
 edit ::= "{" (change (", " change){0,7} | "\"refuse\": " text) "}"
 change ::= "\"/" [a-z0-9/-]{1,40} "\": " value
-value ::= "null" | "true" | number | text | "[" value (", " value)* "]" | "{" member (", " member)* "}"
+value ::= "null" | "true" | number | text | line | "[" value (", " value)* "]" | "{" member (", " member)* "}"
 member ::= text ": " value
 """.replace("SHAPES", " | ".join(f'"{name}"' for name in (*get_args(Flat), *SPACE)))
 """A formation program in JSON, its fields in the order of the schema; no more is fixed than what is written how."""

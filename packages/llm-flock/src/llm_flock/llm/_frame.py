@@ -68,8 +68,8 @@ class PromptFrame:
         fields: dict[str, Any] = {name: getattr(mission, name) for name in Mission.model_fields}
         for name in ("spacing", "safe_distance", "max_step", "comm_range", "sense_range"):
             fields[name] = None if fields[name] is None else fields[name] / self.unit
-        safe = fields["safe_distance"]
-        fields["safe_distance"] = max(safe, min(self._above(safe), fields["spacing"]))
+        safe, coarse = fields["safe_distance"], 10**self.decimals  # fewer digits to read; less would be refused
+        fields["safe_distance"] = max(safe, min(math.ceil(round(safe * coarse, 6)) / coarse, fields["spacing"]))
         corners = [self.exact(corner) for corner in product(*zip(*mission.arena, strict=True))]
         fields["center"], fields["arena"] = (
             self.exact(mission.center),
@@ -88,15 +88,9 @@ class PromptFrame:
 
     def _obstacle(self, obstacle: Obstacle) -> Obstacle:
         if obstacle.polygon is not None:
-            return Obstacle.model_construct(polygon=tuple(map(self.rounded, obstacle.polygon)))
+            return Obstacle.model_construct(polygon=tuple(map(self.exact, obstacle.polygon)))
         assert obstacle.center is not None and obstacle.radius is not None, "an obstacle is a polygon or a disc"
-        radius = self._above(obstacle.radius / self.unit)
-        return Obstacle.model_construct(center=self.rounded(obstacle.center), radius=radius)
-
-    def _above(self, length: float) -> float:
-        """A length rounded up: fewer digits to read, and never too short."""
-        coarse = 10**self.decimals
-        return math.ceil(round(length * coarse, 6)) / coarse
+        return Obstacle.model_construct(center=self.exact(obstacle.center), radius=obstacle.radius / self.unit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

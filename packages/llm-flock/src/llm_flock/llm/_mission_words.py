@@ -202,35 +202,49 @@ def refusal(said: str) -> str | None:
 def edited(said: str, program: Program) -> Program:
     """The program that an answer makes of one: a whole one, or changes by path, `{"/draw/0/turn": 45}`.
 
-    Paths are JSON pointers (RFC 6901) into `Program.spoken`; null takes a field or an element away, `-` appends one.
+    Paths are JSON pointers (RFC 6901) into `Program.spoken`, followed one after the other; null takes a field or an
+    element away, `-` appends one.
 
     Raises:
         InputError: the answer is neither, a path leads nowhere, or the result is no program.
     """
+    pairs = list[tuple[str, Any]]()
+
+    def keep(found: list[tuple[str, Any]]) -> dict[str, Any]:  # the outermost object comes last
+        pairs[:] = found
+        return dict(found)
+
     try:
-        given: object = json.loads(_object(said))
+        json.loads(_object(said), object_pairs_hook=keep)
     except (ValueError, RecursionError):
-        given = None
-    if not isinstance(given, dict) or not all(key.startswith("/") for key in cast("dict[str, object]", given)):
+        pairs.clear()
+    if not pairs or not all(key.startswith("/") for key, _ in pairs):
         return parse_program(_object(said))
     whole: Any = json.loads(program.spoken)
     path = ""
     try:
-        for path, value in cast("dict[str, Any]", given).items():
+        for path, value in pairs:
             *way, last = path.split("/")[1:]
             at: Any = whole
             for key in way:
-                at = at[int(key) if isinstance(at, list) else key]
+                at = at[_key(at, key)]
             if last == "-":
                 at.append(value)
             elif value is None:
-                del at[int(last) if isinstance(at, list) else last]
+                del at[_key(at, last)]
             else:
-                at[int(last) if isinstance(at, list) else last] = value
+                at[_key(at, last)] = value
         changed = json.dumps(whole)
     except (AttributeError, LookupError, RecursionError, TypeError, ValueError):
         raise InputError("program", path, f"the path of a field of {program.spoken[:200]}") from None
     return parse_program(changed)
+
+
+def _key(at: object, key: str) -> str | int:
+    """The key of a part of a JSON pointer; LookupError if a list has no such index."""
+    if isinstance(at, list) and not (key.isascii() and key.isdigit()):
+        raise LookupError(key)
+    return int(key) if isinstance(at, list) else key
 
 
 def _object(said: str) -> str:
