@@ -16,7 +16,8 @@ export class Moment {
 
   /** What the address says; it is taken up once the rounds and robots that it names are there. */
   read() {
-    const said = new URLSearchParams(location.hash.slice(1));
+    this.seen = location.hash;
+    const said = new URLSearchParams(this.seen.slice(1));
     const round = said.get("round");
     this.wanted = { round: /^\d{1,7}$/.test(round || "") ? Number(round) : null, robots: (said.get("robots") || "").split(",").filter((one) => /^(\d:)?\d+$/.test(one)).slice(0, 2) };
     if (this.wanted.round !== null) this.clock.held = true;
@@ -46,9 +47,9 @@ export class Moment {
     this.due = setTimeout(() => {
       this.due = null;
       const now = this.path + this.hash(clock.following);
-      if (clock.playing || now === this.written) return;
+      if (clock.playing || now === this.written || location.hash !== this.seen) return; // a new address is read first
       this.written = now;
-      try { history.replaceState(null, "", now); } catch { /* a page inside another one has no address of its own */ }
+      try { history.replaceState(null, "", now); this.seen = location.hash; } catch { /* a page inside another one has no address of its own */ }
     }, WAIT_MS);
   }
 
