@@ -153,14 +153,14 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
 
     A `brief` one is for a model that was taught the rules: it holds the facts, and neither rules nor schema.
     """
-    base, schema = base or Mission(), _mission_schema()
+    base, schema = base or Mission(), json.loads(_mission_schema())
     if brief:
         now = f"Now: {mission_words(base)}" if flying else "Nothing is flown yet."
         return _call(BRIEF_INSTRUCTION.format(mission=base, now=now), "", text, schema)
     every = [one for one in (*formations.shapes(), *formations.drawn_shapes()) if one.examples and one.name != "points"]
     rules = INSTRUCTION.format(
         shapes="; ".join(f"{shape.name} ({shape.legal}: {shape.description})" for shape in every),
-        schema=json.dumps(schema),
+        schema=_mission_schema(),
         now=f"The team flies now: {mission_words(base)}" if flying else "Nothing is flown yet.",
         last=base.n_robots - 1,
         fastest=base.max_step / 2,
@@ -170,8 +170,8 @@ def mission_call(text: str, base: Mission | None = None, *, flying: bool = False
 
 
 @cache
-def _mission_schema() -> dict[str, Any]:
-    return MissionAnswer.model_json_schema()
+def _mission_schema() -> str:
+    return json.dumps(MissionAnswer.model_json_schema())
 
 
 def edit_call(text: str, program: Program, n: int, *, brief: bool = False) -> Call:
